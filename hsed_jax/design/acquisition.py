@@ -1,0 +1,206 @@
+"""Which candidate to test next: acquisition functions over a Kriging model, and the choice itself.
+
+An acquisition gives every candidate a utility, on a logarithmic scale because the improvement still to be expected
+falls far below the smallest float before a campaign ends.  `choose` takes the candidate of largest utility that has not
+been tested yet.  A new acquisition is a function, or an `eqx.Module` with data of its own, called as
+``acquisition(kriging, candidates, key)`` and returning one utility per candidate.
+"""
+
+from collections.abc import Callable
+from typing import final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, ScalarLike
+from scipy.stats import qmc
+
+from hsed_jax.design.kriging import Kriging
+
+Acquisition = Callable[[Kriging, Float[Array, "M d"], PRNGKeyArray], Float[Array, " M"]]
+
+# Two inputs of the unit cube closer than this are the same experiment.
+SAME_POINT = 1e-6
+# Floor of a standard deviation, below any response's rounding; with it (difference/deviation)² stays a finite number.
+_LEAST_DEVIATION = 1e-60
+# Below −_SWITCH the terms of φ(z) + zΦ(z) cancel, and a continued fraction of _LEVELS levels is exact to 5e-14.
+_SWITCH, _LEVELS = 5.0, 16
+
+
+def expected_improvement(
+    mean: Float[Array, " M"], deviation: Float[Array, " M"], best: ScalarLike
+) -> Float[Array, " M"]:
+    """Expected improvement for maximisation (Eq. 14; Jones, Schonlau & Welch 1998, Journal of Global Optimization 13).
+
+    E[max(Y − best, 0)] for Y ~ N(mean, deviation²): (mean − best)Φ(z) + deviation·φ(z), z = (mean − best)/deviation.
+    In the response's units, never negative.  Arguments as in `log_expected_improvement`.
+    """
+    return jnp.exp(log_expected_improvement(mean, deviation, best))
+
+
+@jax.jit
+def log_expected_improvement(
+    mean: Float[Array, " M"], deviation: Float[Array, " M"], best: ScalarLike
+) -> Float[Array, " M"]:
+    """Natural logarithm of the expected improvement of Eq. 14, accurate where the improvement itself is zero in floats.
+
+    The aim is that of Ament, Daulton, Eriksson, Balandat & Bakshy (2023, arXiv 2310.20708); the tail is a continued
+    fraction here.  Values and gradients are finite, also at a deviation of zero, where the improvement is mean − best
+    if that is positive and otherwise too small to matter.
+
+    **Arguments:** `mean`, `deviation`: Kriging mean and standard deviation, (M,); `best`: largest Kriging mean among
+    the tested points (μ_max), a scalar; all in the response's units.
+
+    **Returns:** log of the improvement, (M,).
+    """
+    deviation = jnp.maximum(deviation, _LEAST_DEVIATION)
+    return jnp.log(deviation) + log_standard_improvement((mean - best) / deviation)
+
+
+@jax.jit
+def log_standard_improvement(z: Float[Array, " M"]) -> Float[Array, " M"]:
+    """log(φ(z) + zΦ(z)), the log-expectation of max(Z + z, 0) for a standard normal Z.
+
+    For z < −5, with t = −z and H_n the n-fold repeated integral of the normal tail, φ + zΦ = H_1 and the ratios
+    ρ_n = H_n/H_{n−1} obey ρ_{n−1} = 1/(t + nρ_n) (DLMF 7.18(iv)): a sum of positive terms, where φ + zΦ cancels.
+    """
+    # Each branch sees only arguments that it can take, so that neither puts a NaN into the other's gradient.
+    in_tail = z < -_SWITCH
+    body, t = jnp.where(in_tail, -_SWITCH, z), jnp.where(in_tail, -z, _SWITCH)
+    density = jnp.exp(-0.5 * body**2) / np.sqrt(2.0 * np.pi)
+    direct = jnp.log(density + body * 0.5 * jax.scipy.special.erfc(-body / np.sqrt(2.0)))
+    deepest = _LEVELS + 1
+    ratio = (jnp.sqrt(t**2 + 4.0 * deepest) - t) / (2.0 * deepest)
+    for n in range(_LEVELS, 1, -1):
+        ratio = 1.0 / (t + n * ratio)
+    tail = -0.5 * t**2 - 0.5 * np.log(2.0 * np.pi) + jnp.log(ratio) - jnp.log(t + ratio)
+    return jnp.where(in_tail, tail, direct)
+
+
+def improvement(kriging: Kriging, candidates: Float[Array, "M d"], key: PRNGKeyArray) -> Float[Array, " M"]:
+    """Log-expected improvement over the largest Kriging mean among the tested points (Eq. 14)."""
+    del key
+    mean, variance = kriging.predict(candidates)
+    return log_expected_improvement(mean, _deviation(variance), jnp.max(kriging.tested_means()))
+
+
+def max_variance(kriging: Kriging, candidates: Float[Array, "M d"], key: PRNGKeyArray) -> Float[Array, " M"]:
+    """Log of the Kriging variance (Eq. 11): learn the response everywhere rather than find its maximum."""
+    del key
+    return 2.0 * jnp.log(_deviation(kriging.predict(candidates)[1]))
+
+
+def random_order(kriging: Kriging, candidates: Float[Array, "M d"], key: PRNGKeyArray) -> Float[Array, " M"]:
+    """Candidates in an order that `key` shuffles; the utility says nothing but the order."""
+    del kriging
+    return jnp.log(jax.random.uniform(key, (candidates.shape[0],), minval=jnp.finfo(candidates.dtype).tiny))
+
+
+def given_order(kriging: Kriging, candidates: Float[Array, "M d"], key: PRNGKeyArray) -> Float[Array, " M"]:
+    """Candidates in the order they come, a space-filling design if that is Sobol's; the utility is only the order."""
+    del kriging, key
+    return -jnp.log1p(jnp.arange(candidates.shape[0], dtype=candidates.dtype))
+
+
+ACQUISITIONS: dict[str, Acquisition] = {
+    "expected_improvement": improvement,
+    "max_variance": max_variance,
+    "random": random_order,
+    "sobol": given_order,
+}
+
+
+@final
+class Choice(eqx.Module):
+    """The candidate chosen: its index, its utility, the Kriging mean and standard deviation there."""
+
+    index: Int[Array, ""]
+    log_value: Float[Array, ""]
+    value: Float[Array, ""]
+    mean: Float[Array, ""]
+    sd: Float[Array, ""]
+
+
+def choose(
+    kriging: Kriging,
+    candidates: Float[Array, "M d"],
+    excluded: Float[Array, "K d"],
+    excluded_mask: Bool[Array, " K"],
+    acquisition: str | Acquisition,
+    key: PRNGKeyArray,
+) -> Choice:
+    """The untested candidate of largest utility; among equal ones the first.
+
+    **Arguments:**
+
+    - `kriging`: model fitted to the experiments so far.
+    - `candidates`: points of the unit cube to choose from, (M, d).
+    - `excluded`: points not to be chosen again, (K, d): tested, or asked and still pending.  A candidate within
+      `SAME_POINT` of one of them is passed over.
+    - `excluded_mask`: true for the rows of `excluded` that count, (K,).
+    - `acquisition`: a name in `ACQUISITIONS` or a callable like those there.
+    - `key`: for acquisitions that draw; equal keys give equal choices.
+
+    **Returns:** a `Choice`.  Under `jit`, a `log_value` of −∞ says that no candidate was left.
+
+    **Raises:** `ValueError` for an unknown name and, outside `jit`, if no candidate is left.
+    """
+    if isinstance(acquisition, str):
+        if acquisition not in ACQUISITIONS:
+            raise ValueError(
+                f"Argument `acquisition` must be one of {', '.join(ACQUISITIONS)}, but is {acquisition!r}."
+            )
+        acquisition = ACQUISITIONS[acquisition]
+    choice = _choose(kriging, candidates, excluded, excluded_mask, acquisition, key)
+    if not isinstance(choice.log_value, Tracer) and choice.log_value == -jnp.inf:
+        raise ValueError(
+            "Argument `candidates` must hold a point that has not been tested, but all"
+            f" {candidates.shape[0]} have been. Draw more candidates."
+        )
+    return choice
+
+
+@eqx.filter_jit
+def _choose(kriging, candidates, excluded, excluded_mask, acquisition, key) -> Choice:
+    utilities = acquisition(kriging, candidates, key)
+    # A utility that is not a number is a failure of the acquisition there, and no reason to experiment.
+    open_to_choice = ~(repeated(candidates, excluded, excluded_mask) | jnp.isnan(utilities))
+    utilities = jnp.where(open_to_choice, utilities, -jnp.inf)
+    index = jnp.argmax(utilities)
+    mean, variance = kriging.predict(candidates[index][None])
+    return Choice(index, utilities[index], jnp.exp(utilities[index]), mean[0], jnp.sqrt(variance[0]))
+
+
+def repeated(
+    candidates: Float[Array, "M d"], excluded: Float[Array, "K d"], excluded_mask: Bool[Array, " K"]
+) -> Bool[Array, " M"]:
+    """Whether each candidate lies within `SAME_POINT` of an excluded point."""
+
+    def with_one_more(found, point):
+        position, counts = point
+        squared = sum((jnp.square(candidates[:, k] - position[k]) for k in range(candidates.shape[1])), start=0.0)
+        return found | (counts & (squared < SAME_POINT**2)), None
+
+    # One excluded point after the other: no (M, K) array.
+    return jax.lax.scan(with_one_more, jnp.zeros(candidates.shape[0], bool), (excluded, excluded_mask))[0]
+
+
+def sobol_candidates(count: int, dimensions: int, seed: int) -> Float[Array, "count dimensions"]:
+    """The first `count` points of a scrambled Sobol sequence in the unit cube, (count, dimensions).
+
+    A longer sequence of the same seed starts with the shorter one.
+
+    **Raises:** `ValueError` if `count` or `dimensions` is less than 1.
+    """
+    if count < 1 or dimensions < 1:
+        raise ValueError(f"Arguments `count` and `dimensions` must be at least 1, but are {count} and {dimensions}.")
+    sequence = qmc.Sobol(dimensions, scramble=True, rng=seed)
+    # Sobol' sets are balanced at powers of two; SciPy warns about any other number.
+    return jnp.asarray(sequence.random_base2((count - 1).bit_length())[:count])
+
+
+def _deviation(variance: Float[Array, " M"]) -> Float[Array, " M"]:
+    # The square root's own derivative at zero is infinite.
+    return jnp.sqrt(jnp.maximum(variance, _LEAST_DEVIATION**2))

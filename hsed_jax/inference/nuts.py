@@ -1,0 +1,132 @@
+"""NUTS (numpyro) in whitened coordinates, its chains vectorised, and what tells whether to believe it.
+
+The posterior of a calibration is nearly Gaussian.  Whitened by the Gauss–Newton curvature at its mode it is nearly standard
+normal, so no mass matrix has to be learnt: only the step size is adapted, from that of the step before.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from numpyro.infer.hmc import hmc
+
+from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.maximum import Maximum
+from hsed_jax.inference.posterior import Posterior
+
+
+class Settings(NamedTuple):
+    """Chains, adaptation draws and kept draws per chain, target acceptance."""
+
+    chains: int = 4
+    warmup: int = 100
+    draws: int = 500
+    target_acceptance: float = 0.8
+
+
+class Chains(NamedTuple):
+    """Draws of NUTS.
+
+    Attributes:
+        theta: draws, SI, shape (chains, draws, p).
+        log_density: log density in u, shape (chains, draws).
+        diverging: divergent transitions, shape (chains, draws).
+        steps: leapfrog steps per draw, shape (chains, draws).
+        step_size: the adapted step size, averaged over chains.
+    """
+
+    theta: Float[Array, "chains draws p"]
+    log_density: Float[Array, "chains draws"]
+    diverging: Bool[Array, "chains draws"]
+    steps: Int[Array, "chains draws"]
+    step_size: Float[Array, ""]
+
+
+def sample(
+    posterior: Posterior,
+    data: Data,
+    maximum: Maximum,
+    step_size: Float[Array, ""],
+    key: PRNGKeyArray,
+    settings: Settings,
+) -> Chains:
+    """Draw from the posterior.  Pure and traceable; compile it once per study.
+
+    Arguments:
+        posterior: of the study.
+        data: measured outputs.
+        maximum: the mode to start from and the whitening (`maximise`).
+        step_size: to begin adaptation from.
+        key: of the random numbers.
+        settings: sizes.
+    """
+    place, frame = maximum.start, maximum.whitening
+
+    def potential_of(data):
+        return lambda w: -posterior.log_density(place + frame @ w, data)
+
+    start, draw = hmc(potential_fn_gen=potential_of, algo="NUTS")
+
+    def first(key, w):
+        return start(
+            w,
+            settings.warmup,
+            step_size=step_size,
+            adapt_mass_matrix=False,
+            target_accept_prob=settings.target_acceptance,
+            max_tree_depth=7,
+            model_args=(data,),
+            rng_key=key,
+        )
+
+    spread, keys = jax.random.split(key)
+    scattered = jax.random.normal(spread, (settings.chains, place.size))
+    state = jax.vmap(first)(jax.random.split(keys, settings.chains), scattered)
+    move = jax.vmap(lambda state: draw(state, (data,)))
+    state = jax.lax.fori_loop(0, settings.warmup, lambda _, s: move(s), state)
+
+    def keep(state, _):
+        state = move(state)
+        return state, (state.z, state.potential_energy, state.diverging, state.num_steps)
+
+    state, (w, potential, diverging, steps) = jax.lax.scan(keep, state, None, length=settings.draws)
+    u = place + w @ frame.T
+    theta = jax.vmap(jax.vmap(posterior.constrain))(u)
+    theta, potential, diverging, steps = (
+        jnp.swapaxes(x, 0, 1) for x in (theta, potential, diverging, steps)
+    )
+    return Chains(theta, -potential, diverging, steps, jnp.mean(state.adapt_state.step_size))
+
+
+class Convergence(NamedTuple):
+    """What tells whether to believe the draws: split R-hat and bulk ESS per parameter (Vehtari et al. 2021), divergences."""
+
+    rhat: np.ndarray
+    ess_bulk: np.ndarray
+    divergences: int
+
+    def warning(self, names: tuple[str, ...]) -> str | None:
+        """One sentence that says what is wrong, or None."""
+        faults = []
+        for name, rhat, ess in zip(names, self.rhat, self.ess_bulk, strict=True):
+            if not rhat <= 1.01:
+                faults.append(f"R-hat of {name} is {rhat:.3f} (should be at most 1.01)")
+            if not ess >= 400:
+                faults.append(f"bulk ESS of {name} is {ess:.0f} (should be at least 400)")
+        if self.divergences:
+            faults.append(f"{self.divergences} divergent transitions (should be none)")
+        return "; ".join(faults) or None
+
+
+def convergence(chains: Chains) -> Convergence:
+    """R-hat, bulk ESS and divergences of the draws."""
+    from arviz_stats.base import array_stats
+
+    draws = np.moveaxis(np.asarray(chains.theta), -1, 0)
+    return Convergence(
+        np.asarray([array_stats.rhat(d, chain_axis=0, draw_axis=1) for d in draws], dtype=float),
+        np.asarray([array_stats.ess(d, chain_axis=0, draw_axis=1) for d in draws], dtype=float),
+        int(np.sum(np.asarray(chains.diverging))),
+    )

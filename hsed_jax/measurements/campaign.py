@@ -1,0 +1,310 @@
+"""A campaign: experiments that share a specimen and sensors, in SI, with the units they were declared in."""
+
+import html
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+
+from hsed_jax.errors import UserError
+from hsed_jax.measurements.experiment import Channel, Experiment, Record
+from hsed_jax.measurements.tables import is_number
+from hsed_jax.measurements.units import Unit, channel_dimension, parse_unit, quantity_dimension
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Protocol = Literal["ground_motion", "displacement"]
+
+RESERVED_COLUMNS = ("id", "record", "status", "reason", "split", "from", "to")
+"""Columns of experiments.csv that are neither inputs nor quantities nor metadata."""
+
+MOTION = ("time", "ground_acceleration")
+"""Channels that impose a ground motion and so measure no response."""
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Experiments that share a specimen, a protocol, inputs and channels.  Values are SI, units as declared.
+
+    Attributes:
+        name: What was tested.
+        protocol: `ground_motion`, or `displacement`: the elongation was imposed and the force measured.
+        inputs: Unit of each variable input.
+        channels: Channels of the records by canonical name.  Without `time` the row number is the time.
+        quantities: Quantities of experiments.csv by canonical name.
+        experiments: The experiments, in order.
+        source: Where it was read from.
+
+    Raises:
+        UserError: An unknown channel, a wrong unit, a duplicate id, or an experiment that does not fit.
+    """
+
+    name: str
+    protocol: Protocol
+    inputs: dict[str, str] = field(default_factory=dict)
+    channels: dict[str, Channel] = field(default_factory=dict)
+    quantities: dict[str, Channel] = field(default_factory=dict)
+    experiments: tuple[Experiment, ...] = ()
+    source: str | None = field(default=None, compare=False)
+
+    def __post_init__(self):
+        """Check the declaration, then move every value to one that its declared unit can write."""
+        object.__setattr__(self, "_units", declared_units(self))
+        object.__setattr__(self, "experiments", tuple(self._settled(e) for e in self.experiments))
+        seen = set()
+        for experiment in self.experiments:
+            if experiment.id in seen:
+                raise UserError(f"experiment {experiment.id!r} appears twice; an id is unique in its campaign")
+            seen.add(experiment.id)
+
+    def unit(self, name: str) -> Unit:
+        """Return the declared unit of an input, channel or quantity; of `time`, seconds where it is the row number."""
+        units: dict[str, Unit] = self.__dict__["_units"]
+        if name not in units:
+            raise UserError(f"the campaign declares no {name!r}; it declares {', '.join(units)}")
+        return units[name]
+
+    @property
+    def has_time(self) -> bool:
+        """Whether records have a time; otherwise the row number (from 0) is the time."""
+        return "time" in self.channels
+
+    def _settled(self, experiment: Experiment) -> Experiment:
+        where = f"experiment {experiment.id!r}"
+        if experiment.inputs.keys() != self.inputs.keys():
+            raise UserError(
+                f"{where} has the inputs {sorted(experiment.inputs)}; the campaign declares {sorted(self.inputs)}"
+            )
+        if strange := experiment.quantities.keys() - self.quantities.keys():
+            raise UserError(
+                f"{where} has {sorted(strange)}; the campaign declares the quantities {sorted(self.quantities)}"
+            )
+        columns = {*RESERVED_COLUMNS, *self.inputs, *(q.column for q in self.quantities.values())}
+        for name in experiment.metadata:
+            check_column(name, f"{where}: metadata")
+            if name in columns:
+                raise UserError(
+                    f"{where}: metadata {name!r} has the name of a column that means something else; rename it"
+                )
+        changes: dict[str, Any] = {
+            "inputs": {k: float(self.unit(k).snap(experiment.inputs[k])) for k in self.inputs},
+            "quantities": {k: float(self.unit(k).snap(v)) for k, v in experiment.quantities.items()},
+        }
+        if experiment.record is not None:
+            changes["record"] = self._settled_record(experiment.record, where)
+        if experiment.window is not None:
+            changes["window"] = tuple(float(self.unit("time").snap(t)) for t in experiment.window)
+        changes = {k: v for k, v in changes.items() if v != getattr(experiment, k)}
+        return replace(experiment, **changes) if changes else experiment
+
+    def _settled_record(self, record: Record, where: str) -> Record:
+        if not self.has_time and not np.array_equal(record.time, np.arange(len(record))):
+            raise UserError(
+                f"{where}: the record has a time but the campaign no channel time; declare it with its unit"
+            )
+        responses = self.channels.keys() - MOTION
+        if strange := record.channels.keys() - self.channels.keys():
+            raise UserError(f"{where}: the record has {sorted(strange)}; the campaign declares {sorted(self.channels)}")
+        missing = self.channels.keys() - record.channels.keys() - {"time"}
+        # Either everything that was declared, or the ground motion alone (planned, or beside scalar quantities).
+        if missing and (missing != responses or "ground_acceleration" not in self.channels):
+            raise UserError(f"{where}: the record lacks {sorted(missing)}; every declared channel must be there")
+        time = self.unit("time").snap(record.time)
+        channels = {k: self.unit(k).snap(record.channels[k]) for k in self.channels if k in record.channels}
+        settled = Record(time, channels)
+        return record if settled == record and list(channels) == list(record.channels) else settled
+
+    def __len__(self) -> int:
+        """Return the number of experiments."""
+        return len(self.experiments)
+
+    def __iter__(self) -> Iterator[Experiment]:
+        """Iterate over the experiments in order."""
+        return iter(self.experiments)
+
+    def __contains__(self, id: object) -> bool:
+        """Return whether there is an experiment with this id."""
+        return any(e.id == id for e in self.experiments)
+
+    def __getitem__(self, id: str) -> Experiment:
+        """Return the experiment with this id.
+
+        Raises:
+            UserError: There is none.
+        """
+        for experiment in self.experiments:
+            if experiment.id == id:
+                return experiment
+        raise UserError(f"no experiment {id!r}; the campaign has {', '.join(e.id for e in self.experiments) or 'none'}")
+
+    @property
+    def completed(self) -> "Campaign":
+        """The completed experiments."""
+        return replace(self, experiments=tuple(e for e in self if e.status == "completed"))
+
+    @property
+    def train(self) -> "Campaign":
+        """The completed experiments to fit to."""
+        return replace(self, experiments=tuple(e for e in self.completed if e.split == "train"))
+
+    @property
+    def test(self) -> "Campaign":
+        """The completed experiments that are never fitted."""
+        return replace(self, experiments=tuple(e for e in self.completed if e.split == "test"))
+
+    def add(self, experiment: Experiment) -> "Campaign":
+        """Return the campaign with one experiment more."""
+        return replace(self, experiments=(*self.experiments, experiment))
+
+    def update(self, experiment: Experiment) -> "Campaign":
+        """Return the campaign with the experiment of the same id replaced, say a pending one by its outcome."""
+        self[experiment.id]
+        return replace(self, experiments=tuple(experiment if e.id == experiment.id else e for e in self))
+
+    @classmethod
+    def from_frames(
+        cls,
+        experiments=None,
+        records: Mapping[str, Any] | None = None,
+        *,
+        name: str = "campaign",
+        protocol: Protocol,
+        inputs: Mapping[str, str] | None = None,
+        channels: Mapping[str, str | Channel] | None = None,
+        quantities: Mapping[str, str | Channel] | None = None,
+    ) -> "Campaign":
+        """Build a campaign from tables in memory, in the declared units.
+
+        Args:
+            experiments: A table with the columns of experiments.csv (`id`, inputs, quantities, `status`, ...): a pandas
+                DataFrame, a dict of columns, or a list of dicts.  Without it, the ids are those of `records`.
+            records: By id, a table of the channels: a DataFrame or a dict of arrays (n,).
+            name: What was tested.
+            protocol: `ground_motion` or `displacement`.
+            inputs: Unit of each input column.
+            channels: Unit of each channel, or a `Channel` where the column is named otherwise or noise is known.
+            quantities: The same for quantities.
+
+        Raises:
+            UserError: Something is missing, unknown, or not a number; the message names experiment and column.
+        """
+        from hsed_jax.measurements.frames import campaign_from_frames
+
+        header = cls(
+            name,
+            protocol,
+            dict(inputs or {}),
+            {k: v if isinstance(v, Channel) else Channel(k, v) for k, v in (channels or {}).items()},
+            {k: v if isinstance(v, Channel) else Channel(k, v) for k, v in (quantities or {}).items()},
+        )
+        return campaign_from_frames(header, experiments, records or {})
+
+    def to_xarray(self) -> "xr.DataTree":
+        """Return everything as a tree: experiments at the root, ``records/<id>`` below; values SI, units in `attrs`."""
+        from hsed_jax.measurements.frames import campaign_to_xarray
+
+        return campaign_to_xarray(self)
+
+    @classmethod
+    def from_xarray(cls, tree: "xr.DataTree") -> "Campaign":
+        """Rebuild a campaign from what `to_xarray` gave.
+
+        Raises:
+            UserError: The tree was not made by `to_xarray`.
+        """
+        from hsed_jax.measurements.frames import campaign_from_xarray
+
+        return campaign_from_xarray(tree)
+
+    def _table(self) -> tuple[list[str], list[list[str]]]:
+        heads = ["id", *(f"{k} [{u}]" for k, u in self.inputs.items())]
+        heads += [*(f"{k} [{q.unit}]" for k, q in self.quantities.items()), "record", "status", "split"]
+        rows = []
+        for e in self:
+            values = [f"{self.unit(k).from_si(e.inputs[k]):.6g}" for k in self.inputs]
+            values += [
+                f"{self.unit(k).from_si(e.quantities[k]):.6g}" if k in e.quantities else "" for k in self.quantities
+            ]
+            rows.append([e.id, *values, "" if e.record is None else f"{len(e.record)} samples", e.status, e.split])
+        return heads, rows
+
+    def _title(self) -> str:
+        channels = ", ".join(f"{k} [{c.unit}]" for k, c in self.channels.items()) or "no records"
+        counts = f"{len(self)} experiments, {len(self.train)} train, {len(self.test)} test"
+        return f"{self.name} ({self.protocol}): {counts}; {channels}"
+
+    def __repr__(self) -> str:
+        """Return a short table of the experiments, inputs and quantities in their declared units."""
+        heads, rows = self._table()
+        shown = [heads, *rows[:20]]
+        widths = [max(len(row[i]) for row in shown) for i in range(len(heads))]
+        lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in shown]
+        more = [f"... and {len(rows) - 20} more"] if len(rows) > 20 else []
+        return "\n".join([self._title(), *lines, *more])
+
+    def _repr_html_(self) -> str:
+        heads, rows = self._table()
+        cells = ["".join(f"<td>{html.escape(c)}</td>" for c in row) for row in rows]
+        head = "".join(f"<th>{html.escape(c)}</th>" for c in heads)
+        body = "".join(f"<tr>{row}</tr>" for row in cells)
+        return f"<p>{html.escape(self._title())}</p><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def check_column(name: str, where: str) -> None:
+    """Raise `UserError` unless `name` can head a column of a table."""
+    if not isinstance(name, str) or not name or name != name.strip() or not name.isprintable():
+        raise UserError(
+            f"{where}: {name!r} cannot head a column; a column is one line of text without blanks around it"
+        )
+
+
+def declared_units(campaign: Campaign) -> dict[str, Unit]:
+    """Check what a campaign declares and return the unit of every input, channel and quantity.
+
+    Raises:
+        UserError: With the name and unit, and what is allowed.
+    """
+    if campaign.protocol not in get_args(Protocol):
+        raise UserError(f"protocol {campaign.protocol!r} is unknown; allowed: {', '.join(get_args(Protocol))}")
+    units = {"time": parse_unit("s")}
+    for kind, declared, dimension_of in (
+        ("channels", campaign.channels, channel_dimension),
+        ("quantities", campaign.quantities, quantity_dimension),
+    ):
+        columns: dict[str, str] = {}
+        for name, channel in declared.items():
+            where = f"{kind}.{name}"
+            check_column(channel.column, where)
+            if name != channel.name:
+                raise UserError(f"{where}: it holds the channel {channel.name!r}; key and name must agree")
+            if channel.column in columns:
+                raise UserError(
+                    f"{where}: column {channel.column!r} is also that of {columns[channel.column]}; one each"
+                )
+            if kind == "channels" and is_number(channel.column):
+                raise UserError(
+                    f"{where}: column {channel.column!r} is a number; name it, or a record's header looks like data"
+                )
+            columns[channel.column] = where
+            try:
+                units[name] = parse_unit(channel.unit, dimension_of(name))
+            except UserError as error:
+                raise UserError(f"{where}: {error}") from None
+    taken = {*RESERVED_COLUMNS, *(q.column for q in campaign.quantities.values())}
+    if clash := set(RESERVED_COLUMNS) & {q.column for q in campaign.quantities.values()}:
+        raise UserError(f"quantities: column {min(clash)!r} means something else in experiments.csv; rename the column")
+    for name, unit in campaign.inputs.items():
+        check_column(name, f"inputs.{name}")
+        if name in taken or name in units:
+            raise UserError(f"inputs.{name}: the name means something else (a column, channel or quantity); rename it")
+        try:
+            units[name] = parse_unit(unit)
+        except UserError as error:
+            raise UserError(f"inputs.{name}: {error}") from None
+    if campaign.channels:
+        needed = "elongation" if campaign.protocol == "displacement" else "time"
+        if needed not in campaign.channels:
+            raise UserError(f"channels: {needed!r} is missing; the protocol {campaign.protocol} needs it")
+    return units

@@ -1,0 +1,235 @@
+"""Faults of measured data: errors that stop, doubts that are listed.  Nothing is repaired."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from hsed_jax.measurements.campaign import Campaign
+from hsed_jax.measurements.experiment import Experiment, Record
+from hsed_jax.measurements.units import channel_dimension, quantity_dimension
+
+PLAUSIBLE = {"length": (1e-6, 5.0), "velocity": (1e-5, 50.0), "acceleration": (1e-3, 500.0), "force": (1e-2, 1e9)}
+"""Range of the largest magnitude [SI] by dimension; outside, the unit is suspect."""
+
+PLAUSIBLE_GROUND_ACCELERATION = (1e-2, 40.0)
+"""The same for the ground [m/s²]; the strongest records reach about 4 g."""
+
+GAP = 8  # time steps this many times longer than the median are gaps, if they are rare
+PLATEAU = 4  # equal samples at an extreme
+STUCK = 20  # equal samples elsewhere
+NOISE_FACTOR = 3  # estimated against declared
+QUIET = 10  # samples before the motion that a base line needs
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One fault.
+
+    Attributes:
+        level: `error`: the data cannot be used so; `doubt`: they can, but somebody should look.
+        experiment: Its id.
+        channel: The channel or quantity.
+        time: When it begins [s], where it has a time.
+        message: What was found.
+    """
+
+    level: Literal["error", "doubt"]
+    experiment: str
+    channel: str
+    time: float | None
+    message: str
+
+    def __str__(self) -> str:
+        """Return the finding as one line."""
+        when = "" if self.time is None else f", t = {self.time:g} s"
+        return f"{self.level}: {self.experiment}, {self.channel}{when}: {self.message}"
+
+
+def check_campaign(campaign: Campaign) -> list[Finding]:
+    """Look for faults in the records and quantities of completed experiments, and in planned ground motions.
+
+    Args:
+        campaign: Not changed.
+
+    Returns:
+        Findings by experiment, in order: NaN, backward or duplicate time, constant channels (errors); gaps in time,
+        clipped or stuck channels, absurd magnitudes, impossible energy, noise unlike the declared one, a base line that
+        is not zero before the motion (doubts).
+    """
+    return [finding for e in campaign if e.status in ("completed", "pending") for finding in _experiment(campaign, e)]
+
+
+def noise_estimate(time, values) -> float:
+    """Estimate the standard deviation of white noise on a smooth signal.
+
+    The median magnitude of third divided differences, scaled for Gaussian noise: cubics cancel, rare jumps do not
+    matter, sampling may be uneven.  Where the sampling does not resolve the signal it is an upper bound.
+
+    Args:
+        time: Sample times (n,), increasing.
+        values: Samples (n,), n ≥ 8.
+
+    Returns:
+        The standard deviation in the unit of `values`; NaN if there are too few samples.
+    """
+    return _difference_noise(np.asarray(time, dtype=float), np.asarray(values, dtype=float), 3)
+
+
+def _experiment(campaign: Campaign, experiment: Experiment) -> Iterator[Finding]:
+    id, record = experiment.id, experiment.record
+    for name, value in experiment.quantities.items():
+        low, high = PLAUSIBLE.get(quantity_dimension(name).name, (0.0, np.inf))
+        if not low <= abs(value) <= high:
+            yield Finding("doubt", id, name, None, _absurd(abs(value), quantity_dimension(name).si, low, high))
+    if record is None:
+        return
+    errors = list(_time(id, record)) + [f for name in record.channels for f in _finite(id, record, name)]
+    yield from errors
+    if any(finding.level == "error" for finding in errors):
+        return  # what follows needs a time that runs and numbers that are numbers
+    for name, values in record.channels.items():
+        if np.ptp(values) == 0:
+            # A free vibration has a constant ground; any other constant channel measured nothing.
+            level = "doubt" if name == "ground_acceleration" else "error"
+            yield Finding(
+                level, id, name, None, f"it is constant ({values[0]:g}) over the whole record; a dead sensor?"
+            )
+            continue
+        yield from _plateaus(id, record, name)
+        yield from _magnitude(id, record, name)
+        yield from _noise(campaign, id, record, name)
+    yield from _base_lines(id, record)
+    yield from _energy(id, record)
+
+
+def _time(id: str, record: Record) -> Iterator[Finding]:
+    time = record.time
+    if not np.isfinite(time).all():
+        row = int(np.argmin(np.isfinite(time)))
+        yield Finding("error", id, "time", None, f"sample {row + 1} has no time")
+        return
+    steps = np.diff(time)
+    for bad, word in ((steps < 0, "runs backward"), (steps == 0, "is repeated")):
+        if bad.any():
+            first = int(np.argmax(bad))
+            message = f"the time {word} at sample {first + 2}, {int(bad.sum())} times in all"
+            yield Finding("error", id, "time", float(time[first + 1]), message)
+    if (steps <= 0).any() or steps.size < QUIET:
+        return
+    gaps = np.flatnonzero(steps > GAP * np.median(steps))
+    if 0 < gaps.size <= max(3, steps.size // 100):  # many long steps are uneven sampling
+        longest = steps[gaps].max()
+        message = f"{gaps.size} gaps, the longest {longest:g} s where the usual step is {np.median(steps):g} s"
+        yield Finding("doubt", id, "time", float(time[gaps[0]]), message)
+
+
+def _finite(id: str, record: Record, name: str) -> Iterator[Finding]:
+    bad = ~np.isfinite(record.channels[name])
+    if bad.any():
+        first = int(np.argmax(bad))
+        message = f"{int(bad.sum())} of {len(record)} samples are not numbers, the first is sample {first + 1}"
+        yield Finding("error", id, name, float(record.time[first]), message)
+
+
+def _plateaus(id: str, record: Record, name: str) -> Iterator[Finding]:
+    values = record.channels[name]
+    changes = np.flatnonzero(np.diff(values)) + 1
+    runs = [(a, b) for a, b in pairwise([0, *changes.tolist(), values.size]) if b - a >= PLATEAU]
+    steps = np.abs(np.diff(values))
+    quantum = steps[steps > 0].min()
+    clipped, stuck = [], []
+    for start, end in runs:
+        if start == 0 or end == values.size:
+            continue  # rest before and after the motion
+        # Rounding flattens a smooth peak too, but then the samples beside it are one or two digits away.
+        sharp = max(steps[start - 1], steps[end - 1]) > 5 * quantum
+        if values[start] in (values.max(), values.min()):
+            if sharp and values[start] != values[0]:
+                clipped.append((start, end))
+        elif sharp and end - start >= STUCK and values[start] != 0:  # an open gap holds exactly no force
+            stuck.append((start, end))
+    for found, word in ((clipped, "stays at its extreme"), (stuck, "does not change")):
+        if found:
+            start, end = max(found, key=lambda run: run[1] - run[0])
+            message = f"{word} ({values[start]:g}) for {end - start} samples, {len(found)} such stretches"
+            reason = "clipped, or held there?" if found is clipped else "a stuck sensor, or held there?"
+            yield Finding("doubt", id, name, float(record.time[found[0][0]]), f"{message}: {reason}")
+
+
+def _magnitude(id: str, record: Record, name: str) -> Iterator[Finding]:
+    dimension = channel_dimension(name)
+    low, high = PLAUSIBLE_GROUND_ACCELERATION if name == "ground_acceleration" else PLAUSIBLE[dimension.name]
+    peak = int(np.argmax(np.abs(record.channels[name])))
+    value = float(np.abs(record.channels[name][peak]))
+    if not low <= value <= high:
+        yield Finding("doubt", id, name, float(record.time[peak]), _absurd(value, dimension.si, low, high))
+
+
+def _absurd(value: float, unit: str, low: float, high: float) -> str:
+    return f"the largest magnitude is {value:.3g} {unit}, plausible is {low:g} to {high:g} {unit}: is the unit right?"
+
+
+def _noise(campaign: Campaign, id: str, record: Record, name: str) -> Iterator[Finding]:
+    noise, values = campaign.channels[name].noise, record.channels[name]
+    if noise is None or len(record) < 50:
+        return
+    declared = noise.standard_deviation(values)
+    second, third, fourth = (_difference_noise(record.time, values, order) for order in (2, 3, 4))
+    # On white noise every order estimates the same; a signal that is not resolved by the samples tells them apart.
+    if not 0.75 * third < fourth < 1.33 * third and third > declared:
+        return
+    if third > NOISE_FACTOR * declared or NOISE_FACTOR * min(second, third) < declared:
+        unit = channel_dimension(name).si
+        message = f"the samples scatter by about {third:.2g} {unit}, the declared noise is {declared:.2g} {unit}"
+        yield Finding("doubt", id, name, None, message)
+
+
+def _difference_noise(time: np.ndarray, values: np.ndarray, order: int) -> float:
+    if time.size < order + 5:
+        return float("nan")
+    windows = np.lib.stride_tricks.sliding_window_view(time, order + 1)
+    gaps = windows[:, :, None] - windows[:, None, :] + np.eye(order + 1)
+    # A divided difference is a weighted sum of samples; weights of unit length keep the noise's standard deviation.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        weights = 1.0 / np.prod(gaps / np.abs(gaps).max(axis=(1, 2), keepdims=True), axis=2)
+        weights /= np.linalg.norm(weights, axis=1, keepdims=True)
+        differences = np.sum(weights * np.lib.stride_tricks.sliding_window_view(values, order + 1), axis=1)
+    # Exact zeros are a record at rest that was rounded or padded: they say nothing about the sensor.
+    informative = np.abs(differences[np.isfinite(differences) & (differences != 0)])
+    return float(1.4826 * np.median(informative)) if informative.size else 0.0
+
+
+def _base_lines(id: str, record: Record) -> Iterator[Finding]:
+    driver = "ground_acceleration" if "ground_acceleration" in record.channels else "elongation"
+    if driver not in record.channels:
+        return
+    drive = record.channels[driver] - np.median(record.channels[driver][:QUIET])
+    quiet = int(np.argmax(np.abs(drive) > 0.01 * np.abs(drive).max()))
+    if quiet < QUIET:
+        return
+    for name, values in record.channels.items():
+        if name.endswith("_absolute") or name.startswith(("displacement", "velocity")):
+            continue
+        offset, scatter = float(np.mean(values[:quiet])), float(np.std(values[:quiet]))
+        # Drift and hum are not independent from sample to sample, so no 1/sqrt(n): the offset must stand out by itself.
+        if abs(offset) > max(0.02 * float(np.abs(values).max()), scatter):
+            unit = channel_dimension(name).si
+            message = f"it is {offset:.3g} {unit} on average before the motion starts ({quiet} samples): an offset?"
+            yield Finding("doubt", id, name, float(record.time[0]), message)
+
+
+def _energy(id: str, record: Record) -> Iterator[Finding]:
+    if not {"elongation", "force"} <= record.channels.keys():
+        return
+    force, elongation = record.channels["force"], record.channels["elongation"]
+    work = 0.5 * (force[1:] + force[:-1]) * np.diff(elongation)
+    # A passive specimen gives back at most what it held at the start; a twentieth is left for noise and delay.
+    allowed = 0.05 * float(np.abs(work).sum()) + abs(float(force[0] * elongation[0]))
+    if work.sum() < -allowed:
+        message = (
+            f"the work of force on elongation is {work.sum():.3g} J: a specimen cannot give energy; is a sign flipped?"
+        )
+        yield Finding("doubt", id, "force", None, message)

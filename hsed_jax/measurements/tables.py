@@ -1,0 +1,276 @@
+"""Tables as spreadsheets and data loggers write them: numbers out, every fault with its row and column."""
+
+import csv
+import io
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hsed_jax.errors import UserError
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
+_SPECIAL = re.compile(r"[+-]?(nan|inf|infinity)", re.IGNORECASE)
+_COMMA_NUMBER = re.compile(r"[+-]?(\d+,\d*|,\d+)([eEdD][+-]?\d+)?")
+_SPREADSHEET_ERROR = re.compile(r"#([A-Z0-9/]+[!?]|N/A|NV|N/D|#+)")
+_LINE_WITH_ERROR = re.compile(r"#([A-Z0-9/]+[!?]|N/A|NV|N/D)(\s*[,;\t ]|\s*$)|##+\s*[,;\t]")
+_DATE = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}.*|\d{1,2}[- ][A-Za-z]{3}.*|\d{1,2}:\d{2}.*")
+_THOUSANDS = re.compile(r"[+-]?\d{1,3}([.,' \u00a0\u202f]\d{3})+([.,]\d*)?")
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells of a text table.
+
+    Attributes:
+        path: The file.
+        columns: Header of each column, blank where the header cell is; the position from 1 where there is no header.
+        rows: Cells by row, as many as there are columns.
+        row_numbers: Row of each, from 1, as a spreadsheet shows it.
+        decimal_comma: Whether numbers may have a decimal comma (the separator is not a comma).
+        has_header: Whether the file names its columns.
+    """
+
+    path: Path
+    columns: tuple[str, ...]
+    rows: list[list[str]]
+    row_numbers: list[int]
+    decimal_comma: bool
+    has_header: bool
+
+    def where(self, row: int, column: str | None = None) -> str:
+        """Say where the cell in `rows[row]` stands, for a message."""
+        return f"{self.path}, row {self.row_numbers[row]}" + ("" if column is None else f", column {column!r}")
+
+    def position(self, column: str) -> int:
+        """Return the position of a column.
+
+        Raises:
+            UserError: It is missing or there are two.
+        """
+        count = self.columns.count(column)
+        if count == 1:
+            return self.columns.index(column)
+        if not self.has_header and column.isdecimal() and 1 <= int(column) <= len(self.columns):
+            return int(column) - 1
+        if count > 1:
+            raise UserError(
+                f"{self.path}: the header names column {column!r} {count} times; a column has a name of its own"
+            )
+        found = ", ".join(repr(c) for c in self.columns if c)
+        note = "" if self.has_header else " (the file has no header: say the column's position)"
+        blank = "; a header cell is empty (a merged cell?)" if "" in self.columns else ""
+        raise UserError(f"{self.path}: column {column!r} is missing; the columns are {found}{note}{blank}")
+
+    def text(self, row: int, column: str) -> str:
+        """Return a cell without blanks around it, empty where the table has no such column."""
+        return self.rows[row][self.position(column)].strip() if column in self.columns else ""
+
+    def uses_decimal_comma(self, columns: Iterable[str]) -> bool:
+        """Return whether the numbers in these columns are written with a decimal comma."""
+        positions = [self.position(c) for c in columns]
+        return self.decimal_comma and any(_COMMA_NUMBER.fullmatch(r[i].strip()) for r in self.rows for i in positions)
+
+    def number(self, row: int, column: str, comma: bool) -> float:
+        """Return a cell as a number; `comma` says that the decimal mark is a comma.
+
+        Raises:
+            UserError: The cell is not a number; the message says what it looks like.
+        """
+        return self._number(row, column, self.rows[row][self.position(column)].strip(), comma)
+
+    def numbers(self, columns: Iterable[str]) -> dict[str, np.ndarray]:
+        """Return whole columns as numbers, each (rows,).
+
+        Raises:
+            UserError: A column is missing, or a cell is not a number.
+        """
+        columns = list(columns)
+        comma = self.uses_decimal_comma(columns)
+        values = {}
+        for column in columns:
+            position = self.position(column)
+            cells = [row[position].strip() for row in self.rows]
+            try:
+                if comma or not set("".join(cells)) <= set("0123456789+-.eE"):
+                    raise ValueError
+                values[column] = np.array([float(cell) for cell in cells])
+            except ValueError:
+                values[column] = np.array([self._number(i, column, cell, comma) for i, cell in enumerate(cells)])
+        return values
+
+    def _number(self, row: int, column: str, cell: str, comma: bool) -> float:
+        if _SPECIAL.fullmatch(cell):
+            return float(cell)
+        if _NUMBER.fullmatch(cell) and not (comma and "." in cell):
+            return float(cell.replace("d", "e").replace("D", "e"))
+        if comma and _COMMA_NUMBER.fullmatch(cell):
+            return float(cell.replace(",", ".").replace("d", "e").replace("D", "e"))
+        raise UserError(f"{self.where(row, column)}: {self._fault(cell, comma)}")
+
+    def _fault(self, cell: str, comma: bool) -> str:
+        if not cell:
+            return "the cell is empty; write a number, or nan where a sample is missing"
+        if comma and _NUMBER.fullmatch(cell):
+            return f"{cell!r} has a decimal point where other cells have a decimal comma; use one of them throughout"
+        if _SPREADSHEET_ERROR.fullmatch(cell):
+            return f"{cell!r} is an error of the spreadsheet; mend its formula or write a number"
+        if _COMMA_NUMBER.fullmatch(cell) or _THOUSANDS.fullmatch(cell):
+            return (
+                f"{cell!r} has a decimal comma or thousands separators; write a decimal point and no thousands "
+                "separators (a decimal comma is read where semicolons or tabs separate the columns)"
+            )
+        if _DATE.fullmatch(cell):
+            return f"{cell!r} is a date or a time of day; format the column as a number"
+        return f"{cell!r} is not a number; write digits, a decimal point and no unit"
+
+
+def is_number(cell: str) -> bool:
+    """Return whether a cell is a number, with either decimal mark; a row of such cells is no header."""
+    return any(pattern.fullmatch(cell) for pattern in (_NUMBER, _COMMA_NUMBER, _SPECIAL))
+
+
+def read_experiment_table(path: Path) -> Table:
+    """Read experiments.csv: commas, semicolons or tabs, whichever the header with `id` shows.
+
+    Raises:
+        UserError: With file and row: not text, empty, ragged rows, unnamed or repeated columns.
+    """
+    text, skipped = _without_preamble(path, read_text(path))[:2]
+    candidates = [_split(path, text, delimiter, skipped) for delimiter in ",;\t" if "id" in _header(text, delimiter)]
+    if not candidates:
+        found = ", ".join(repr(c) for c in max((_header(text, d) for d in ",;\t"), key=len))
+        raise UserError(f"{path}, row {skipped + 1}: column 'id' is missing; the columns are {found}")
+    delimiter, rows, numbers = max(candidates, key=lambda c: len(c[1][0]))
+    columns = _trimmed([cell.strip() for cell in rows[0]])
+    filled = [i for i, row in enumerate(rows[1:], 1) if any(cell.strip() for cell in row)]
+    for i in filled:
+        rows[i] = _fitted(path, numbers[i], rows[i], len(columns))
+    for i, column in enumerate(columns):
+        if not column:
+            raise UserError(
+                f"{path}, row {numbers[0]}: the header of column {i + 1} is empty (a merged cell?); name it"
+            )
+        if columns.count(column) > 1:
+            raise UserError(
+                f"{path}, row {numbers[0]}: column {column!r} appears twice; a column has a name of its own"
+            )
+    return Table(path, tuple(columns), [rows[i] for i in filled], [numbers[i] for i in filled], delimiter != ",", True)
+
+
+def read_record_table(path: Path, wanted: Iterable[str]) -> Table:
+    """Read a record: commas, semicolons, tabs or blanks; comment lines; a header or none.
+
+    Args:
+        path: The file.
+        wanted: Columns that the record should have: they decide which separator is meant.
+
+    Raises:
+        UserError: With file and row: not text, empty, ragged rows.
+    """
+    text, skipped, comment = _without_preamble(path, read_text(path))
+    wanted = list(wanted)
+    present = [d for d in (";", "\t", ",", None) if len(_header(text, d)) > 1] or [None]
+    fitting = [d for d in present if set(wanted) <= {c.strip() for c in _header(text, d)}]
+    delimiter, rows, numbers = _split(path, text, (fitting or present)[0], skipped)
+    keep = [i for i, row in enumerate(rows) if row and not (i and _is_comment(",".join(row)))]
+    while keep and not any(cell.strip() for cell in rows[keep[-1]]):
+        keep.pop()  # the empty rows that a spreadsheet leaves below the table
+    rows, numbers = [rows[i] for i in keep], [numbers[i] for i in keep]
+    first = _trimmed([cell.strip() for cell in rows[0]])
+    has_header = not all(is_number(cell) for cell in first)
+    if has_header:
+        columns, rows, numbers = first, rows[1:], numbers[1:]
+    else:
+        named = [c.strip() for c in _cells(comment, delimiter)]  # numpy.savetxt heads its columns in a comment
+        columns = named if len(named) == len(first) else [str(i + 1) for i in range(len(first))]
+    if not rows:
+        raise UserError(f"{path}: there is a header and no data; a record has at least one sample")
+    width = max(len(columns), *(len(row) for row in rows)) if "" in columns else len(columns)
+    columns += [""] * (width - len(columns))
+    fitted = [_fitted(path, n, row, width) for n, row in zip(numbers, rows, strict=True)]
+    return Table(path, tuple(columns), fitted, numbers, delimiter in (";", "\t"), has_header)
+
+
+def read_text(path: Path) -> str:
+    """Read a text file in the encodings that spreadsheets write.
+
+    Raises:
+        UserError: The file cannot be read, is empty, or is a workbook.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror})") from None
+    if data.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):
+        raise UserError(f"{path}: this is a spreadsheet workbook, not text; save it as CSV")
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        text = data.decode("utf-16", errors="replace")
+    else:
+        try:
+            text = data.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = data.decode("cp1252", errors="replace")
+    if not text.strip():
+        raise UserError(f"{path}: the file is empty")
+    return text
+
+
+def _is_comment(line: str) -> bool:
+    line = line.strip()
+    # '#DIV/0!' is a cell of a spreadsheet, and must not vanish as a comment.
+    return line.startswith(("#", "%", "//")) and not _LINE_WITH_ERROR.match(line)
+
+
+def _without_preamble(path: Path, text: str) -> tuple[str, int, str]:
+    """Return the text from the first row that is neither blank nor comment, the rows before it, the last comment."""
+    lines = io.StringIO(text, newline="").readlines()
+    comment = ""
+    for skipped, line in enumerate(lines):
+        bare = line.strip()
+        if _is_comment(bare):
+            comment = bare.lstrip("#%/ \t")
+        elif bare.strip(",;") and not re.fullmatch(r"sep=.", bare):  # Excel's own first line names the separator
+            return "".join(lines[skipped:]), skipped, comment
+    raise UserError(f"{path}: the file has no data")
+
+
+def _cells(line: str, delimiter: str | None) -> list[str]:
+    return line.split() if delimiter is None else next(csv.reader([line], delimiter=delimiter), [])
+
+
+def _header(text: str, delimiter: str | None) -> list[str]:
+    return [cell.strip() for cell in _cells(text.splitlines()[0], delimiter)]
+
+
+def _split(path: Path, text: str, delimiter: str | None, skipped: int) -> tuple[str | None, list[list[str]], list[int]]:
+    """Return the delimiter, the cells by row, and the row numbers of a spreadsheet."""
+    if delimiter is None:
+        rows = [line.split() for line in text.splitlines()]
+    else:
+        rows, reader = [], csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
+        try:
+            rows.extend(reader)
+        except csv.Error as error:
+            raise UserError(
+                f"{path}, row {skipped + len(rows) + 1}: cannot be read ({error}); check the quotes"
+            ) from None
+    return delimiter, rows, list(range(skipped + 1, skipped + len(rows) + 1))
+
+
+def _trimmed(cells: list[str]) -> list[str]:
+    while cells and not cells[-1]:
+        cells = cells[:-1]
+    return cells
+
+
+def _fitted(path: Path, number: int, row: list[str], width: int) -> list[str]:
+    if any(cell.strip() for cell in row[width:]) or len(row) < width:
+        filled = max((i + 1 for i, cell in enumerate(row) if cell.strip()), default=0)
+        count = len(row) if len(row) < width else filled
+        raise UserError(
+            f"{path}, row {number}: {count} cells where the header has {width}; every row has one per column"
+        )
+    return row[:width]

@@ -1,0 +1,159 @@
+"""Units and dimensions: what each channel and quantity is measured in, and its conversion to SI."""
+
+import functools
+import re
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from hsed_jax.errors import UserError
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """A physical dimension: its name, its SI unit, and units that a message may suggest."""
+
+    name: str
+    si: str
+    examples: str
+
+
+TIME = Dimension("time", "s", "s, ms, min")
+LENGTH = Dimension("length", "m", "m, cm, mm, inch")
+VELOCITY = Dimension("velocity", "m/s", "m/s, cm/s, mm/s, inch/s")
+ACCELERATION = Dimension("acceleration", "m/s^2", "m/s^2, cm/s^2, Gal, g (standard gravity)")
+FORCE = Dimension("force", "N", "N, kN, MN, lbf, kip")
+ENERGY = Dimension("energy", "J", "J, kJ, kN*mm, N*m, kip*inch")
+
+CHANNELS = {"time": TIME, "ground_acceleration": ACCELERATION, "elongation": LENGTH, "force": FORCE}
+"""Canonical channels of a record."""
+
+MASS_CHANNELS = {"displacement": LENGTH, "velocity": VELOCITY, "acceleration": ACCELERATION}
+"""Channels of mass i: ``displacement_1``, relative to the ground, or ``displacement_1_absolute``."""
+
+QUANTITIES = {"peak_force": FORCE, "peak_elongation": LENGTH, "dissipated_energy": ENERGY}
+"""Canonical scalar quantities of an experiment.  A new quantity is one line here."""
+
+_MASS_CHANNEL = re.compile(r"(displacement|velocity|acceleration)_([1-9]\d*)(_absolute)?")
+_DIMENSIONLESS = {"-", "–", "1"}
+
+
+def channel_dimension(name: str) -> Dimension:
+    """Return the dimension of a canonical channel.
+
+    Raises:
+        UserError: `name` is no canonical channel.
+    """
+    if name in CHANNELS:
+        return CHANNELS[name]
+    if match := _MASS_CHANNEL.fullmatch(name):
+        return MASS_CHANNELS[match[1]]
+    mass = ", ".join(f"{stem}_<i>[_absolute]" for stem in MASS_CHANNELS)
+    raise UserError(f"unknown channel {name!r}; allowed: {', '.join(CHANNELS)}, and for mass i {mass}")
+
+
+def quantity_dimension(name: str) -> Dimension:
+    """Return the dimension of a canonical quantity.
+
+    Raises:
+        UserError: `name` is no canonical quantity.
+    """
+    if name in QUANTITIES:
+        return QUANTITIES[name]
+    raise UserError(f"unknown quantity {name!r}; allowed: {', '.join(QUANTITIES)}")
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit as the user wrote it, its exact factor to SI, and the SI unit."""
+
+    text: str
+    factor: Fraction
+    si: str
+
+    def to_si(self, values: Any) -> Any:
+        """Convert numbers (float or array of any shape) in this unit to SI."""
+        # Dividing by 1000 rounds once, multiplying by 0.001 twice: 25.4 mm becomes the same double as 0.0254 m.
+        if self.factor.numerator == 1:
+            return values / float(self.factor.denominator)
+        return values * float(self.factor)
+
+    def from_si(self, values: Any) -> Any:
+        """Convert SI numbers (float or array) to this unit, so that `to_si` gives the same numbers back if any can.
+
+        Rounding makes plain division miss by a unit in the last place; the neighbours of the quotient are tried too.
+        """
+        if self.factor == 1:
+            return values
+        si = np.asarray(values, dtype=float)
+        with np.errstate(all="ignore"):
+            quotient = si * float(self.factor.denominator) if self.factor.numerator == 1 else si / float(self.factor)
+            result, below, above = quotient, quotient, quotient
+            for _ in range(2):
+                below, above = np.nextafter(below, -np.inf), np.nextafter(above, np.inf)
+                for neighbour in (below, above):
+                    better = (self.to_si(result) != si) & (self.to_si(neighbour) == si)
+                    result = np.where(better, neighbour, result)
+        return result if np.ndim(values) else float(result)
+
+    def snap(self, values: Any) -> Any:
+        """Move SI numbers, by at most the last place, to numbers that writing in this unit preserves."""
+        return values if self.factor == 1 else self.to_si(self.from_si(values))
+
+
+def parse_unit(text: str, dimension: Dimension | None = None) -> Unit:
+    """Read a unit such as ``mm``, ``kN``, ``kN*mm``, ``m/s^2``, ``g``, ``%`` or ``-``.
+
+    Args:
+        text: The unit.  ``g`` is standard gravity; ``-`` and ``1`` are dimensionless.
+        dimension: What the unit must measure; `None` allows anything (an input of an experiment).
+
+    Raises:
+        UserError: The unit is unknown, has an offset (degC), or has another dimension.
+    """
+    expected = f"expected a unit of {dimension.name}, such as {dimension.examples}" if dimension else "see pint's units"
+    try:
+        factor, formula, si = _in_si(text)
+    except ValueError as error:
+        raise UserError(f"{error}; {expected}") from None
+    if dimension and formula != _in_si(dimension.si)[1]:
+        raise UserError(f"unit {text!r} does not measure {dimension.name} (it is {formula}); {expected}")
+    return Unit(text, factor, si)
+
+
+@functools.cache
+def _registry():
+    import pint
+
+    return pint.UnitRegistry(non_int_type=Fraction)  # pyright: ignore[reportArgumentType]
+
+
+@functools.cache
+def _in_si(text: str) -> tuple[Fraction, str, str]:
+    """Return the factor to SI, the dimension in base dimensions, and the SI unit."""
+    if text.strip() in _DIMENSIONLESS:
+        return Fraction(1), "dimensionless", "1"
+    # pint reads g as gram; in this field it is gravity.  A spreadsheet's m/s2 means m/s^2.
+    spelled = re.sub(r"(?<![A-Za-z_])g(?![A-Za-z_])", "standard_gravity", text)
+    spelled = re.sub(r"(?<=[A-Za-z])(\d)", r"**\1", spelled)
+    registry = _registry()
+    try:
+        unit = registry.parse_units(spelled)
+        one = registry.Quantity(Fraction(1), unit)
+        two = registry.Quantity(Fraction(2), unit).to_base_units().magnitude
+        base = one.to_base_units()
+        proportional = two == 2 * base.magnitude
+    except Exception:  # pint raises anything from AttributeError to TokenError on what it cannot read
+        raise ValueError(f"unknown unit {text!r}") from None
+    if not text.strip():
+        raise ValueError("the unit is empty")
+    if not proportional:
+        raise ValueError(f"unit {text!r} has an offset or is logarithmic and cannot be scaled to SI")
+    symbols = {registry.get_symbol(name): power for name, power in base.unit_items()}
+    return Fraction(base.magnitude), _product(base.dimensionality) or "dimensionless", _product(symbols) or "1"
+
+
+def _product(powers) -> str:
+    return "*".join(name if power == 1 else f"{name}^{power}" for name, power in sorted(powers.items()))

@@ -1,0 +1,101 @@
+"""Writing a campaign folder, whole or one experiment at a time."""
+
+import csv
+import io
+import os
+from pathlib import Path
+
+from hsed_jax.measurements.campaign import Campaign
+from hsed_jax.measurements.declaration import write_declaration
+from hsed_jax.measurements.experiment import Experiment
+
+
+def write_campaign(campaign: Campaign, folder: str | Path) -> None:
+    """Write a campaign as a folder that `read_campaign` reads back to the same numbers.
+
+    Records are CSV in the declared units.  Every file is complete before it takes its name, and experiments.csv comes
+    last, so that a reader never sees half a campaign.
+
+    Args:
+        campaign: What to write.
+        folder: Where to; made if it is not there.  Files of the same names are replaced.
+    """
+    for experiment in campaign:
+        _write_record(campaign, experiment, Path(folder))
+    _write_tables(campaign, Path(folder))
+
+
+def write_experiment(campaign: Campaign, id: str, folder: str | Path) -> None:
+    """Write one experiment of a campaign into its folder, leaving the records of the others alone.
+
+    Args:
+        campaign: The campaign, with the experiment in it.
+        id: The experiment that is new or has changed.
+        folder: The campaign's folder.
+
+    Raises:
+        UserError: The campaign has no such experiment.
+    """
+    _write_record(campaign, campaign[id], Path(folder))
+    _write_tables(campaign, Path(folder))
+
+
+def _write_record(campaign: Campaign, experiment: Experiment, folder: Path) -> None:
+    record = experiment.record
+    if record is None:
+        return
+    columns = {}
+    for name, channel in campaign.channels.items():
+        if name == "time" or name in record.channels:
+            values = record.time if name == "time" else record.channels[name]
+            # repr is the shortest text that is read back as the same double
+            columns[channel.column] = [repr(value) for value in campaign.unit(name).from_si(values).tolist()]
+    _replace(folder / _record_name(experiment), _csv(list(columns), zip(*columns.values(), strict=True)))
+
+
+def _write_tables(campaign: Campaign, folder: Path) -> None:
+    _replace(folder / "campaign.yaml", write_declaration(campaign))
+    free = list(dict.fromkeys(name for experiment in campaign for name in experiment.metadata))
+    heads = ["id", *campaign.inputs, *(q.column for q in campaign.quantities.values())]
+    heads += ["record", "status", "reason", "split", "from", "to", *free]
+    _replace(folder / "experiments.csv", _csv(heads, [_row(campaign, e, free) for e in campaign]))
+
+
+def _row(campaign: Campaign, experiment: Experiment, free: list[str]) -> list[str]:
+    def text(name: str, value: float | None) -> str:
+        return "" if value is None else repr(float(campaign.unit(name).from_si(value)))
+
+    return [
+        experiment.id,
+        *(text(name, experiment.inputs[name]) for name in campaign.inputs),
+        *(text(name, experiment.quantities.get(name)) for name in campaign.quantities),
+        "" if experiment.record is None else _record_name(experiment),
+        experiment.status,
+        experiment.reason or "",
+        experiment.split,
+        *(text("time", end) for end in experiment.window or (None, None)),
+        *(experiment.metadata.get(name, "") for name in free),
+    ]
+
+
+def _record_name(experiment: Experiment) -> str:
+    return f"records/{experiment.id}.csv"
+
+
+def _csv(heads: list[str], rows) -> str:
+    buffer = io.StringIO(newline="")
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(heads)
+    writer.writerows(rows)
+    return buffer.getvalue()
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a file under another name, on disk, then let it take its place in one step."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".tmp")
+    with temporary.open("w", encoding="utf-8", newline="") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    temporary.replace(path)

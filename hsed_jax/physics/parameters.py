@@ -1,0 +1,65 @@
+"""What is known of a parameter, written once, where the parameter is declared.
+
+Schema, priors, axis labels, `hsed effects` and the tables of the documentation are all read from here.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import equinox as eqx
+
+from hsed_jax.physics.scales import Scales
+
+_KEY = "parameter"
+
+
+@dataclasses.dataclass(frozen=True)
+class PhysicalForm:
+    """The same parameter in SI units: physical = dimensionless × factor(scales)."""
+
+    name: str
+    unit: str
+    factor: Callable[[Scales], float]
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """Metadata of one parameter.
+
+    Attributes:
+        name: as it stands in studies and results.
+        symbol: LaTeX, for axis labels.
+        unit: SI unit, or "1".
+        meaning: one line.
+        neutral: the value at which the parameter changes nothing (effects), or its default (laws); None: must be given.
+        lower, upper: bounds of what is physically possible.
+        prior: default prior as in a study, e.g. {"half_normal": 1.0}; None: must be given.
+        physical: its other, dimensional form, if it has one.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    meaning: str
+    neutral: float | None = None
+    lower: float = -float("inf")
+    upper: float = float("inf")
+    prior: Mapping[str, Any] | None = None
+    physical: PhysicalForm | None = None
+
+
+def parameter(symbol: str, unit: str, meaning: str, **details: Any) -> Any:
+    """A field of an `eqx.Module` that is a parameter; its name is filled in by `parameters_of`."""
+    metadata = {_KEY: Parameter(name="", symbol=symbol, unit=unit, meaning=meaning, **details)}
+    neutral = details.get("neutral")
+    return eqx.field(metadata=metadata) if neutral is None else eqx.field(default=neutral, metadata=metadata)
+
+
+def parameters_of(module: Any) -> dict[str, Parameter]:
+    """The parameters a class (or an instance of it) declares, by name, in order."""
+    return {
+        field.name: dataclasses.replace(field.metadata[_KEY], name=field.name)
+        for field in dataclasses.fields(module)
+        if _KEY in field.metadata
+    }

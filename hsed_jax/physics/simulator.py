@@ -1,0 +1,122 @@
+"""The computational simulator: from the conditions of one experiment and the parameters of the model to a response."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, final
+
+import equinox as eqx
+import jax
+from jaxtyping import Array, Float
+
+from hsed_jax.physics.bouc_wen import BoucWen
+from hsed_jax.physics.effects import EFFECTS
+from hsed_jax.physics.excitations import AbstractExcitation, AbstractForcing
+from hsed_jax.physics.integrate import Response, integrate
+from hsed_jax.physics.scales import Scales
+from hsed_jax.physics.structures import Structure
+from hsed_jax.physics.systems import AbstractSystem, DrivenSpring, ShakenStructure
+
+Scalar = Float[Array, ""] | float
+
+
+class Recorded(NamedTuple):
+    """A recorded excitation on the grid of its own experiment."""
+
+    forcing: AbstractForcing
+    step_length: Float[Array, " steps"]
+
+
+class Conditions(NamedTuple):
+    """What distinguishes one experiment from another: its inputs by name (SI), and its record where it has one."""
+
+    inputs: dict[str, Scalar]
+    recorded: Recorded | None = None
+
+
+class Timeline(NamedTuple):
+    """The grid of the integration: length of a step [s], number of steps, and every how many steps histories are kept."""
+
+    step: float
+    steps: int
+    every: int = 1
+
+
+@final
+class Parametrised[T](eqx.Module):
+    """A constructor whose arguments are numbers or names of inputs."""
+
+    constructor: Callable[..., T] = eqx.field(static=True)
+    arguments: tuple[tuple[str, Any], ...] = eqx.field(static=True)
+
+    def __call__(self, inputs: Mapping[str, Scalar]) -> T:
+        """The object at these inputs."""
+        values = {name: inputs[value] if isinstance(value, str) else value for name, value in self.arguments}
+        return self.constructor(**values)
+
+
+@final
+class Simulator(eqx.Module):
+    """A spring law with effects, in a structure under an excitation, or alone under an imposed elongation.
+
+    Attributes:
+        structure: the numerical substructure; None for a component test.
+        excitation: from inputs to a ground motion; None where every experiment brings its record.
+        timeline: the grid of the integration.
+        effects: names of the effects of the spring.
+        scales: characteristic values for the effects.
+        constants: parameters that are fixed numbers (and constants of the compiled program).
+        damping_follows_model: form the damping matrix with the model's own A instead of a reference stiffness.
+    """
+
+    structure: Structure | None
+    excitation: Callable[[Mapping[str, Scalar]], AbstractExcitation] | None
+    timeline: Timeline = eqx.field(static=True)
+    effects: tuple[str, ...] = eqx.field(static=True, default=())
+    scales: Scales = eqx.field(static=True, default=Scales())
+    constants: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
+    damping_follows_model: bool = eqx.field(static=True, default=False)
+
+    def spring(self, parameters: Mapping[str, Scalar]) -> BoucWen:
+        """The spring law; parameters of effects are named `effect.parameter`."""
+        values = {**dict(self.constants), **parameters}
+        law = {name: value for name, value in values.items() if "." not in name}
+        effects = tuple(
+            EFFECTS[effect](**{n.split(".")[1]: v for n, v in values.items() if n.split(".")[0] == effect and "." in n})
+            for effect in self.effects
+        )
+        return BoucWen(**law, effects=effects, scales=self.scales)
+
+    def system(self, parameters: Mapping[str, Scalar]) -> AbstractSystem:
+        """What is integrated."""
+        spring = self.spring(parameters)
+        if self.structure is None:
+            return DrivenSpring(spring)
+        structure = self.structure
+        if self.damping_follows_model:
+            structure = eqx.tree_at(lambda s: s.damping.specimen_stiffness, structure, spring.A)
+        return ShakenStructure(structure, spring)
+
+    def respond(
+        self,
+        parameters: Mapping[str, Scalar],
+        conditions: Conditions,
+        channels: tuple[str, ...] = (),
+    ) -> Response:
+        """The response of one experiment.
+
+        Arguments:
+            parameters: by name, SI.
+            conditions: inputs and record of the experiment.
+            channels: names of the histories to keep.
+        """
+        step, steps, every = self.timeline
+        if conditions.recorded is not None:
+            forcing, length = conditions.recorded
+        else:
+            assert self.excitation is not None
+            forcing, length = self.excitation(conditions.inputs).forcing(step, steps), step
+        return integrate(self.system(parameters), forcing, length, steps, channels=channels, every=every)
+
+    def quantities(self, parameters: Mapping[str, Scalar], conditions: Conditions, names: tuple[str, ...]):
+        """The named quantities of one experiment, shape (len(names),), and whether it converged."""
+        response = self.respond(parameters, conditions)
+        return jax.numpy.stack([response.quantities[name] for name in names]), response.ok

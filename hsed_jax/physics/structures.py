@@ -1,0 +1,141 @@
+r"""The numerical substructure: masses, linear springs, damping, and where the specimen sits.
+
+$$M\ddot u + C\dot u + K u + b\,r = -M\,1\,a_g,\qquad \Delta u = b^\top u$$
+
+with b = +1 at the specimen's second end and −1 at its first (0 for the ground).
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple, final
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+Scalar = Float[Array, ""] | float
+End = int | None
+
+
+class Spring(NamedTuple):
+    """A linear spring between two masses (numbered from 0) or the ground (None), stiffness [N/m]."""
+
+    ends: tuple[End, End]
+    stiffness: Scalar
+
+
+@final
+class ModalDamping(eqx.Module):
+    r"""Modal damping of the structure with the specimen at a given stiffness.
+
+    $C = M^{1/2}\,\Phi\,\mathrm{diag}(2\zeta_i\omega_i)\,\Phi^\top M^{1/2}$ with Φ the modes of $M^{-1/2}KM^{-1/2}$.
+
+    Arguments:
+        ratios: damping ratio, one for all modes or one per mode (lowest first).
+        specimen_stiffness: stiffness of the specimen while C is formed [N/m].
+    """
+
+    ratios: ArrayLike
+    specimen_stiffness: Scalar = 0.0
+
+    def matrix(self, masses: Float[Array, " m"], stiffness: Float[Array, "m m"]) -> Float[Array, "m m"]:
+        """C [N·s/m] from the masses [kg] and the stiffness matrix with the specimen [N/m]."""
+        root = jnp.sqrt(masses)
+        eigenvalues, modes = jnp.linalg.eigh(stiffness / jnp.outer(root, root))
+        modal = 2 * jnp.asarray(self.ratios) * jnp.sqrt(eigenvalues)
+        return jnp.outer(root, root) * ((modes * modal) @ modes.T)
+
+
+@final
+class RayleighDamping(eqx.Module):
+    """Rayleigh damping C = α M + β K, with α [1/s], β [s] and the specimen in K at `specimen_stiffness` [N/m]."""
+
+    alpha: Scalar
+    beta: Scalar
+    specimen_stiffness: Scalar = 0.0
+
+    def matrix(self, masses: Float[Array, " m"], stiffness: Float[Array, "m m"]) -> Float[Array, "m m"]:
+        """C [N·s/m] from the masses [kg] and the stiffness matrix with the specimen [N/m]."""
+        return self.alpha * jnp.diag(masses) + self.beta * stiffness
+
+
+@final
+class Structure(eqx.Module):
+    """Masses, springs, damping and the place of the specimen.
+
+    Arguments:
+        masses: [kg], shape (m,).
+        springs: linear springs.
+        specimen: its two ends; the elongation is the displacement of the second less that of the first.
+        damping: a damping model.
+
+    Raises:
+        ValueError: an end that is no mass, a specimen with both ends at one place, a mass that is not positive.
+    """
+
+    masses: tuple[Scalar, ...] = eqx.field(converter=tuple)
+    springs: tuple[Spring, ...]
+    specimen: tuple[End, End] = eqx.field(static=True)
+    damping: ModalDamping | RayleighDamping
+
+    def __init__(
+        self,
+        masses: Sequence[Scalar],
+        springs: Sequence[Spring],
+        specimen: tuple[End, End],
+        damping: ModalDamping | RayleighDamping,
+    ):
+        self.masses = tuple(masses)
+        self.springs = tuple(springs)
+        self.specimen = specimen
+        self.damping = damping
+        for what, ends in [("a spring", s.ends) for s in self.springs] + [("the specimen", specimen)]:
+            if ends[0] == ends[1]:
+                raise ValueError(f"The two ends of {what} must differ, but both are {_label(ends[0])}.")
+            for end in ends:
+                if end is not None and not 0 <= end < len(self.masses):
+                    raise ValueError(f"An end of {what} is {_label(end)}, but there are {len(self.masses)} masses.")
+
+    def stiffness_matrix(self, specimen_stiffness: Scalar = 0.0) -> Float[Array, "m m"]:
+        """K [N/m], the specimen counted with the given stiffness [N/m]."""
+        matrix = jnp.zeros((len(self.masses),) * 2)
+        for ends, stiffness in (*self.springs, Spring(self.specimen, specimen_stiffness)):
+            b = self._incidence(ends)
+            matrix = matrix + stiffness * jnp.outer(b, b)
+        return matrix
+
+    def damping_matrix(self) -> Float[Array, "m m"]:
+        """C [N·s/m]."""
+        return self.damping.matrix(jnp.asarray(self.masses), self.stiffness_matrix(self.damping.specimen_stiffness))
+
+    def frequencies(self, specimen_stiffness: Scalar) -> Float[Array, " m"]:
+        """Undamped natural frequencies [Hz], lowest first, the specimen at the given stiffness [N/m]."""
+        root = jnp.sqrt(jnp.asarray(self.masses))
+        eigenvalues = jnp.linalg.eigvalsh(self.stiffness_matrix(specimen_stiffness) / jnp.outer(root, root))
+        return jnp.sqrt(eigenvalues) / (2 * jnp.pi)
+
+    def elongation(self, displacement: Sequence[Scalar]) -> Scalar:
+        """Δu [m] of the specimen from the displacements [m]; likewise its rate from the velocities."""
+        return difference(displacement, self.specimen)
+
+    def _incidence(self, ends: tuple[End, End]) -> Float[Array, " m"]:
+        b = jnp.zeros(len(self.masses))
+        first, second = ends
+        if first is not None:
+            b = b.at[first].add(-1.0)
+        if second is not None:
+            b = b.at[second].add(1.0)
+        return b
+
+
+def difference(values: Sequence[Scalar], ends: tuple[End, End]) -> Scalar:
+    """Value at the second end less value at the first; the ground counts as zero."""
+    first, second = ends
+    if first is None:
+        assert second is not None
+        return values[second]
+    return -values[first] if second is None else values[second] - values[first]
+
+
+def _label(end: End) -> str:
+    return "the ground" if end is None else f"mass {end + 1}"

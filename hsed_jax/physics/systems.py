@@ -1,0 +1,143 @@
+"""What is integrated: a spring in a shaken structure, or a spring whose elongation is imposed.
+
+The state is a pytree of scalars on purpose: under `vmap` every component becomes one array over the batch, and XLA turns
+a whole Runge–Kutta stage into one loop over it.  A stacked state vector is six times slower.
+"""
+
+from abc import abstractmethod
+from typing import Any, NamedTuple, final
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from hsed_jax.physics.bouc_wen import BoucWen, Memory
+from hsed_jax.physics.excitations import Imposed
+from hsed_jax.physics.structures import Structure, difference
+
+Scalar = Float[Array, ""] | float
+
+
+class State(NamedTuple):
+    """Displacements [m] and velocities [m/s] relative to the ground, and the memory of the spring."""
+
+    displacement: tuple[Scalar, ...]
+    velocity: tuple[Scalar, ...]
+    memory: Memory
+
+
+class AbstractSystem(eqx.Module):
+    """An initial-value problem for one experiment."""
+
+    spring: eqx.AbstractVar[BoucWen]
+
+    @abstractmethod
+    def start(self) -> State:
+        """The state at rest."""
+
+    @abstractmethod
+    def rates(self, state: State, sample: Any) -> State:
+        """Time derivative of the state under one sample of the excitation."""
+
+    @abstractmethod
+    def kinematics(self, state: State, sample: Any) -> tuple[Scalar, Scalar]:
+        """Elongation of the specimen [m] and its rate [m/s]."""
+
+    @abstractmethod
+    def channels(self, state: State, sample: Any, names: tuple[str, ...]) -> dict[str, Scalar]:
+        """The named channels (`hsed_jax.physics.outputs`) at one instant, SI units."""
+
+    def _specimen_channels(self, state: State, sample: Any) -> dict[str, Scalar]:
+        elongation, rate = self.kinematics(state, sample)
+        return {
+            "elongation": elongation,
+            "elongation_rate": rate,
+            "force": self.spring.force(elongation, rate, state.memory),
+            "energy": state.memory["energy"],
+        }
+
+
+@final
+class ShakenStructure(AbstractSystem):
+    """The structure with the specimen in it, driven by a ground acceleration [m/s²]."""
+
+    structure: Structure
+    spring: BoucWen
+    damping: tuple[tuple[Scalar, ...], ...]
+
+    def __init__(self, structure: Structure, spring: BoucWen):
+        self.structure = structure
+        self.spring = spring
+        matrix = structure.damping_matrix()
+        count = len(structure.masses)
+        self.damping = tuple(tuple(matrix[i, j] for j in range(count)) for i in range(count))
+
+    def start(self) -> State:
+        """The state at rest."""
+        still = tuple(jnp.zeros(()) for _ in self.structure.masses)
+        return State(still, still, self.spring.start())
+
+    def rates(self, state: State, sample: Scalar) -> State:
+        """ü = −M⁻¹(C u̇ + K u + b r) − a_g, and the spring's own rates."""
+        elongation, rate = self.kinematics(state, sample)
+        return State(
+            state.velocity,
+            self._accelerations(state, sample),
+            self.spring.rates(elongation, rate, state.memory),
+        )
+
+    def kinematics(self, state: State, sample: Scalar) -> tuple[Scalar, Scalar]:
+        """Elongation of the specimen [m] and its rate [m/s]."""
+        return self.structure.elongation(state.displacement), self.structure.elongation(state.velocity)
+
+    def channels(self, state: State, sample: Scalar, names: tuple[str, ...]) -> dict[str, Scalar]:
+        """The named channels at one instant, SI units."""
+        values = {"ground_acceleration": jnp.asarray(sample), **self._specimen_channels(state, sample)}
+        for i, acceleration in enumerate(self._accelerations(state, sample)):
+            values[f"displacement_{i + 1}"] = state.displacement[i]
+            values[f"velocity_{i + 1}"] = state.velocity[i]
+            values[f"acceleration_{i + 1}"] = acceleration
+            values[f"acceleration_{i + 1}_absolute"] = acceleration + sample
+        return {name: values[name] for name in names}
+
+    def _accelerations(self, state: State, sample: Scalar) -> tuple[Scalar, ...]:
+        elongation, rate = self.kinematics(state, sample)
+        force = self.spring.force(elongation, rate, state.memory)
+        pushes = [0.0] * len(self.structure.masses)
+        for ends, value in (
+            *((s.ends, s.stiffness * difference(state.displacement, s.ends)) for s in self.structure.springs),
+            (self.structure.specimen, force),
+        ):
+            first, second = ends
+            if first is not None:
+                pushes[first] = pushes[first] - value
+            if second is not None:
+                pushes[second] = pushes[second] + value
+        return tuple(
+            -(sum(c * v for c, v in zip(row, state.velocity, strict=True)) + push) * (1 / mass) - sample
+            for row, push, mass in zip(self.damping, pushes, self.structure.masses, strict=True)
+        )
+
+
+@final
+class DrivenSpring(AbstractSystem):
+    """The specimen alone, its elongation imposed (a component test); samples are `Imposed`."""
+
+    spring: BoucWen
+
+    def start(self) -> State:
+        """The virgin spring."""
+        return State((), (), self.spring.start())
+
+    def rates(self, state: State, sample: Imposed) -> State:
+        """The spring's own rates."""
+        return State((), (), self.spring.rates(sample.elongation, sample.rate, state.memory))
+
+    def kinematics(self, state: State, sample: Imposed) -> tuple[Scalar, Scalar]:
+        """The imposed elongation [m] and its rate [m/s]."""
+        return sample.elongation, sample.rate
+
+    def channels(self, state: State, sample: Imposed, names: tuple[str, ...]) -> dict[str, Scalar]:
+        """The named channels at one instant, SI units."""
+        values = self._specimen_channels(state, sample)
+        return {name: jnp.asarray(values[name]) for name in names}

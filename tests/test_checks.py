@@ -1,0 +1,177 @@
+"""Faults put into clean data are found, by experiment and time; clean data give no finding."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hsed_jax.measurements import (
+    Campaign,
+    Channel,
+    Experiment,
+    Finding,
+    Noise,
+    Record,
+    check_campaign,
+    noise_estimate,
+    read_campaign,
+)
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+SIGMA = {"elongation": 2e-5, "force": 50.0}
+
+
+def clean(seed: int = 0) -> dict[str, np.ndarray]:
+    """A second at rest, then a slow burst of a hysteretic specimen, sampled at 200 Hz with white noise."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(2000) * 0.005
+    burst = np.where(time > 1, np.sin(2 * np.pi * (time - 1)) * np.sin(np.pi * np.clip((time - 1) / 9, 0, 1)), 0.0)
+    elongation = 0.03 * burst
+    force = np.zeros_like(time)  # elastoplastic, rounded
+    for i in range(1, time.size):
+        step = elongation[i] - elongation[i - 1]
+        force[i] = force[i - 1] + 1e6 * step * (
+            1 - (0.5 + 0.5 * np.sign(force[i - 1] * step)) * abs(force[i - 1] / 1e4)
+        )
+    return {
+        "time": time,
+        "ground_acceleration": 3.0 * burst + 0.002 * rng.normal(size=time.size),
+        "elongation": elongation + SIGMA["elongation"] * rng.normal(size=time.size),
+        "force": force + SIGMA["force"] * rng.normal(size=time.size),
+    }
+
+
+def campaign_of(data: dict[str, np.ndarray], noise: bool = True, **quantities: float) -> Campaign:
+    units = {"time": "s", "ground_acceleration": "g", "elongation": "mm", "force": "kN"}
+    channels = {
+        name: Channel(name, unit, noise=Noise(absolute=SIGMA[name]) if noise and name in SIGMA else None)
+        for name, unit in units.items()
+    }
+    record = Record(data["time"], {name: values for name, values in data.items() if name != "time"})
+    declared = {"peak_force": Channel("peak_force", "kN"), "peak_elongation": Channel("peak_elongation", "mm")}
+    experiment = Experiment("E01", record=record, quantities=quantities)
+    return Campaign("synthetic", "ground_motion", {}, channels, declared, (experiment,))
+
+
+def findings(data: dict[str, np.ndarray], **quantities: float) -> list[Finding]:
+    return check_campaign(campaign_of(data, **quantities))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_clean_data_give_no_finding(seed):
+    assert findings(clean(seed)) == []
+
+
+def test_clean_data_without_noise_give_no_finding():
+    time = np.arange(2000) * 0.005
+    data = clean() | {"elongation": 0.03 * np.sin(time), "force": 1e4 * np.sin(time + 0.1)}
+    assert check_campaign(campaign_of(data, noise=False)) == []
+
+
+def test_clean_data_rounded_to_a_few_digits_give_no_finding():
+    data = clean()
+    rounded = {"time": data["time"]} | {k: np.round(v, 4 - int(np.log10(np.abs(v).max()))) for k, v in data.items()}
+    assert check_campaign(campaign_of(rounded, noise=False)) == []
+
+
+def test_uneven_sampling_is_no_fault():
+    keep = np.sort(np.random.default_rng(1).choice(2000, 1200, replace=False))
+    assert findings({k: v[keep] for k, v in clean().items()}) == []
+
+
+def fault(channel: str, change):
+    def inject(data):
+        values = data[channel].copy()
+        result = change(values)
+        return data | {channel: values if result is None else result}
+
+    return inject
+
+
+def put(where, value):
+    def change(values):
+        values[where] = value
+
+    return change
+
+
+FAULTS = {
+    "nan": (fault("force", put(slice(700, 703), np.nan)), "error", "force", 3.5, "3 of 2000 samples"),
+    "infinite": (fault("elongation", put(700, np.inf)), "error", "elongation", 3.5, "sample 701"),
+    "no time": (fault("time", put(5, np.nan)), "error", "time", None, "sample 6 has no time"),
+    "backward time": (fault("time", put(1000, 4.0)), "error", "time", 4.0, "backward at sample 1001"),
+    "duplicate time": (fault("time", put(1000, 4.995)), "error", "time", 4.995, "repeated at sample 1001"),
+    "gap": (fault("time", lambda t: t + 0.3 * (t >= 5)), "doubt", "time", 4.995, "1 gaps"),
+    "clipped": (fault("force", lambda f: np.clip(f, -6e3, 6e3)), "doubt", "force", None, "clipped"),
+    "clipped above": (fault("elongation", lambda u: np.minimum(u, 0.02)), "doubt", "elongation", None, "clipped"),
+    "stuck": (fault("force", put(slice(700, 800), 1234.0)), "doubt", "force", 3.5, "100 samples"),
+    "dead": (fault("force", put(slice(None), 3.0)), "error", "force", None, "constant"),
+    "no motion": (fault("ground_acceleration", put(slice(None), 0.0)), "doubt", "ground_acceleration", None, "constant"),
+    "millimetres": (fault("elongation", lambda u: 1e4 * u), "doubt", "elongation", None, "is the unit right"),
+    "g of g": (fault("ground_acceleration", lambda a: 9.81**2 * a), "doubt", "ground_acceleration", None, "unit"),
+    "sign of force": (fault("force", lambda f: -f), "doubt", "force", None, "sign"),
+    "sign of elongation": (fault("elongation", lambda u: -u), "doubt", "force", None, "sign"),
+    "noisier": (
+        fault("force", lambda f: f + 500 * np.random.default_rng(9).normal(size=f.size)),
+        "doubt", "force", None, "declared noise is 50 N",
+    ),
+    "smoother": (
+        fault("force", lambda f: np.convolve(f, np.hanning(41) / 20, "same")),
+        "doubt", "force", None, "declared noise is 50 N",
+    ),
+    "offset of force": (fault("force", lambda f: f + 800), "doubt", "force", 0.0, "before the motion"),
+    "offset of elongation": (fault("elongation", lambda u: u + 2e-3), "doubt", "elongation", 0.0, "before the motion"),
+    "offset of the ground": (
+        fault("ground_acceleration", lambda a: a + 0.2), "doubt", "ground_acceleration", 0.0, "before the motion",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", FAULTS)
+def test_an_injected_fault_is_found(case):
+    inject, level, channel, time, words = FAULTS[case]
+    found = findings(inject(clean()))
+    matching = [f for f in found if f.level == level and f.channel == channel and words in f.message]
+    assert len(matching) == 1, [str(f) for f in found]
+    assert matching[0].experiment == "E01"
+    if time is not None:
+        assert matching[0].time == pytest.approx(time)
+    assert {f.channel for f in found} == {channel}
+    assert str(matching[0]).startswith(f"{level}: E01, {channel}")
+
+
+def test_quantities_out_of_range_are_doubted():
+    found = findings(clean(), peak_force=5e3, peak_elongation=30.0)
+    assert [(f.level, f.channel) for f in found] == [("doubt", "peak_elongation")]
+
+
+def test_only_what_is_used_is_checked():
+    data = clean()
+    data["force"][5] = np.nan
+    campaign = campaign_of(data)
+    failed = Experiment("E01", record=campaign["E01"].record, status="failed")
+    assert check_campaign(campaign) and not check_campaign(campaign.update(failed))
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+@pytest.mark.parametrize("sigma", [1e-6, 1e-3, 5.0])
+def test_noise_estimate(sigma, uneven):
+    rng = np.random.default_rng(3)
+    time = np.sort(rng.uniform(0, 20, 4000)) if uneven else np.linspace(0, 20, 4000)
+    noise = sigma * rng.normal(size=4000)
+    assert noise_estimate(time, noise) == pytest.approx(sigma, rel=0.08)
+    signal = 1e3 * sigma * np.sin(time) + noise
+    signal[2000:] += 100 * sigma  # a jump does not matter
+    assert noise_estimate(time, signal) == pytest.approx(sigma, rel=0.08)
+    assert noise_estimate(time, time**2) < 1e-9
+    assert np.isnan(noise_estimate(time[:7], noise[:7]))
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured campaigns are not at {DATA}")
+@pytest.mark.parametrize("name", ["friction_damper", "rc_column", "steel_damper", "timber_connection"])
+def test_measured_campaigns_have_no_errors(name):
+    found = check_campaign(read_campaign(DATA / name))
+    assert [str(f) for f in found if f.level == "error"] == []
+    # Friction holds the damper's force before the earthquakes: the only doubt, and a true one.
+    expected = {("kocaeli", "force"), ("imperial_valley", "force")} if name == "friction_damper" else set()
+    assert {(f.experiment, f.channel) for f in found} == expected

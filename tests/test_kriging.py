@@ -1,0 +1,298 @@
+"""Kriging against dense NumPy evaluations of Eqs. 8-11, SciPy's likelihood and optimiser, and explicit refits."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from scipy.stats import multivariate_normal
+
+from hsed_jax.design.kriging import (
+    KERNELS,
+    _masked_correlation,
+    _masked_trend,
+    _profiled_objective,
+    condition,
+    fit_kriging,
+)
+
+LENGTHS, NUGGET = np.array([0.4, 0.9]), 1e-3
+TRENDS = ("constant", "linear", "quadratic")
+
+
+def branin(x):
+    a, b = 15 * x[:, 0] - 5, 15 * x[:, 1]
+    return (b - 5.1 / (4 * np.pi**2) * a**2 + 5 / np.pi * a - 6) ** 2 + 10 * (1 - 1 / (8 * np.pi)) * np.cos(a) + 10
+
+
+def training_set(n=20, noise=0.05, seed=0):
+    rng = np.random.default_rng(seed)
+    x = rng.random((n, 2))
+    y = branin(x)
+    return x, y + noise * y.std() * rng.standard_normal(n)
+
+
+def dense_correlation(a, b, lengths, kernel):
+    h = np.sqrt((((a[:, None] - b[None]) / lengths) ** 2).sum(-1))
+    if kernel == "gaussian":
+        return np.exp(-(h**2) / 2)
+    if kernel == "matern32":
+        return (1 + np.sqrt(3) * h) * np.exp(-np.sqrt(3) * h)
+    return (1 + np.sqrt(5) * h + 5 * h**2 / 3) * np.exp(-np.sqrt(5) * h)
+
+
+def dense_trend(x, trend):
+    columns = {"constant": 1, "linear": 3, "quadratic": 6}[trend]
+    u, v = x.T
+    return np.stack([np.ones(len(x)), u, v, u * u, u * v, v * v], axis=1)[:, :columns]
+
+
+def dense_kriging(x, y, new, lengths, nugget, kernel, trend, variance=None):
+    """Eqs. 8-11 as printed; `variance` replaces σ² of Eq. 9."""
+    inverse = np.linalg.inv(dense_correlation(x, x, lengths, kernel) + nugget * np.eye(len(x)))
+    f, f_new, r = dense_trend(x, trend), dense_trend(new, trend), dense_correlation(x, new, lengths, kernel)
+    information = f.T @ inverse @ f
+    beta = np.linalg.solve(information, f.T @ inverse @ y)
+    residual = y - f @ beta
+    sigma2 = residual @ inverse @ residual / len(y) if variance is None else variance
+    u = f.T @ inverse @ r - f_new.T
+    mean = f_new @ beta + r.T @ inverse @ residual
+    spread = 1 - np.sum(r * (inverse @ r), axis=0) + np.sum(u * np.linalg.solve(information, u), axis=0)
+    return beta, sigma2, mean, sigma2 * spread
+
+
+def conditioned(x, y, lengths=LENGTHS, nugget=NUGGET, planned=None, filler=0.0, **names):
+    planned = len(y) if planned is None else planned
+    inputs, responses = np.full((planned, 2), filler), np.full(planned, filler)
+    inputs[: len(y)], responses[: len(y)] = x, y
+    arrays = map(jnp.asarray, (inputs, responses, np.arange(planned) < len(y), lengths, float(nugget)))
+    return condition(*arrays, **names)
+
+
+def fitted(x, y, planned=43, filler=0.0, seed=0, **settings):
+    inputs, responses = np.full((planned, 2), filler), np.full(planned, filler)
+    inputs[: len(y)], responses[: len(y)] = x, y
+    mask = np.arange(planned) < len(y)
+    return fit_kriging(*map(jnp.asarray, (inputs, responses, mask)), key=jax.random.key(seed), **settings)
+
+
+@pytest.mark.parametrize("trend", TRENDS)
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_prediction_equals_the_printed_equations(kernel, trend):
+    x, y = training_set()
+    new = np.random.default_rng(1).random((17, 2))
+    model = conditioned(x, y, kernel=kernel, trend=trend)
+    beta, sigma2, mean, variance = dense_kriging(x, y, new, LENGTHS, NUGGET, kernel, trend)
+    got_mean, got_variance = model.predict(jnp.asarray(new))
+    np.testing.assert_allclose(model.trend_coefficients, beta, rtol=1e-8)
+    np.testing.assert_allclose(model.process_variance, sigma2, rtol=1e-9)
+    np.testing.assert_allclose(got_mean, mean, rtol=1e-9, atol=1e-9 * np.abs(y).max())
+    np.testing.assert_allclose(got_variance, variance, rtol=1e-7, atol=1e-9 * sigma2)
+
+
+def test_means_at_tested_points_equal_predictions_there():
+    x, y = training_set()
+    model = conditioned(x, y, planned=26, trend="linear")
+    means = np.asarray(model.tested_means())
+    np.testing.assert_allclose(means[:20], model.predict(jnp.asarray(x))[0], rtol=1e-9)
+    assert np.all(means[20:] == -np.inf)
+
+
+def test_chunks_do_not_show():
+    x, y = training_set()
+    model = conditioned(x, y)
+    new = jnp.asarray(np.random.default_rng(2).random((2500, 2)))
+    mean, variance = model.predict(new)
+    for part in (slice(0, 3), slice(1022, 1026), slice(2490, 2500)):
+        np.testing.assert_allclose(mean[part], model.predict(new[part])[0], rtol=1e-12)
+        np.testing.assert_allclose(variance[part], model.predict(new[part])[1], rtol=1e-9)
+
+
+@pytest.mark.parametrize("trend", TRENDS)
+def test_tiny_nugget_interpolates_and_a_large_one_does_not(trend):
+    x, y = training_set()
+    mean, variance = conditioned(x, y, nugget=1e-10, trend=trend).predict(jnp.asarray(x))
+    np.testing.assert_allclose(mean, y, rtol=1e-5)
+    assert np.all(variance >= 0) and np.all(variance < 1e-7 * y.var())
+    assert np.abs(conditioned(x, y, nugget=1e-1, trend=trend).predict(jnp.asarray(x))[0] - y).max() > 0.05 * y.std()
+
+
+@pytest.mark.parametrize("trend", TRENDS)
+def test_leave_one_out_equals_refits_without_the_point(trend):
+    x, y = training_set(12)
+    model = conditioned(x, y, planned=15, filler=np.nan, trend=trend)
+    mean, variance = map(np.asarray, model.leave_one_out())
+    sigma2 = float(model.process_variance)
+    for i in range(12):
+        rest = np.arange(12) != i
+        _, _, m, v = dense_kriging(x[rest], y[rest], x[i : i + 1], LENGTHS, NUGGET, "matern52", trend, sigma2)
+        np.testing.assert_allclose(mean[i], m[0], rtol=1e-7)
+        np.testing.assert_allclose(variance[i], v[0] + sigma2 * NUGGET, rtol=1e-7)
+    assert np.all(mean[12:] == 0) and np.all(variance[12:] == 0)
+
+
+def test_leave_one_out_says_where_the_rest_does_not_determine_the_trend():
+    x = np.array([[0.1, 0.2], [0.4, 0.2], [0.7, 0.2], [0.9, 0.2], [0.5, 0.8]])  # only the last one leaves the line
+    mean, variance = conditioned(x, np.arange(5.0) ** 2, trend="linear").leave_one_out()
+    assert np.all(np.isfinite(mean)) and np.all(np.isfinite(variance[:4])) and np.isinf(variance[4])
+
+
+@pytest.mark.parametrize("trend", TRENDS)
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_log_likelihood_is_the_normal_density_at_its_own_estimates(kernel, trend):
+    x, y = training_set()
+    model = conditioned(x, y, kernel=kernel, trend=trend)
+    beta, sigma2, _, _ = dense_kriging(x, y, x, LENGTHS, NUGGET, kernel, trend)
+    covariance = sigma2 * (dense_correlation(x, x, LENGTHS, kernel) + NUGGET * np.eye(20))
+    expected = multivariate_normal(dense_trend(x, trend) @ beta, covariance).logpdf(y)
+    np.testing.assert_allclose(model.log_likelihood, expected, rtol=1e-10)
+    nearby = multivariate_normal(dense_trend(x, trend) @ beta, 1.1 * covariance).logpdf(y)
+    assert nearby < expected  # σ² of Eq. 9 maximises it
+
+
+@pytest.mark.parametrize(
+    ("kernel", "trend", "n"), [("matern52", "constant", 43), ("matern32", "linear", 20), ("gaussian", "quadratic", 30)]
+)
+def test_fit_reaches_the_best_of_many_scipy_starts(kernel, trend, n):
+    x, y = training_set(n)
+    low, high = np.log([0.02, 0.02, 1e-10]), np.log([20.0, 20.0, 1.0])
+    f = dense_trend(x, trend)
+
+    def negative(logs):
+        factor = np.linalg.cholesky(dense_correlation(x, x, np.exp(logs[:2]), kernel) + np.exp(logs[2]) * np.eye(n))
+        basis, response = np.linalg.solve(factor, f), np.linalg.solve(factor, y)
+        residual = response - basis @ np.linalg.lstsq(basis, response)[0]
+        sigma2 = residual @ residual / n
+        return 0.5 * n * (np.log(2 * np.pi * sigma2) + 1) + np.log(np.diag(factor)).sum()
+
+    rng = np.random.default_rng(0)
+    runs = [
+        minimize(
+            negative, low + (high - low) * rng.random(3), method="L-BFGS-B", bounds=list(zip(low, high, strict=True))
+        )
+        for _ in range(15)
+    ]
+    assert fitted(x, y, kernel=kernel, trend=trend).log_likelihood > -min(run.fun for run in runs) - 1e-6
+
+
+def test_gradient_of_the_likelihood_matches_differences():
+    x, y = map(jnp.asarray, training_set())
+    value = jax.jit(lambda logs: objective(x, y, logs))
+
+    logs, step = jnp.log(jnp.array([0.4, 0.9, 1e-3])), 1e-5
+    differences = [(value(logs.at[i].add(step)) - value(logs.at[i].add(-step))) / (2 * step) for i in range(3)]
+    np.testing.assert_allclose(jax.jit(jax.grad(value))(logs), differences, rtol=1e-6)
+
+
+def objective(x, y, logs):
+    mask = jnp.ones(len(y), bool)
+    matrix = _masked_correlation(x, mask, jnp.exp(logs[:-1]), jnp.exp(logs[-1]), "matern52")
+    return _profiled_objective(matrix, _masked_trend(x, mask, "linear"), y, jnp.sum(mask))
+
+
+@pytest.mark.parametrize("filler", [0.0, 0.3, np.nan])
+def test_padded_rows_have_no_influence(filler):
+    x, y = training_set(15)
+    new = jnp.asarray(np.random.default_rng(3).random((50, 2)))
+    plain, padded = conditioned(x, y, trend="linear"), conditioned(x, y, planned=40, filler=filler, trend="linear")
+    for a, b in zip(plain.predict(new), padded.predict(new), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-10)
+    for a, b in zip(plain.leave_one_out(), padded.leave_one_out(), strict=True):
+        np.testing.assert_allclose(a, b[:15], rtol=1e-10)
+    np.testing.assert_allclose(plain.log_likelihood, padded.log_likelihood, rtol=1e-12)
+
+
+def test_padded_fit_equals_the_unpadded_one():
+    x, y = training_set(15)
+    plain, padded, noisy = fitted(x, y, planned=15), fitted(x, y), fitted(x, y, filler=np.nan)
+    np.testing.assert_allclose(plain.log_likelihood, padded.log_likelihood, rtol=1e-10)
+    np.testing.assert_allclose(plain.lengths, padded.lengths, rtol=1e-5)
+    # What is in the padded rows does not matter to the last bit.
+    assert all(np.array_equal(a, b) for a, b in zip(jax.tree.leaves(padded), jax.tree.leaves(noisy), strict=True))
+
+
+def test_one_program_serves_every_number_of_experiments():
+    x, y = training_set(43)
+    traces = []
+
+    @jax.jit
+    def fit(mask):
+        traces.append(None)
+        return fit_kriging(jnp.asarray(x), jnp.asarray(y), mask, key=jax.random.key(0)).log_likelihood
+
+    values = [fit(jnp.arange(43) < n) for n in (3, 10, 43)]
+    assert len(traces) == 1 and np.all(np.isfinite(values))
+    np.testing.assert_allclose(values[1], fitted(x[:10], y[:10]).log_likelihood, rtol=1e-10)
+
+
+def test_warm_start_is_one_more_start_and_keys_are_reproducible():
+    x, y = training_set(43)
+    best = fitted(x, y)
+    poor = fitted(x, y, starts=1, max_steps=3, seed=5)
+    helped = fitted(x, y, starts=1, max_steps=3, seed=5, previous=(best.lengths, best.nugget))
+    assert poor.log_likelihood < best.log_likelihood - 0.1
+    assert helped.log_likelihood > best.log_likelihood - 0.01
+    again = fitted(x, y)
+    assert all(np.array_equal(a, b) for a, b in zip(jax.tree.leaves(best), jax.tree.leaves(again), strict=True))
+
+
+@pytest.mark.parametrize("trend", ["constant", "linear"])
+@pytest.mark.parametrize("constant", [0.0, 7.3])
+def test_constant_responses_give_a_constant_without_variance(trend, constant):
+    x, _ = training_set(8)
+    model = fitted(x, np.full(8, constant), trend=trend)
+    mean, variance = model.predict(jnp.asarray(np.random.default_rng(4).random((9, 2))))
+    np.testing.assert_allclose(mean, constant, rtol=1e-12)
+    assert np.all(variance == 0) and np.all(np.isfinite(model.log_likelihood))
+
+
+def test_response_that_the_trend_explains_entirely():
+    x, _ = training_set(12)
+    model = fitted(x, 3 + 2 * x[:, 0] - x[:, 1], trend="linear")
+    np.testing.assert_allclose(model.trend_coefficients, [3, 2, -1], atol=1e-6)
+    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(model))
+
+
+def test_repeated_inputs_with_different_responses():
+    x, y = training_set(12)
+    model = fitted(np.r_[x, x], np.r_[y, y + 20])
+    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(model))
+    assert model.nugget > 1e-4
+    np.testing.assert_allclose(model.predict(jnp.asarray(x))[0], y + 10, atol=40)
+
+
+@pytest.mark.parametrize(
+    ("n", "settings", "message"),
+    [
+        (3, {"trend": "linear"}, "linear trend in 2 inputs needs at least 4 points, but argument `inputs` holds 3"),
+        (6, {"trend": "quadratic"}, "at least 7 points"),
+        (1, {}, "constant trend in 2 inputs needs at least 2 points"),
+        (9, {"kernel": "cubic"}, "matern52"),
+        (9, {"trend": "cubic"}, "quadratic"),
+        (9, {"length_bounds": (1.0, 0.1)}, "length_bounds"),
+        (9, {"nugget_bounds": (0.0, 0.1)}, "nugget_bounds"),
+        (9, {"starts": 0}, "starts"),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused(n, settings, message):
+    x, y = training_set(n)
+    # Names are checked by type as well under the test run's type checker.
+    with pytest.raises(Exception, match=message):
+        fitted(x, y, **settings)
+
+
+def test_points_on_a_line_do_not_determine_a_plane():
+    x = np.linspace(0, 1, 6)[:, None] * [1.0, 0.5]
+    with pytest.raises(ValueError, match="do not"):
+        fitted(x, x[:, 0], trend="linear")
+    with pytest.raises(ValueError, match="finite"):
+        fitted(x, np.where(x[:, 0] > 0.5, np.nan, 0))
+
+
+@pytest.mark.parametrize("d", [1, 3])
+def test_one_and_three_inputs(d):
+    rng = np.random.default_rng(6)
+    x, new = rng.random((25, d)), rng.random((40, d))
+    arrays = map(jnp.asarray, (x, np.sin(2 * x).sum(1), np.ones(25, bool)))
+    model = fit_kriging(*arrays, trend="linear", key=jax.random.key(0))
+    assert np.abs(model.predict(jnp.asarray(new))[0] - np.sin(2 * new).sum(1)).max() < 0.1

@@ -1,0 +1,353 @@
+"""Files as laboratories write them: every format, every spreadsheet's habits, the real campaigns."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hsed_jax.errors import UserError
+from hsed_jax.measurements import Campaign, read_at2, read_campaign, write_at2, write_campaign
+
+G = 9.80665
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+real = pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured campaigns are not at {DATA}")
+
+TIME = np.arange(6) * 0.5
+ELONGATION = np.array([0.0, 1.25, -2.5, 3.0, 1e-3, -0.125])
+FORCE = np.array([0.5, 10.0, -20.25, 30.0, 2.0, -1.5])
+
+DECLARATION = """
+name: test
+protocol: displacement
+channels:
+  time: {column: t, unit: s}
+  elongation: {column: du, unit: mm}
+  force: {column: F, unit: kN}
+"""
+
+
+def folder_with(tmp_path: Path, record: str, content: str | bytes = b"", experiments: str | None = None) -> Path:
+    (tmp_path / "records").mkdir(exist_ok=True)
+    (tmp_path / "campaign.yaml").write_text(DECLARATION)
+    (tmp_path / "experiments.csv").write_text(experiments or f"id,record\nE01,records/{record}\n")
+    data = content.encode() if isinstance(content, str) else content
+    if data:
+        (tmp_path / "records" / record).write_bytes(data)
+    return tmp_path
+
+
+def check(campaign: Campaign) -> None:
+    record = campaign["E01"].record
+    assert record is not None
+    np.testing.assert_array_equal(record.time, TIME)
+    np.testing.assert_array_equal(record["elongation"], ELONGATION / 1000)
+    np.testing.assert_array_equal(record["force"], FORCE * 1000)
+
+
+def lines(separator: str, mark: str = ".", end: str = "\n", header: bool = True, tail: str = "") -> str:
+    rows = [["t", "du", "F"]] if header else []
+    rows += [[repr(float(v)).replace(".", mark) for v in row] for row in zip(TIME, ELONGATION, FORCE, strict=True)]
+    return "".join(separator.join(row) + tail + end for row in rows)
+
+
+TEXTS = {
+    "comma": lines(","),
+    "semicolon": lines(";"),
+    "tab": lines("\t"),
+    "blanks": lines("   "),
+    "blanks before": "".join("  " + line + "\n" for line in lines("  ").splitlines()),
+    "decimal comma": lines(";", ","),
+    "decimal comma with tabs": lines("\t", ","),
+    "blank after the comma": lines(", "),
+    "windows": lines(",", end="\r\n"),
+    "old mac": lines(",", end="\r"),
+    "BOM": "\ufeff" + lines(","),
+    "BOM and comments": "\ufeff# recorded by A, B\n% and C\n// and D\n" + lines(";"),
+    "comments inside": lines(",").replace("1.0,", "# paused, at 5 o'clock\n1.0,", 1),
+    "loud comments": "### test 3 ###\n##########\n" + lines(","),
+    "blank lines": "\n\n" + lines(",") + "\n\n",
+    "blank columns": lines(",", tail=",,"),
+    "blank rows below": lines(",") + ",,\n,,\n",
+    "quoted": lines('","').replace("\n", '"\n"').removesuffix('"').join(['"', ""]),
+    "more columns": lines(",", tail=",text").replace("F,text", "F,note"),
+    "index without a name": "".join(f"{'' if i == 0 else i},{row}\n" for i, row in enumerate(lines(",").splitlines())),
+    "header in a comment": "# t du F\n" + lines(" ", header=False),
+    "header in a comment, commas": "# t,du,F\n" + lines(",", header=False),
+    "header padded": lines(",").replace("t,du,F", " t , du , F "),
+    "separator named": "sep=;\n" + lines(";", ","),
+    "no line end": lines(",").rstrip(),
+    "exponents": lines(",").replace("0.001", "1E-3").replace("30.0", "+3.0D+01"),
+    "latin": "# Prüfung in µm\n".encode("cp1252") + lines(",").encode(),
+    "utf-16": lines("\t").encode("utf-16"),
+}
+
+
+@pytest.mark.parametrize("case", TEXTS)
+def test_text_records(tmp_path, case):
+    check(read_campaign(folder_with(tmp_path, "E01.csv", TEXTS[case])))
+
+
+@pytest.mark.parametrize("separator", [",", ";", " ", "\t"])
+def test_columns_without_header_are_named_by_position(tmp_path, separator):
+    folder = folder_with(tmp_path, "E01.txt", lines(separator, header=False))
+    declaration = DECLARATION.replace("column: t,", "column: 1,").replace("du", "2").replace("F", "3")
+    (folder / "campaign.yaml").write_text(declaration)
+    campaign = read_campaign(folder)
+    check(campaign)
+    write_campaign(campaign, tmp_path / "again")  # with a header, in which a number would look like a sample
+    assert read_campaign(tmp_path / "again") == campaign
+    (folder / "campaign.yaml").write_text(DECLARATION)
+    with pytest.raises(UserError, match="no header"):
+        read_campaign(folder)
+
+
+def test_nan_is_read_and_left_to_the_checks(tmp_path):
+    record = read_campaign(folder_with(tmp_path, "E01.csv", lines(",").replace("30.0", "NaN")))["E01"].record
+    assert np.isnan(record["force"]).tolist() == [False, False, False, True, False, False]
+
+
+def arrays() -> dict[str, np.ndarray]:
+    return {"t": TIME, "du": ELONGATION, "F": FORCE}
+
+
+def write_parquet(path, frame):
+    import pandas as pd
+
+    pd.DataFrame(frame).to_parquet(path)
+
+
+def write_mat(path, frame):
+    from scipy.io import savemat
+
+    savemat(path, frame)
+
+
+def write_hdf5(path, frame):
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        for name, values in frame.items():
+            file[name] = values
+
+
+def write_mat_73(path, frame):
+    """What MATLAB writes with -v7.3: HDF5 behind 512 bytes of its own, vectors as 1 × n."""
+    import h5py
+
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, values in frame.items():
+            file[name.replace(".", "/")] = np.atleast_2d(values)
+    with Path(path).open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file")
+
+
+WRITERS = {"E01.parquet": write_parquet, "E01.mat": write_mat, "E01.h5": write_hdf5, "E02.mat": write_mat_73}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_binary_records(tmp_path, name):
+    folder = folder_with(tmp_path, name)
+    path, write = tmp_path / "records" / name, WRITERS[name]
+    write(path, arrays())
+    check(read_campaign(folder))
+    for broken, message in (
+        ({"t": TIME, "du": ELONGATION}, "'F' is missing"),
+        ({**arrays(), "F": np.array(["a"] * 6, dtype="S1")}, "'F'.*real numbers"),
+    ):
+        if name == "E02.mat" or "F" not in broken or write is not write_hdf5:
+            write(path, broken)
+            with pytest.raises(UserError, match=message):
+                read_campaign(folder)
+    if write is not write_parquet:
+        write(path, {**arrays(), "F": FORCE[:-1]})
+        with pytest.raises(UserError, match="differ in length"):
+            read_campaign(folder)
+    path.write_bytes(b"not such a file at all")
+    with pytest.raises(UserError, match="cannot be read"):
+        read_campaign(folder)
+
+
+@pytest.mark.parametrize("write", [write_mat, write_mat_73])
+def test_matlab_structures(tmp_path, write):
+    folder = folder_with(tmp_path, "E01.mat")
+    (folder / "campaign.yaml").write_text(DECLARATION.replace("column: F", "column: load.F"))
+    frame = {"t": TIME, "du": ELONGATION}
+    nested = {"load": {"F": FORCE}} if write is write_mat else {"load.F": FORCE}
+    write(tmp_path / "records" / "E01.mat", {**frame, **nested})
+    check(read_campaign(folder))
+
+
+def test_records_are_found_by_id(tmp_path):
+    check(read_campaign(folder_with(tmp_path, "E01.txt", lines(" "), "id\nE01\n")))
+
+
+def test_dates_in_a_parquet_column_are_refused(tmp_path):
+    folder = folder_with(tmp_path, "E01.parquet")
+    write_parquet(tmp_path / "records" / "E01.parquet", {**arrays(), "t": TIME.astype("M8[s]")})
+    with pytest.raises(UserError, match=r"'t'.*real numbers"):
+        read_campaign(folder)
+
+
+@pytest.mark.parametrize(
+    "experiments",
+    [
+        "\ufeffid;record;from;Bemerkung\r\nE01;records/E01.csv;0,5;größer, schneller\r\n;;;\r\n",
+        "id,record,from,Bemerkung\nE01,records/E01.csv,.5,\"größer, schneller\"\n\n",
+        "# our tests\nid\trecord\tfrom\tBemerkung\nE01\trecords\\E01.csv\t0,5\tgrößer, schneller\t\t\n",
+        "sep=;\nid;record;from;Bemerkung;;\nE01;records/E01.csv;5e-1;größer, schneller;;\n",
+    ],
+)  # fmt: skip
+def test_experiments_as_spreadsheets_write_them(tmp_path, experiments):
+    folder = folder_with(tmp_path, "E01.csv", lines(","))
+    (folder / "experiments.csv").write_bytes(experiments.encode())
+    campaign = read_campaign(folder)
+    check(campaign)
+    assert campaign["E01"].metadata == {"Bemerkung": "größer, schneller"}
+    assert campaign["E01"].window == (0.5, 2.5)
+
+
+def test_rows_without_time_are_their_own_time(tmp_path):
+    folder = folder_with(tmp_path, "E01.csv", lines(","), "id,from,to\nE01,1,4\n")
+    (folder / "campaign.yaml").write_text(DECLARATION.replace("  time: {column: t, unit: s}\n", ""))
+    campaign = read_campaign(folder)
+    assert not campaign.has_time
+    np.testing.assert_array_equal(campaign["E01"].record.time, np.arange(6))
+    assert campaign["E01"].in_window.sum() == 4
+
+
+def test_pending_and_failed_experiments_need_no_record(tmp_path):
+    experiments = "id,status,reason\nE01,,\nE02,Pending,\nE03,failed,actuator\nE04,abandoned,\n"
+    campaign = read_campaign(folder_with(tmp_path, "E01.csv", lines(","), experiments))
+    assert [e.status for e in campaign] == ["completed", "pending", "failed", "abandoned"]
+    assert campaign["E03"].reason == "actuator"
+    assert [e.id for e in campaign.completed] == ["E01"]
+
+
+def motions(tmp_path: Path, quantities: bool = True) -> Path:
+    declaration = "name: a\nprotocol: ground_motion\nchannels:\n  time: {unit: s}\n  ground_acceleration: {unit: g}\n"
+    declaration += "  force: {unit: kN}\n" + (
+        "quantities:\n  peak_force: {column: Fmax, unit: kN}\n" if quantities else ""
+    )
+    (tmp_path / "campaign.yaml").write_text(declaration)
+    table = (
+        "id,record,Fmax,status\nE01,E01.AT2,5,\nE02,E01.AT2,,pending\n" if quantities else "id,record\nE01,E01.AT2\n"
+    )
+    (tmp_path / "experiments.csv").write_text(table)
+    write_at2(tmp_path / "E01.AT2", 0.02, [0.0, 1.0, -2.0])
+    return tmp_path
+
+
+def test_ground_motions_as_records(tmp_path):
+    campaign = read_campaign(motions(tmp_path))
+    for experiment in campaign:
+        assert list(experiment.record.channels) == ["ground_acceleration"]
+        np.testing.assert_allclose(experiment.record["ground_acceleration"], [0.0, 1.0, -2.0], rtol=1e-7)
+        np.testing.assert_allclose(experiment.record.time, [0.0, 0.02, 0.04])
+    write_campaign(campaign, tmp_path / "again")
+    assert read_campaign(tmp_path / "again") == campaign
+
+
+def test_a_ground_motion_is_no_measurement(tmp_path):
+    with pytest.raises(UserError, match=r"\.AT2 file has no force"):
+        read_campaign(motions(tmp_path, quantities=False))
+    folder = folder_with(tmp_path / "b" if (tmp_path / "b").mkdir() is None else tmp_path, "E01.AT2", "x")
+    with pytest.raises(UserError, match="protocol ground_motion"):
+        read_campaign(folder)
+
+
+AT2 = "PEER\nsomewhere\nACCELERATION TIME SERIES IN UNITS OF G\n"
+HEADERS = {
+    "new": "NPTS=  5, DT= .0100 SEC\n",
+    "poles": "NPTS=   5, DT=   .0100 SEC,   4 POLE @    40.00000 HZ,  -5 POLE @      .20000\n",
+    "lower": "npts =5 , dt = 1.0E-02 sec\n",
+    "old": "    5    0.0100    NPTS, DT\n",
+}
+
+
+@pytest.mark.parametrize("header", HEADERS)
+@pytest.mark.parametrize(
+    "body",
+    [
+        "-.4981725E-02-.4964618E-02 .1E+01\n  .25\n0.\n",
+        "  -4.981725E-03  -4.964618E-03\r\n1.0 0.25000-0.00000   ",
+    ],
+)
+def test_at2_variants(tmp_path, header, body):
+    path = tmp_path / "a.AT2"
+    path.write_bytes((AT2 + HEADERS[header] + body).encode())
+    dt, acceleration = read_at2(path)
+    assert dt == 0.01
+    np.testing.assert_allclose(acceleration / G, [-0.004981725, -0.004964618, 1.0, 0.25, 0.0], rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("", "empty"),
+        ("a\nb\n1 2 3\n", "NPTS= and DT="),
+        (AT2 + "NPTS= 3, DT= .01\n1 2\n", "2 samples.*NPTS=3"),
+        (AT2 + "NPTS= 1, DT= .01\n1 2\n", "2 samples.*NPTS=1"),
+        (AT2 + "NPTS= 0, DT= .01\n", "0 samples"),
+        (AT2 + "NPTS= 3, DT= 0.0\n1 2 3\n", "row 4: DT"),
+        (AT2 + "NPTS= 3, DT= .01\n1 2\nend 3\n", "row 6: 'end 3'"),
+        (AT2 + "NPTS= 3, DT= .01\n1 2 0.006300.00364\n", "row 5"),
+        (AT2 + "NPTS= 3, DT= .01\n1 2 nan\n", "row 5: 'nan'"),
+        (AT2.replace(" G\n", " CM/S\n") + "NPTS= 3, DT= .01\n1 2 3\n", "units of CM/S"),
+    ],
+)
+def test_at2_that_is_broken_is_refused(tmp_path, text, message):
+    path = tmp_path / "a.AT2"
+    path.write_text(text)
+    with pytest.raises(UserError, match=message) as error:
+        read_at2(path)
+    assert "a.AT2" in str(error.value)
+
+
+def test_at2_round_trip(tmp_path):
+    values = np.random.default_rng(0).normal(size=103)
+    write_at2(tmp_path / "a.AT2", 0.005, values, "El Centro, 1940")
+    dt, read = read_at2(tmp_path / "a.AT2")
+    assert dt == 0.005
+    np.testing.assert_allclose(read, values, rtol=1e-7)
+    with pytest.raises(UserError, match="cannot be read"):
+        read_at2(tmp_path / "b.AT2")
+
+
+@real
+@pytest.mark.parametrize(
+    "name, peak",
+    [
+        ("Rinaldi228", 0.87),
+        ("RSN77_SFERN_PUL164", 1.22),
+        ("RSN1084_NORTHR_SCS052", 0.62),
+        ("RSN181_IMPVALL.H_H-E06230", 0.45),
+        ("elCentro", 0.32),
+    ],
+)
+def test_recorded_ground_motions(name, peak):
+    dt, acceleration = read_at2(DATA / "ground_motions" / f"{name}.AT2")
+    assert dt in (0.005, 0.01, 0.02)
+    assert round(np.abs(acceleration).max() / G, 2) == peak
+
+
+@real
+@pytest.mark.parametrize(
+    "name, samples, elongation, force",
+    [
+        ("friction_damper", [3585, 3418, 3588], 1.5077, 4.9624),
+        ("rc_column", [548, 548], 78.448, 199.59),
+        ("steel_damper", [308, 308], 2.8775, 5.3117),
+        ("timber_connection", [2822, 2822], 135.2829, 67.10382),
+    ],
+)
+def test_measured_campaigns(tmp_path, name, samples, elongation, force):
+    campaign = read_campaign(DATA / name)
+    assert [len(e.record) for e in campaign] == samples
+    record = campaign.experiments[0].record
+    for channel, peak in (("elongation", elongation), ("force", force)):
+        scale = 1000.0 if name == "rc_column" and channel == "elongation" else 1.0
+        shown = campaign.unit(channel).from_si(np.abs(record[channel]).max()) * scale
+        np.testing.assert_allclose(shown, peak, rtol=1e-4)
+    assert len(campaign.train) and len(campaign.test)
+    write_campaign(campaign, tmp_path)
+    assert read_campaign(tmp_path) == campaign
