@@ -22,7 +22,7 @@ from hsed_jax.measurements import (
     write_campaign,
     write_experiment,
 )
-from hsed_jax.measurements.tables import is_number
+from hsed_jax.measurements.tables import can_head_record
 
 quick = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 
@@ -43,8 +43,8 @@ UNITS = {
 }
 numbers = st.floats(-1e30, 1e30, allow_nan=False)
 texts = st.text(st.characters(exclude_categories=("Cs", "Cc")), min_size=1, max_size=12)
-columns = st.text(string.ascii_letters + string.digits + " ;,'\"[]()/-_äµ°", min_size=1, max_size=10).filter(
-    lambda c: c == c.strip() and not c.startswith(("//", "sep=")) and not is_number(c)
+columns = st.text(string.ascii_letters + string.digits + " ;,'\"[]()/-_äµ°#%=", min_size=1, max_size=10).filter(
+    lambda c: c == c.strip() and can_head_record(c)
 )
 ids = st.text(string.ascii_letters + string.digits + " _-+,;'ä", min_size=1, max_size=10).filter(
     lambda i: i == i.strip()

@@ -21,9 +21,9 @@ DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 SIGMA = {"elongation": 2e-5, "force": 50.0}
 
 
-def clean(seed: int = 0) -> dict[str, np.ndarray]:
+def clean(seed: int = 0, noise: float = 1.0) -> dict[str, np.ndarray]:
     """A second at rest, then a slow burst of a hysteretic specimen, sampled at 200 Hz with white noise."""
-    rng = np.random.default_rng(seed)
+    draw = np.random.default_rng(seed)
     time = np.arange(2000) * 0.005
     burst = np.where(time > 1, np.sin(2 * np.pi * (time - 1)) * np.sin(np.pi * np.clip((time - 1) / 9, 0, 1)), 0.0)
     elongation = 0.03 * burst
@@ -35,9 +35,9 @@ def clean(seed: int = 0) -> dict[str, np.ndarray]:
         )
     return {
         "time": time,
-        "ground_acceleration": 3.0 * burst + 0.002 * rng.normal(size=time.size),
-        "elongation": elongation + SIGMA["elongation"] * rng.normal(size=time.size),
-        "force": force + SIGMA["force"] * rng.normal(size=time.size),
+        "ground_acceleration": 3.0 * burst + noise * 0.002 * draw.normal(size=time.size),
+        "elongation": elongation + noise * SIGMA["elongation"] * draw.normal(size=time.size),
+        "force": force + noise * SIGMA["force"] * draw.normal(size=time.size),
     }
 
 
@@ -63,9 +63,7 @@ def test_clean_data_give_no_finding(seed):
 
 
 def test_clean_data_without_noise_give_no_finding():
-    time = np.arange(2000) * 0.005
-    data = clean() | {"elongation": 0.03 * np.sin(time), "force": 1e4 * np.sin(time + 0.1)}
-    assert check_campaign(campaign_of(data, noise=False)) == []
+    assert check_campaign(campaign_of(clean(noise=0.0), noise=False)) == []
 
 
 def test_clean_data_rounded_to_a_few_digits_give_no_finding():
@@ -104,9 +102,9 @@ FAULTS = {
     "gap": (fault("time", lambda t: t + 0.3 * (t >= 5)), "doubt", "time", 4.995, "1 gaps"),
     "clipped": (fault("force", lambda f: np.clip(f, -6e3, 6e3)), "doubt", "force", None, "clipped"),
     "clipped above": (fault("elongation", lambda u: np.minimum(u, 0.02)), "doubt", "elongation", None, "clipped"),
-    "stuck": (fault("force", put(slice(700, 800), 1234.0)), "doubt", "force", 3.5, "100 samples"),
+    "stuck": (fault("force", put(slice(700, 800), 123.0)), "doubt", "force", 3.5, "100 samples"),
     "dead": (fault("force", put(slice(None), 3.0)), "error", "force", None, "constant"),
-    "no motion": (fault("ground_acceleration", put(slice(None), 0.0)), "doubt", "ground_acceleration", None, "constant"),
+    "still": (fault("ground_acceleration", put(slice(None), 0.0)), "doubt", "ground_acceleration", None, "constant"),
     "millimetres": (fault("elongation", lambda u: 1e4 * u), "doubt", "elongation", None, "is the unit right"),
     "g of g": (fault("ground_acceleration", lambda a: 9.81**2 * a), "doubt", "ground_acceleration", None, "unit"),
     "sign of force": (fault("force", lambda f: -f), "doubt", "force", None, "sign"),

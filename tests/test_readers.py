@@ -101,6 +101,15 @@ def test_columns_without_header_are_named_by_position(tmp_path, separator):
         read_campaign(folder)
 
 
+@pytest.mark.parametrize("name", ["du", "du mm", "du;mm", "du, mm"])
+def test_a_record_of_one_column(tmp_path, name):
+    quoted = f'"{name}"' if "," in name else name
+    folder = folder_with(tmp_path, "E01.csv", "".join(f"{cell}\n" for cell in [quoted, *ELONGATION]))
+    declaration = "name: a\nprotocol: displacement\nchannels:\n  elongation: {column: '" + name + "', unit: mm}\n"
+    (folder / "campaign.yaml").write_text(declaration)
+    np.testing.assert_array_equal(read_campaign(folder)["E01"].record["elongation"], ELONGATION / 1000)
+
+
 def test_nan_is_read_and_left_to_the_checks(tmp_path):
     record = read_campaign(folder_with(tmp_path, "E01.csv", lines(",").replace("30.0", "NaN")))["E01"].record
     assert np.isnan(record["force"]).tolist() == [False, False, False, True, False, False]

@@ -57,7 +57,8 @@ class Posterior:
 
     def starts(self, count: int) -> Float[Array, "count p"]:
         """Well-spread starting points: the middle of the prior, then Sobol' points of its central 80 %."""
-        spread = 0.1 + 0.8 * qmc.Sobol(len(self.names), scramble=True, seed=0).random(max(count - 1, 1))
+        sequence = qmc.Sobol(len(self.names), scramble=True, rng=0)
+        spread = 0.1 + 0.8 * sequence.random_base2(count.bit_length())[: max(count - 1, 1)]
         shares = np.vstack([np.full((1, len(self.names)), 0.5), spread])[:count]
         theta = np.stack(
             [np.asarray(prior.quantile(share)) for prior, share in zip(self.priors.values(), shares.T, strict=True)], axis=1

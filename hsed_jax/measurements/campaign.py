@@ -9,7 +9,7 @@ import numpy as np
 
 from hsed_jax.errors import UserError
 from hsed_jax.measurements.experiment import Channel, Experiment, Record
-from hsed_jax.measurements.tables import is_number
+from hsed_jax.measurements.tables import can_head_record
 from hsed_jax.measurements.units import Unit, channel_dimension, parse_unit, quantity_dimension
 
 if TYPE_CHECKING:
@@ -283,10 +283,8 @@ def declared_units(campaign: Campaign) -> dict[str, Unit]:
                 raise UserError(
                     f"{where}: column {channel.column!r} is also that of {columns[channel.column]}; one each"
                 )
-            if kind == "channels" and is_number(channel.column):
-                raise UserError(
-                    f"{where}: column {channel.column!r} is a number; name it, or a record's header looks like data"
-                )
+            if kind == "channels" and not can_head_record(channel.column):
+                raise UserError(f"{where}: column {channel.column!r} looks like a number or comment; give it a name")
             columns[channel.column] = where
             try:
                 units[name] = parse_unit(channel.unit, dimension_of(name))

@@ -78,8 +78,8 @@ def _experiment(
         if value is not None:
             quantities[name] = value
     if header.quantities and not header.channels and status == "completed" and not quantities:
-        columns = ", ".join(repr(q.column) for q in header.quantities.values())
-        raise UserError(f"{table.where(row)}, columns {columns}: {id!r} is completed and has no value; give one")
+        cells = ", ".join(repr(q.column) for q in header.quantities.values())
+        raise UserError(f"{table.where(row)}, columns {cells}: {id!r} is completed and has no value; give one")
     record = None
     if (file := _record_file(folder, header, table, row, status, bool(quantities))) is not None:
         motion_will_do = status != "completed" or bool(quantities)

@@ -127,6 +127,11 @@ class Table:
         return f"{cell!r} is not a number; write digits, a decimal point and no unit"
 
 
+def can_head_record(name: str) -> bool:
+    """Return whether a text as a column's name is told from numbers, comments and separators."""
+    return any(c.isalnum() for c in name) and not is_number(name) and not name.startswith(("#", "%", "//", "sep="))
+
+
 def is_number(cell: str) -> bool:
     """Return whether a cell is a number, with either decimal mark; a row of such cells is no header."""
     return any(pattern.fullmatch(cell) for pattern in (_NUMBER, _COMMA_NUMBER, _SPECIAL))
@@ -171,10 +176,10 @@ def read_record_table(path: Path, wanted: Iterable[str]) -> Table:
         UserError: With file and row: not text, empty, ragged rows.
     """
     text, skipped, comment = _without_preamble(path, read_text(path))
-    wanted = list(wanted)
-    present = [d for d in (";", "\t", ",", None) if len(_header(text, d)) > 1] or [None]
-    fitting = [d for d in present if set(wanted) <= {c.strip() for c in _header(text, d)}]
-    delimiter, rows, numbers = _split(path, text, (fitting or present)[0], skipped)
+    wanted = set(wanted)
+    present = [d for d in (";", "\t", ",", None) if len(_header(text, d)) > 1]
+    meant = max([*present, ","], key=lambda d: len(wanted & set(_header(text, d))))
+    delimiter, rows, numbers = _split(path, text, meant, skipped)
     keep = [i for i, row in enumerate(rows) if row and not (i and _is_comment(",".join(row)))]
     while keep and not any(cell.strip() for cell in rows[keep[-1]]):
         keep.pop()  # the empty rows that a spreadsheet leaves below the table

@@ -19,8 +19,8 @@ def tiled_map(many: Callable[[PyTree], PyTree], lanes: PyTree, *, count: ArrayLi
     Arguments:
         many: from a tile of lanes (leading axis) to a pytree of arrays with the same leading axis; usually a `jax.vmap`.
         lanes: pytree of arrays with a common leading axis of length N.
-        count: how many lanes matter (may be traced); tiles beyond it are not computed and their results are zero.  With
-            it, one compiled program costs what the data need, whatever they are padded to.
+        count: how many lanes matter (may be traced); tiles beyond it are not computed, and the results of lanes beyond
+            it are zero.  With it, one compiled program costs what the data need, whatever they are padded to.
 
     Returns:
         The results, leading axis N.
@@ -47,4 +47,8 @@ def tiled_map(many: Callable[[PyTree], PyTree], lanes: PyTree, *, count: ArrayLi
             return jax.tree.map(lambda kept, new: kept.at[i].set(new), filled, result)
 
         results = jax.lax.fori_loop(0, (jnp.asarray(count) + tile - 1) // tile, one_tile, empty)
-    return jax.tree.map(lambda values: values.reshape(tiles * tile, *values.shape[2:])[:size], results)
+    results = jax.tree.map(lambda values: values.reshape(tiles * tile, *values.shape[2:])[:size], results)
+    if count is None:
+        return results
+    matters = jnp.arange(size) < count
+    return jax.tree.map(lambda values: jnp.where(matters.reshape(-1, *[1] * (values.ndim - 1)), values, 0), results)

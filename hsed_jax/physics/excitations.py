@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Bool, Float, PyTree
 
 Scalar = Float[Array, ""] | float
 
@@ -142,7 +142,7 @@ class NearFaultPulse(AbstractExcitation):
             half * carrier[0] - self._offset()
         ) * envelope_rate * envelope[1]
 
-    def _is_inside(self, time: Scalar) -> Scalar:
+    def _is_inside(self, time: Scalar) -> Bool[ArrayLike, ""]:
         return (time >= 0) & (time <= self.duration)
 
 
@@ -188,4 +188,4 @@ class RecordedMotion(AbstractExcitation):
 
     def forcing(self, step: Scalar, steps: int) -> AbstractForcing:
         """The record, interpolated on the half-step grid once, before the integration."""
-        return Tabulated(self.acceleration(0.5 * step * jnp.arange(2 * steps + 1)))
+        return Tabulated(jax.vmap(self.acceleration)(0.5 * step * jnp.arange(2 * steps + 1)))

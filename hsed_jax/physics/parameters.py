@@ -63,3 +63,17 @@ def parameters_of(module: Any) -> dict[str, Parameter]:
         for field in dataclasses.fields(module)
         if _KEY in field.metadata
     }
+
+
+def dimensionless(module: Any, name: str, value: Any, scales: Scales) -> dict[str, Any]:
+    """A parameter of an effect under its dimensionless name, from either of its forms.
+
+    Raises:
+        KeyError: the effect has no such parameter.
+    """
+    for known in parameters_of(module).values():
+        if name == known.name:
+            return {name: value}
+        if known.physical is not None and name == known.physical.name:
+            return {known.name: value / known.physical.factor(scales)}
+    raise KeyError(name)

@@ -11,6 +11,7 @@ from hsed_jax.physics.bouc_wen import BoucWen
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.excitations import AbstractExcitation, AbstractForcing
 from hsed_jax.physics.integrate import Response, integrate
+from hsed_jax.physics.parameters import dimensionless
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.structures import Structure
 from hsed_jax.physics.systems import AbstractSystem, DrivenSpring, ShakenStructure
@@ -76,13 +77,16 @@ class Simulator(eqx.Module):
     damping_follows_model: bool = eqx.field(static=True, default=False)
 
     def spring(self, parameters: Mapping[str, Scalar]) -> BoucWen:
-        """The spring law; parameters of effects are named `effect.parameter`."""
-        values = {**dict(self.constants), **parameters}
-        law = {name: value for name, value in values.items() if "." not in name}
-        effects = tuple(
-            EFFECTS[effect](**{n.split(".")[1]: v for n, v in values.items() if n.split(".")[0] == effect and "." in n})
-            for effect in self.effects
-        )
+        """The spring law; parameters of effects are named `effect.parameter`, in dimensionless or physical form."""
+        law: dict[str, Scalar] = {}
+        of_effects: dict[str, dict[str, Scalar]] = {effect: {} for effect in self.effects}
+        for name, value in {**dict(self.constants), **parameters}.items():
+            effect, _, rest = name.rpartition(".")
+            if effect:
+                of_effects[effect].update(dimensionless(EFFECTS[effect], rest, value, self.scales))
+            else:
+                law[name] = value
+        effects = tuple(EFFECTS[effect](**values) for effect, values in of_effects.items())
         return BoucWen(**law, effects=effects, scales=self.scales)
 
     def system(self, parameters: Mapping[str, Scalar]) -> AbstractSystem:

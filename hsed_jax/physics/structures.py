@@ -42,7 +42,7 @@ class ModalDamping(eqx.Module):
         """C [N·s/m] from the masses [kg] and the stiffness matrix with the specimen [N/m]."""
         root = jnp.sqrt(masses)
         eigenvalues, modes = jnp.linalg.eigh(stiffness / jnp.outer(root, root))
-        modal = 2 * jnp.asarray(self.ratios) * jnp.sqrt(eigenvalues)
+        modal = 2 * jnp.asarray(self.ratios) * _circular(eigenvalues)
         return jnp.outer(root, root) * ((modes * modal) @ modes.T)
 
 
@@ -89,6 +89,9 @@ class Structure(eqx.Module):
         self.springs = tuple(springs)
         self.specimen = specimen
         self.damping = damping
+        for i, mass in enumerate(self.masses):
+            if isinstance(mass, int | float) and not mass > 0:
+                raise ValueError(f"Every mass must be positive, but {_label(i)} is {mass} kg.")
         for what, ends in [("a spring", s.ends) for s in self.springs] + [("the specimen", specimen)]:
             if ends[0] == ends[1]:
                 raise ValueError(f"The two ends of {what} must differ, but both are {_label(ends[0])}.")
@@ -112,7 +115,7 @@ class Structure(eqx.Module):
         """Undamped natural frequencies [Hz], lowest first, the specimen at the given stiffness [N/m]."""
         root = jnp.sqrt(jnp.asarray(self.masses))
         eigenvalues = jnp.linalg.eigvalsh(self.stiffness_matrix(specimen_stiffness) / jnp.outer(root, root))
-        return jnp.sqrt(eigenvalues) / (2 * jnp.pi)
+        return _circular(eigenvalues) / (2 * jnp.pi)
 
     def elongation(self, displacement: Sequence[Scalar]) -> Scalar:
         """Δu [m] of the specimen from the displacements [m]; likewise its rate from the velocities."""
@@ -126,6 +129,12 @@ class Structure(eqx.Module):
         if second is not None:
             b = b.at[second].add(1.0)
         return b
+
+
+def _circular(eigenvalues: Float[Array, " m"]) -> Float[Array, " m"]:
+    """√λ [rad/s]; the eigenvalue of a rigid-body mode, zero but for rounding of either sign, gives zero."""
+    is_rigid = eigenvalues <= 1e-12 * eigenvalues[-1]
+    return jnp.where(is_rigid, 0.0, jnp.sqrt(jnp.where(is_rigid, 1.0, eigenvalues)))
 
 
 def difference(values: Sequence[Scalar], ends: tuple[End, End]) -> Scalar:

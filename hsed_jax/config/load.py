@@ -1,0 +1,140 @@
+"""Reading a study: YAML, overrides by dotted path, and one clear message for what is wrong."""
+
+import difflib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from hsed_jax.config.schema import Study
+from hsed_jax.errors import UserError
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML in which 2e5 is a number, as engineers write it, and a key stands once."""
+
+    def construct_mapping(self, node, deep=False):
+        seen = set()
+        for key, _ in node.value:
+            name = self.construct_object(key, deep=True)
+            if name in seen:
+                raise yaml.YAMLError(f"line {key.start_mark.line + 1}: the key {name!r} stands twice")
+            seen.add(name)
+        return super().construct_mapping(node, deep=deep)
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag != "tag:yaml.org,2002:float"]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    __import__("re").compile(r"^[-+]?(\d+\.?\d*([eE][-+]?\d+)?|\.\d+([eE][-+]?\d+)?|\.(inf|nan))$"),
+    list("-+0123456789."),
+)
+
+
+def load_study(source: str | Path | dict[str, Any], overrides: Sequence[str] = ()) -> Study:
+    """Read a study.
+
+    Arguments:
+        source: path of a YAML file, or its content as a mapping.
+        overrides: `key=value` by dotted path, the value in YAML, such as `design.iterations=10`.
+
+    Raises:
+        UserError: the file is missing or no YAML, or a key or value is not allowed; names the key and what is.
+    """
+    if isinstance(source, dict):
+        content, where = source, "study"
+    else:
+        path = Path(source)
+        where = str(source)
+        if not path.is_file():
+            raise UserError(f"{where}: there is no such file")
+        content = parse_yaml(path.read_text(encoding="utf-8"), where)
+    if not isinstance(content, dict):
+        raise UserError(f"{where}: a study is a mapping of keys such as study, model, experiments")
+    for override in overrides:
+        content = _override(content, override)
+    try:
+        return Study.model_validate(content)
+    except ValidationError as error:
+        raise UserError(f"{where}: {explain(error, Study)}") from None
+
+
+def parse_yaml(text: str, where: str) -> Any:
+    """Parse YAML; a fault names the place."""
+    try:
+        return yaml.load(text, _Loader)
+    except yaml.YAMLError as error:
+        raise UserError(f"{where}: not valid YAML: {' '.join(str(error).split())}") from None
+
+
+def _override(content: dict[str, Any], override: str) -> dict[str, Any]:
+    path, equals, text = override.partition("=")
+    if not equals or not path:
+        raise UserError(f"{override!r}: an override is KEY=VALUE, such as design.iterations=10")
+    value = parse_yaml(text, override)
+
+    def put(tree: Any, keys: list[str]) -> Any:
+        if not keys:
+            return value
+        first, *rest = keys
+        if isinstance(tree, list):
+            if not (first.isdigit() and int(first) < len(tree)):
+                raise UserError(f"{override}: {first!r} is no position in a list of {len(tree)}")
+            return [put(item, rest) if i == int(first) else item for i, item in enumerate(tree)]
+        branch = tree if isinstance(tree, dict) else {}
+        return {**branch, first: put(branch.get(first), rest)}
+
+    return put(content, path.split("."))
+
+
+def explain(error: ValidationError, model: type[BaseModel]) -> str:
+    """The first fault of a validation in one sentence: key, fault, what is allowed."""
+    faults = error.errors(include_url=False)
+    # Of the branches of a union, the one that got furthest says most.
+    fault = max(faults, key=lambda f: (len([k for k in f["loc"] if f["type"] != "float_type"]), f["type"] == "extra_forbidden"))
+    keys = [str(k) for k in fault["loc"] if not _is_branch(str(k))]
+    path = ".".join(keys) or "study"
+    given = fault["input"]
+    if fault["type"] == "extra_forbidden":
+        allowed = _allowed(model, keys[:-1])
+        close = difflib.get_close_matches(keys[-1], allowed, n=1)
+        hint = f" (did you mean {close[0]}?)" if close else ""
+        return f"{path}: there is no such key{hint}; allowed here are {', '.join(allowed)}"
+    if fault["type"] == "missing":
+        return f"{path}: this key is required"
+    message = fault["msg"].removeprefix("Value error, ")
+    message = message[0].lower() + message[1:]
+    shown = repr(given) if not isinstance(given, dict | list) or len(repr(given)) < 60 else "what is given"
+    if fault["type"] == "value_error":
+        return f"{path}: {message}"
+    return f"{path}: {message}, but it is {shown}"
+
+
+def _is_branch(key: str) -> bool:
+    """Whether a part of an error's location names a branch of a union and not a key of the user's."""
+    return key in ("float", "int", "str", "list[float]", "constrained-float") or any(c in key for c in "[(") or (
+        key[:1].isupper() and key.endswith("Entry")
+    )
+
+
+def _allowed(model: type[BaseModel], keys: list[str]) -> list[str]:
+    """Keys allowed at a path, walking the fields of the schema."""
+    current: Any = model
+    for key in keys:
+        field = getattr(current, "model_fields", {}).get(key)
+        candidates = _models(field.annotation) if field is not None else []
+        if not candidates:
+            return sorted(getattr(current, "model_fields", {}))
+        current = candidates[0]
+    return list(getattr(current, "model_fields", {}))
+
+
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [found for part in getattr(annotation, "__args__", ()) for found in _models(part)]

@@ -1,0 +1,238 @@
+"""What a user may say in a study: names, types, defaults.  Nothing is computed here."""
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+
+from hsed_jax.physics.outputs import QUANTITIES
+
+Positive = Annotated[float, Field(gt=0)]
+Count = Annotated[int, Field(ge=1)]
+End = int | Literal["ground"]
+Value = float | str
+"""A number, or the name of an input."""
+
+
+class Section(BaseModel):
+    """A part of a study: unknown keys are errors, values do not change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class SpringEntry(Section):
+    """A linear spring of the structure."""
+
+    between: tuple[End, End]
+    stiffness: Annotated[float, Field(ge=0)]
+
+
+class SpecimenEntry(Section):
+    """Where the specimen sits; its elongation is the displacement of the second end less that of the first."""
+
+    between: tuple[End, End]
+
+
+class Rayleigh(Section):
+    """Rayleigh damping C = alpha M + beta K."""
+
+    alpha: Annotated[float, Field(ge=0)]
+    beta: Annotated[float, Field(ge=0)]
+
+
+class Damping(Section):
+    """Modal or Rayleigh damping; the specimen counts with `specimen_stiffness` [N/m], or with the model's own A (`model`)."""
+
+    modal: float | list[float] | None = None
+    rayleigh: Rayleigh | None = None
+    specimen_stiffness: Positive | Literal["model"]
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if (self.modal is None) == (self.rayleigh is None):
+            raise ValueError("give either modal or rayleigh")
+        return self
+
+
+class StructureEntry(Section):
+    """Masses [kg], linear springs [N/m], the specimen and the damping."""
+
+    masses: Annotated[list[Positive], Field(min_length=1)]
+    springs: list[SpringEntry]
+    specimen: SpecimenEntry
+    damping: Damping
+
+
+class PulseEntry(Section):
+    """Near-fault pulse; a name refers to an input, a number is fixed."""
+
+    V_P: Value
+    T_P: Value
+    gamma: Value = 2.0
+    nu: Value = 0.10
+
+
+class RecordedEntry(Section):
+    """An accelerogram from a file, times a factor."""
+
+    file: str
+    scale: Value = 1.0
+
+
+class ExcitationEntry(Section):
+    """The ground motion, how long to simulate [s], and the step of the integration [s] (by default from the periods)."""
+
+    near_fault_pulse: PulseEntry | None = None
+    recorded: RecordedEntry | None = None
+    duration: Positive | None = None
+    step: Positive | None = None
+
+    @model_validator(mode="after")
+    def _at_most_one(self) -> Self:
+        if self.near_fault_pulse is not None and self.recorded is not None:
+            raise ValueError("give either near_fault_pulse or recorded")
+        if self.near_fault_pulse is not None and self.duration is None:
+            raise ValueError("a near_fault_pulse needs a duration [s]")
+        return self
+
+
+def _prior(value: Any) -> Any:
+    if isinstance(value, dict) and len(value) != 1:
+        raise ValueError("a prior is one distribution with its arguments, such as {uniform: [0.0, 1.0]}")
+    return value
+
+
+PriorEntry = Annotated[dict[str, Any], BeforeValidator(_prior)]
+ParameterEntry = float | PriorEntry
+"""A fixed number, or a prior."""
+
+
+class InputEntry(Section):
+    """A variable input of the experiments: its distribution and its unit."""
+
+    prior: PriorEntry
+    unit: str = "1"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _distribution_and_unit(cls, value: Any) -> Any:
+        if isinstance(value, dict) and "prior" not in value:
+            rest = {name: given for name, given in value.items() if name != "unit"}
+            return {"prior": rest, "unit": value.get("unit", "1")}
+        return value
+
+    def written(self) -> dict[str, Any]:
+        """As it stands in a study."""
+        return {**self.prior, "unit": self.unit}
+
+
+class ModelEntry(Section):
+    """The computational simulator: the spring law, its parameters, its effects."""
+
+    spring: Literal["bouc_wen"] = "bouc_wen"
+    parameters: dict[str, ParameterEntry]
+    effects: dict[str, dict[str, ParameterEntry]] = {}
+
+
+class ErrorEntry(Section):
+    """Error of an output: relative to what was measured, absolute (SI), or unknown and inferred (relative)."""
+
+    relative: Positive | None = None
+    absolute: Positive | None = None
+    unknown: Literal[True] | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if sum(kind is not None for kind in (self.relative, self.absolute, self.unknown)) != 1:
+            raise ValueError("give exactly one of relative, absolute, unknown")
+        return self
+
+
+class VirtualEntry(Section):
+    """A virtual laboratory: the specimen's true parameters and effects, and the noise of its sensors."""
+
+    parameters: dict[str, float]
+    effects: dict[str, dict[str, float]] = {}
+    noise: ErrorEntry | dict[str, ErrorEntry] | None = None
+
+
+class ExperimentsEntry(Section):
+    """Where measurements come from: one of these."""
+
+    virtual: VirtualEntry | None = None
+    campaign: str | None = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.virtual is None) == (self.campaign is None):
+            raise ValueError("give one of virtual, campaign")
+        return self
+
+
+class KrigingEntry(Section):
+    """The surrogate of the discrepancy."""
+
+    trend: Literal["constant", "linear", "quadratic"] = "constant"
+    kernel: Literal["matern32", "matern52", "gaussian"] = "matern52"
+    starts: Count = 10
+
+
+class DesignEntry(Section):
+    """The sequential design of experiments."""
+
+    initial: Count = 3
+    iterations: Annotated[int, Field(ge=0)] = 40
+    candidates: Count = 16384
+    acquisition: Literal["expected_improvement", "max_variance", "random", "sobol"] = "expected_improvement"
+    tolerance: Positive | None = None
+    """Stop when the largest expected improvement falls below this."""
+    variance: Literal["inputs", "inputs_and_parameters"] = "inputs"
+    """Over what the variance in Eq. 12 is taken."""
+    kriging: KrigingEntry = KrigingEntry()
+
+
+class CalibrationEntry(Section):
+    """Sizes of the calibration: starts of the MAP; chains, adaptation and kept draws per chain of NUTS."""
+
+    starts: Count = 4
+    chains: Count = 4
+    warmup: Count = 150
+    draws: Count = 500
+    step_warmup: Count = 40
+    step_draws: Count = 60
+    """Of the posterior at each step of the design, which only steers and reports."""
+    target_acceptance: Annotated[float, Field(gt=0, lt=1)] = 0.8
+
+
+STEPS = ("design", "calibrate")
+
+
+class Study(Section):
+    """A study, as written in its YAML file."""
+
+    study: Annotated[str, Field(pattern=r"^[\w.\- ]+$")]
+    seed: int = 0
+    structure: StructureEntry | None = None
+    excitation: ExcitationEntry | None = None
+    inputs: dict[str, InputEntry] = {}
+    model: ModelEntry
+    experiments: ExperimentsEntry
+    observe: Literal["quantities"] = "quantities"
+    quantities: Annotated[list[str], Field(min_length=1)] = list(QUANTITIES)
+    error: ErrorEntry | dict[str, ErrorEntry] | None = None
+    steps: list[Literal["design", "calibrate"]] = list(STEPS)
+    design: DesignEntry = DesignEntry()
+    calibration: CalibrationEntry = CalibrationEntry()
+
+    @field_validator("quantities")
+    @classmethod
+    def _known_quantities(cls, names: list[str]) -> list[str]:
+        for name in names:
+            if name not in QUANTITIES:
+                raise ValueError(f"there is no quantity {name!r}; allowed are {', '.join(QUANTITIES)}")
+        return names
+
+    def written(self) -> dict[str, Any]:
+        """The study with every default written out, ready for YAML; reading it again gives the same study."""
+        plain = self.model_dump(mode="json", exclude_none=True)
+        plain["inputs"] = {name: entry.written() for name, entry in self.inputs.items()}
+        return plain

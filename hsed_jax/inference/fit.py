@@ -1,0 +1,110 @@
+"""A calibrated model: MAP, posterior draws and whether to believe them, as one object that shows itself."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import PRNGKeyArray
+
+from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.maximum import Maximum, maximise
+from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence, sample
+from hsed_jax.inference.posterior import Posterior
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Result of a calibration.
+
+    Attributes:
+        posterior: what was calibrated.
+        data: on what.
+        maximum: the MAP (Eq. 6) with its Gauss–Newton covariance and the Laplace evidence.
+        chains: draws of NUTS.
+        convergence: R-hat, bulk ESS, divergences.
+        units: SI unit of each parameter, by name.
+    """
+
+    posterior: Posterior
+    data: Data
+    maximum: Maximum
+    chains: Chains
+    convergence: Convergence
+    units: dict[str, str]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters, inferred errors last."""
+        return self.posterior.names
+
+    @cached_property
+    def map(self) -> dict[str, float]:
+        """θ_MAP by name, SI."""
+        return dict(zip(self.names, np.asarray(self.maximum.theta).tolist(), strict=True))
+
+    @property
+    def warning(self) -> str | None:
+        """What is wrong with the draws, in one sentence, or None."""
+        return self.convergence.warning(self.names)
+
+    def summary(self) -> dict[str, dict[str, float]]:
+        """Mean, sd, 5 % and 95 % quantile, bulk ESS and R-hat of each parameter, SI."""
+        return summarise(self.names, self.chains, self.convergence)
+
+    def _rows(self) -> list[tuple[str, ...]]:
+        head = ("parameter", "MAP", "mean", "sd", "5 %", "95 %", "ESS", "R-hat", "unit")
+        rows = [head]
+        for name, s in self.summary().items():
+            numbers = (self.map[name], s["mean"], s["sd"], s["q05"], s["q95"])
+            rows.append(
+                (name, *(f"{v:.4g}" for v in numbers), f"{s['ess_bulk']:.0f}", f"{s['rhat']:.3f}", self.units.get(name, "1"))
+            )
+        return rows
+
+    def __repr__(self) -> str:
+        rows = self._rows()
+        widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+        lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+        return "\n".join([*lines, f"warning: {self.warning}" if self.warning else "converged, no divergences"])
+
+    def _repr_html_(self) -> str:
+        head, *rows = self._rows()
+        cells = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
+        title = "".join(f"<th>{cell}</th>" for cell in head)
+        note = f"<p><b>warning:</b> {self.warning}</p>" if self.warning else ""
+        return f"<table><thead><tr>{title}</tr></thead><tbody>{cells}</tbody></table>{note}"
+
+
+def fit(posterior: Posterior, data: Data, *, starts: int, settings: Settings, key: PRNGKeyArray, units: dict[str, str]) -> Fit:
+    """Calibrate: MAP from several starts, then NUTS from its mode.
+
+    Arguments:
+        posterior: prior and likelihood of the study.
+        data: measured outputs.
+        starts: number of starts of the MAP.
+        settings: sizes of NUTS.
+        key: of the random numbers.
+        units: SI units of the parameters, for reports.
+    """
+    maximum = jax.jit(lambda data, starts: maximise(posterior, data, starts))(data, posterior.starts(starts))
+    chains = jax.jit(lambda *arguments: sample(posterior, *arguments, settings))(data, maximum, jnp.asarray(0.8), key)
+    return Fit(posterior, data, maximum, chains, convergence(chains), units)
+
+
+def summarise(names: tuple[str, ...], chains: Chains, judged: Convergence) -> dict[str, dict[str, float]]:
+    """Mean, sd, quantiles and diagnostics of each parameter's draws."""
+    draws = np.asarray(chains.theta).reshape(-1, len(names))
+    q05, q95 = np.quantile(draws, [0.05, 0.95], axis=0)
+    return {
+        name: {
+            "mean": float(draws[:, i].mean()),
+            "sd": float(draws[:, i].std(ddof=1)),
+            "q05": float(q05[i]),
+            "q95": float(q95[i]),
+            "ess_bulk": float(judged.ess_bulk[i]),
+            "rhat": float(judged.rhat[i]),
+        }
+        for i, name in enumerate(names)
+    }

@@ -1,0 +1,179 @@
+"""How every figure looks: size, fonts, colours, and the words and units on its axes.
+
+Colours are Okabe & Ito's, told apart by colour-blind readers; what is compared also differs in line style, so that a
+black-and-white print says the same.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from functools import wraps
+
+import matplotlib
+import matplotlib.style
+import numpy as np
+import numpy.typing as npt
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from hsed_jax.physics.bouc_wen import BoucWen
+from hsed_jax.physics.effects import EFFECTS
+from hsed_jax.physics.outputs import output
+from hsed_jax.physics.parameters import parameters_of
+
+WIDTH = 7.0
+"""Width of every figure [inch]: a page of text."""
+
+BLACK, DARK_GREY, GREY, BLUE, RED = "#000000", "#555555", "#a0a0a0", "#0072b2", "#d03a10"
+COLOUR_MAP = "viridis"
+
+MEASURED = {"color": BLACK, "linestyle": (0, (4, 1.6)), "linewidth": 1.1, "label": "measured (HS)", "zorder": 3}
+PREDICTED = {"color": BLUE, "linestyle": "-", "linewidth": 1.3, "label": "predicted (CS)", "zorder": 2}
+
+_RC = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib, so that a figure looks the same everywhere
+    "font.size": 9,
+    "axes.labelsize": 9,
+    "axes.titlesize": 9,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.formatter.limits": (-3, 4),
+    "axes.formatter.use_mathtext": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.color": "#e4e4e4",
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "legend.fontsize": 9,
+    "lines.markersize": 3.5,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "svg.fonttype": "none",  # text stays text: searchable, and read aloud by screen readers
+    "svg.hashsalt": "hsed_jax",  # the same figure is the same file
+}
+
+
+def in_house_style[**P, R](draw: Callable[P, R]) -> Callable[P, R]:
+    """Run a drawing function under the house style, whatever the user's matplotlib settings, and restore those."""
+
+    @wraps(draw)
+    def styled(*args: P.args, **kwargs: P.kwargs) -> R:
+        with matplotlib.style.context([_RC], after_reset=True):
+            return draw(*args, **kwargs)
+
+    return styled
+
+
+def new_figure(height: float) -> Figure:
+    """An empty figure [inch] that no global registry knows of, so that a batch of thousands leaks nothing."""
+    return Figure(figsize=(WIDTH, height), layout="constrained")
+
+
+def panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
+    """A figure of `count` panels, two in a row, each `height` inches high."""
+    rows = -(-count // 2)
+    figure = new_figure(height * rows + 0.2)
+    grid = list(figure.subplots(rows, min(count, 2), squeeze=False).flat)
+    for surplus in grid[count:]:
+        surplus.remove()
+    return figure, grid[:count]
+
+
+def panel_titles(panels: Iterable[Axes]) -> None:
+    """Letter the panels a), b), ... in reading order, unless there is but one."""
+    panels = list(panels)
+    for index, panel in enumerate(panels if len(panels) > 1 else []):
+        panel.set_title(f"{_letter(index)})", loc="left")
+
+
+def legend(figure: Figure, *panels: Axes) -> None:
+    """One legend above the panels, where it covers no data; an entry that several panels share stands once."""
+    entries: dict[str, Artist] = {}
+    for panel in panels:
+        handles, texts = panel.get_legend_handles_labels()
+        entries.update(zip(texts, handles, strict=True))
+    if entries:
+        figure.legend(list(entries.values()), list(entries), loc="outside upper center", ncols=len(entries))
+
+
+def whole_numbers(axis: Axis) -> None:
+    """Tick whole numbers only."""
+    axis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+
+
+def levels(values: np.ma.MaskedArray) -> np.ndarray:
+    """Round contour levels that enclose the values, also where they are all the same or there are none."""
+    low, high = (float(values.min()), float(values.max())) if values.count() else (0.0, 1.0)
+    if high - low <= 1e-9 * abs(high):
+        low, high = low - 0.05 * (abs(low) or 1.0), high + 0.05 * (abs(high) or 1.0)
+    return np.asarray(MaxNLocator(nbins=10, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
+
+
+def readable(unit: str, *values: npt.ArrayLike) -> tuple[float, str]:
+    """Divisor and unit that bring the largest of `values` between 1 and 1000: (1000.0, "kN") for 2.5e5 N.
+
+    Only units that take a prefix in this field change: those that begin with N, J or Pa, and m by itself.
+    """
+    peak = max((np.nanmax(np.abs(v), initial=0.0) for v in map(np.asarray, values) if np.isfinite(v).any()), default=0)
+    if peak == 0 or not re.match(r"(N|J|Pa)(?!\^)\b|m$", unit):
+        return 1.0, unit
+    prefixes = {1e6: "M", 1e3: "k", 1.0: "", 1e-3: "m", 1e-6: "µ"}
+    if unit == "m":
+        prefixes = {1.0: "", 1e-3: "m", 1e-6: "µ"}
+    divisor = next((d for d in prefixes if peak >= d), 1.0)
+    return divisor, prefixes[divisor] + unit
+
+
+def channel_label(name: str, unit: str) -> str:
+    """Axis label of a channel or quantity in a given unit: ``Force $r$ [kN]``."""
+    return f"{name.replace('_', ' ').capitalize()} ${output(name).symbol}$ [{unit_text(unit)}]"
+
+
+def label(name: str, unit: str) -> str:
+    """Axis label of an input or a parameter: ``$V_{P}$ [m/s]``."""
+    return f"{symbol(name)} [{unit_text(unit)}]"
+
+
+def symbol(name: str) -> str:
+    """The symbol that a parameter declares, in dollars; else a short name as it is set, V_P; else the name as words."""
+    effect, _, own = name.rpartition(".")
+    owner = EFFECTS.get(effect) if effect else BoucWen
+    declared = parameters_of(owner).get(own) if owner else None
+    if declared:
+        return f"${declared.symbol}$"
+    if match := re.fullmatch(r"([A-Za-z])(?:_([A-Za-z0-9]+))?", name):
+        stem, index = match.groups()
+        return f"${stem}_{{{index}}}$" if index else f"${stem}$"
+    return name.replace("_", " ").replace("$", r"\$")
+
+
+def unit_text(unit: str) -> str:
+    """A unit as it is set in print: ``m/s^2`` → m/s², no unit → –."""
+    if unit in ("1", "-", ""):
+        return "–"
+    raised = re.sub(r"\^\(([^)]*)\)|\^(-?\d+)", lambda m: f"$^{{{m[1] or m[2]}}}$", unit)
+    return raised.replace("*", "·")
+
+
+def lettered(names: Sequence[str]) -> str:
+    """The panels named in a caption: ``a) A, b) beta``."""
+    return ", ".join(f"{_letter(i)}) {name}" for i, name in enumerate(names)) if len(names) > 1 else "".join(names)
+
+
+def amount(value: float, unit: str = "1") -> str:
+    """A number with its unit in running text, where symbols cannot be set."""
+    if np.ma.is_masked(value) or not np.isfinite(value):
+        return "no value"
+    return f"{value:.3g}" if unit in ("1", "-", "") else f"{value:.3g} {unit}"
+
+
+def peak(values: npt.ArrayLike, unit: str = "1") -> str:
+    """The largest absolute value in running text."""
+    return amount(max(np.abs(np.asarray(values, dtype=float))[np.isfinite(values)].flat, default=np.nan), unit)
+
+
+def _letter(index: int) -> str:
+    """a … z, then aa, ab, ..."""
+    return (_letter(index // 26 - 1) if index >= 26 else "") + "abcdefghijklmnopqrstuvwxyz"[index % 26]

@@ -1,0 +1,106 @@
+"""The command line: `python -m hsed_jax.run STUDY.yaml` and the `hsed` sub-commands.  Parsing only.
+
+Exit status: 0 done; 1 a defect of ours; 2 the user's input is wrong; 3 stopped part-way, can be resumed.
+"""
+
+import argparse
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from hsed_jax.errors import UserError
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The `hsed` command."""
+    return _guarded(_parser(), arguments)
+
+
+def run_main(arguments: Sequence[str] | None = None) -> int:
+    """`python -m hsed_jax.run`: what `hsed run` does."""
+    parser = argparse.ArgumentParser(prog="python -m hsed_jax.run", description="Run the steps of a study.")
+    _add_run(parser)
+    return _guarded(parser, arguments)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="hsed",
+        description="Plan experiments, calibrate a structural model against them, find the physical effect it lacks.",
+    )
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    _add_run(commands.add_parser("run", help="run the steps of a study", description="Run the steps of a study."))
+    text = "validate a study and its data, run nothing"
+    check = commands.add_parser("check", help=text, description=text.capitalize() + ".")
+    check.add_argument("study", metavar="STUDY.yaml")
+    check.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="override a key by its dotted path")
+    check.set_defaults(command=_check)
+    return parser
+
+
+def _add_run(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("study", metavar="STUDY.yaml")
+    parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="override a key by its dotted path")
+    parser.add_argument("--output", metavar="DIR", help="run folder (default: runs/<study>)")
+    existing = parser.add_mutually_exclusive_group()
+    existing.add_argument("--resume", action="store_true", help="go on with the run in the folder")
+    existing.add_argument("--force", action="store_true", help="replace the run in the folder")
+    parser.add_argument("--check", action="store_true", help="validate, run nothing")
+    parser.set_defaults(command=_run)
+
+
+def _guarded(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> int:
+    options = parser.parse_intermixed_args(arguments) if parser.prog != "hsed" else parser.parse_args(arguments)
+    try:
+        return options.command(options)
+    except UserError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+
+
+def _check(options: Any) -> int:
+    from hsed_jax.config.build import Built
+    from hsed_jax.config.load import load_study
+
+    study = load_study(options.study, options.overrides)
+    Built(study, Path(options.study).parent).check()
+    print(f"{options.study}: the study is valid; its steps are {', '.join(study.steps)}")
+    return 0
+
+
+def _run(options: Any) -> int:
+    if options.check:
+        return _check(options)
+    from hsed_jax.config.load import load_study
+    from hsed_jax.workflow import Interrupted, Run
+
+    study = load_study(options.study, options.overrides)
+    output = Path(options.output) if options.output else Path("runs") / study.study
+    # A termination is an interruption like Ctrl-C: the run stops between two steps with all it has.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        run = Run(study, Path(options.study).parent, output, resume=options.resume, force=options.force)
+        _report(run(), run.fit, output)
+    except Interrupted as stop:
+        print(f"{stop}", file=sys.stderr)
+        return 3
+    return 0
+
+
+def _report(summary: dict[str, Any], fit: Any, output: Path) -> None:
+    """What a user sees at the end."""
+    print()
+    if fit is not None:
+        print(fit)
+    if "design" in summary:
+        improvement = summary["design"]["max_expected_improvement"]
+        count = len(summary["design"]["inputs"])
+        largest = f", max EI {max(improvement):.2e} at its largest and {improvement[-1]:.2e} at the end" if improvement else ""
+        print(f"{count} experiments{largest}; stopped by: {summary['design']['stop_reason']}")
+    print(f"results in {output}")
+
+
+if __name__ == "__main__":
+    sys.exit(run_main())

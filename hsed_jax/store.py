@@ -1,0 +1,200 @@
+"""The run folder: the only module that knows its layout.
+
+The journal is append-only and on the disk before anything relies on it, so that a run killed at any moment loses nothing that
+was measured.  Everything else in the folder can be made again from it.
+"""
+
+import fcntl
+import json
+import math
+import os
+import platform
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from hsed_jax.errors import UserError
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_PACKAGES = ("hsed_jax", "jax", "jaxlib", "diffrax", "optimistix", "numpyro", "tinygp", "numpy", "scipy")
+
+
+class RunFolder:
+    """A run folder that this process owns.
+
+    Arguments:
+        path: of the folder.
+        study: the study with every default written out.
+        resume: go on with what is there.
+        force: throw away what is there.
+
+    Raises:
+        UserError: the folder exists and neither was said, or it belongs to another study or another running process.
+    """
+
+    def __init__(self, path: str | Path, study: Mapping[str, Any], *, resume: bool = False, force: bool = False):
+        self.path = Path(path)
+        occupied = self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir()))
+        if occupied and not (self.path / "journal.jsonl").exists():
+            if not (self.path / "study.yaml").exists():
+                raise UserError(f"{self.path} exists and is no run folder; choose another --output")
+        elif resume and not occupied:
+            raise UserError(f"{self.path}: there is no run to resume; leave out --resume to start one")
+        if occupied and not (resume or force):
+            raise UserError(f"{self.path} holds a run already; say --resume to go on with it or --force to replace it")
+        self.path.mkdir(parents=True, exist_ok=True)
+        self._lock = self._locked()
+        if occupied and force:
+            self._clear()
+        written = self.path / "study.yaml"
+        if resume and written.exists():
+            self._agree(yaml.safe_load(written.read_text(encoding="utf-8")), dict(study))
+        else:
+            _replace(written, yaml.safe_dump(dict(study), sort_keys=False, allow_unicode=True))
+        self._provenance(study.get("seed"))
+
+    def close(self) -> None:
+        """Let another process have the folder."""
+        self._lock.close()
+
+    def record(self, event: str, **content: Any) -> None:
+        """Append an event to the journal and see it onto the disk."""
+        line = json.dumps({"event": event, **content}, allow_nan=False)
+        with self._journal.open("a", encoding="utf-8") as journal:
+            journal.write(line + "\n")
+            journal.flush()
+            os.fsync(journal.fileno())
+
+    def events(self) -> list[dict[str, Any]]:
+        """All events so far; a last line that a kill cut short is dropped from the file, too."""
+        if not self._journal.exists():
+            return []
+        text = self._journal.read_text(encoding="utf-8")
+        whole, _, rest = text.rpartition("\n")
+        if rest:
+            _replace(self._journal, whole + "\n" if whole else "")
+        return [json.loads(line) for line in whole.splitlines() if line]
+
+    def write_summary(self, summary: Mapping[str, Any]) -> None:
+        """Write `summary.json`: numbers are numbers, what is not finite is left out."""
+        text = json.dumps(_finite(summary), indent=2, ensure_ascii=False, allow_nan=False)
+        _replace(self.path / "summary.json", text + "\n")
+
+    def write_results(self, tree: "xr.DataTree") -> None:
+        """Write `results.nc`."""
+        unfinished = self.path / "results.nc.part"
+        tree.to_netcdf(unfinished, engine="h5netcdf")
+        unfinished.replace(self.path / "results.nc")
+
+    @property
+    def campaign(self) -> Path:
+        """Folder of the experiments."""
+        return self.path / "campaign"
+
+    @property
+    def figures(self) -> Path:
+        """Folder of the figures."""
+        return self.path / "figures"
+
+    def finish(self) -> None:
+        """Note when the run ended."""
+        path = self.path / "provenance.json"
+        content = json.loads(path.read_text(encoding="utf-8"))
+        content["sessions"][-1]["end"] = _now()
+        _replace(path, json.dumps(content, indent=2) + "\n")
+
+    @property
+    def _journal(self) -> Path:
+        return self.path / "journal.jsonl"
+
+    def _locked(self):
+        lock = (self.path / ".lock").open("w")
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.close()
+            raise UserError(f"{self.path} is in use by another running process; wait for it or choose another --output") from None
+        return lock
+
+    def _clear(self) -> None:
+        for item in self.path.iterdir():
+            if item.name == ".lock":
+                continue
+            shutil.rmtree(item) if item.is_dir() and not item.is_symlink() else item.unlink()
+
+    def _agree(self, before: Any, now: Any, path: str = "") -> None:
+        """Refuse to mix two studies in one folder; name the first key that differs."""
+        if isinstance(before, dict) and isinstance(now, dict):
+            for key in {**before, **now}:
+                self._agree(before.get(key), now.get(key), f"{path}.{key}".lstrip("."))
+        elif before != now:
+            raise UserError(
+                f"{self.path} holds a run of another study: {path} was {before!r} and is now {now!r}; "
+                "resume with the study it was started with, or choose another --output"
+            )
+
+    def _provenance(self, seed: Any) -> None:
+        path = self.path / "provenance.json"
+        sessions = json.loads(path.read_text(encoding="utf-8"))["sessions"] if path.exists() else []
+        content = {
+            "python": sys.version.split()[0],
+            "versions": {package: version(package) for package in _PACKAGES},
+            "git": _git_state(),
+            "seed": seed,
+            "machine": {
+                "platform": platform.platform(),
+                "processor": platform.processor() or platform.machine(),
+                "cores": os.cpu_count(),
+            },
+            "sessions": [*sessions, {"start": _now()}],
+        }
+        _replace(path, json.dumps(content, indent=2) + "\n")
+
+
+def _git_state() -> dict[str, Any] | None:
+    """Commit of the package's own checkout and whether it was changed; None where it is no checkout."""
+    here = Path(__file__).parent
+    if not (here.parent / ".git").exists():
+        return None
+
+    def git(*arguments: str) -> str:
+        return subprocess.run(["git", "-C", str(here), *arguments], capture_output=True, text=True, check=True).stdout.strip()
+
+    try:
+        return {"commit": git("rev-parse", "HEAD"), "modified": bool(git("status", "--porcelain"))}
+    except (OSError, subprocess.CalledProcessError):
+        return None
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        kept = {str(key): _finite(item) for key, item in value.items()}
+        return {key: item for key, item in kept.items() if item is not None}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a file so that a kill leaves either the old or the new one."""
+    unfinished = path.with_name(path.name + ".part")
+    with unfinished.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    unfinished.replace(path)
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")

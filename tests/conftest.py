@@ -1,0 +1,81 @@
+"""The paper's structure and simulator, the shared data, the reference table: what several test files use."""
+
+import hsed_jax  # isort: skip  # first: it sets what JAX must find in its environment
+
+from pathlib import Path
+
+import jax.numpy as jnp
+import pandas as pd
+import pytest
+
+from hsed_jax.physics.excitations import NearFaultPulse
+from hsed_jax.physics.scales import Scales
+from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator, Timeline
+from hsed_jax.physics.structures import ModalDamping, Spring, Structure
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The folder of shared data and the paper's reference values, beside the repository."""
+    if not SHARED.is_dir():
+        pytest.skip(f"there is no folder {SHARED}")
+    return SHARED
+
+
+@pytest.fixture(scope="session")
+def reference_table(shared) -> pd.DataFrame:
+    """600 independent simulations (DOP853, rtol 1e-12, events at the kinks), C formed with each row's own A."""
+    path = shared / "paper" / "reference_quantities.csv"
+    if not path.is_file():
+        pytest.skip(f"there is no file {path}")
+    return pd.read_csv(path).astype({"A": float, "beta": float})
+
+
+@pytest.fixture(scope="session")
+def paper_structure() -> Structure:
+    """Two masses, each on its spring to the ground, the specimen between them; 5 % damping, formed with A_ref."""
+    springs = (Spring((None, 0), 4e5), Spring((None, 1), 1e6))
+    return Structure((8e3, 9e3), springs, (0, 1), ModalDamping(0.05, specimen_stiffness=5e5))
+
+
+@pytest.fixture(scope="session")
+def paper_excitation() -> Parametrised:
+    """The near-fault pulse with the paper's inputs."""
+    return Parametrised(NearFaultPulse, (("V_P", "V_P"), ("T_P", "T_P")))
+
+
+@pytest.fixture(scope="session")
+def paper_simulator(paper_structure, paper_excitation):
+    """A factory: the paper's simulator (10 s, γ = 0, n = 1), with any field changed by keyword.
+
+    The characteristic energy is 1 J, so that `stiffness_degradation.delta` is the paper's η [1/J].
+    """
+
+    def make(**changes) -> Simulator:
+        fields = {
+            "structure": paper_structure,
+            "excitation": paper_excitation,
+            "timeline": Timeline(step=1 / 64, steps=640),
+            "constants": (("gamma", 0.0), ("n", 1.0)),
+            "scales": Scales(),
+        }
+        return Simulator(**{**fields, **changes})
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def pulse_conditions():
+    """A factory: conditions of an experiment, or of many, from V_P [m/s] and T_P [s]."""
+
+    def make(V_P, T_P) -> Conditions:
+        return Conditions({"V_P": jnp.asarray(V_P, float), "T_P": jnp.asarray(T_P, float)})
+
+    return make
+
+
+def pytest_report_header() -> str:
+    """Where the package under test lies."""
+    return f"hsed_jax: {Path(hsed_jax.__file__).parent}"
