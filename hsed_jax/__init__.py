@@ -1,5 +1,56 @@
 """Plan experiments, calibrate a structural model against them, find the physical effect it lacks."""
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from hsed_jax import backend
 
 backend.configure()
+
+if TYPE_CHECKING:
+    from hsed_jax.analysis import calibrate as calibrate
+    from hsed_jax.analysis import campaign_of as campaign_of
+    from hsed_jax.analysis import compare as compare
+    from hsed_jax.analysis import locate as locate
+    from hsed_jax.analysis import simulate as simulate
+    from hsed_jax.config.load import load_study as load_study
+    from hsed_jax.config.schema import Study as Study
+    from hsed_jax.errors import UserError as UserError
+    from hsed_jax.measurements import Campaign as Campaign
+    from hsed_jax.measurements import Experiment as Experiment
+    from hsed_jax.measurements import Record as Record
+    from hsed_jax.measurements import check_campaign as check_campaign
+    from hsed_jax.measurements import read_at2 as read_at2
+    from hsed_jax.measurements import read_campaign as read_campaign
+    from hsed_jax.measurements import write_campaign as write_campaign
+    from hsed_jax.workflow import run as run
+
+# Public names by the module they live in, imported when first used: `hsed --help` answers before JAX is loaded.
+_HOMES = {
+    "analysis": ("calibrate", "campaign_of", "compare", "locate", "simulate"),
+    "config.load": ("load_study",),
+    "config.schema": ("Study",),
+    "errors": ("UserError",),
+    "measurements": (
+        "Campaign",
+        "Experiment",
+        "Record",
+        "check_campaign",
+        "read_at2",
+        "read_campaign",
+        "write_campaign",
+    ),
+    "workflow": ("run",),
+}
+_HOME = {name: module for module, names in _HOMES.items() for name in names}
+__all__ = sorted(_HOME)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -37,6 +37,12 @@ def _parser() -> argparse.ArgumentParser:
     check.add_argument("study", metavar="STUDY.yaml")
     check.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="override a key by its dotted path")
     check.set_defaults(command=_check)
+    text = "write a ready study for a campaign of measurements"
+    init = commands.add_parser("init", help=text, description=text.capitalize() + ".")
+    init.add_argument("campaign", metavar="CAMPAIGN", help="folder of the campaign")
+    init.add_argument("--output", metavar="STUDY.yaml", help="where to (default: CAMPAIGN/study.yaml)")
+    init.add_argument("--force", action="store_true", help="replace a study that is there")
+    init.set_defaults(command=_init)
     return parser
 
 
@@ -63,9 +69,16 @@ def _guarded(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -
 def _check(options: Any) -> int:
     from hsed_jax.config.build import Built
     from hsed_jax.config.load import load_study
+    from hsed_jax.measurements import check_campaign
 
     study = load_study(options.study, options.overrides)
-    Built(study, Path(options.study).parent).check()
+    built = Built(study)
+    built.check()
+    findings = [] if built.measured is None else check_campaign(built.measured)
+    for finding in findings:
+        print(finding)
+    if any(finding.level == "error" for finding in findings):
+        raise UserError(f"{options.study}: the data have errors, listed above; nothing is repaired silently")
     print(f"{options.study}: the study is valid; its steps are {', '.join(study.steps)}")
     return 0
 
@@ -74,32 +87,61 @@ def _run(options: Any) -> int:
     if options.check:
         return _check(options)
     from hsed_jax.config.load import load_study
-    from hsed_jax.workflow import Interrupted, Run
+    from hsed_jax.workflow import Interrupted, run
 
     study = load_study(options.study, options.overrides)
-    output = Path(options.output) if options.output else Path("runs") / study.study
     # A termination is an interruption like Ctrl-C: the run stops between two steps with all it has.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    output = Path(options.output) if options.output else Path("runs") / study.study
     try:
-        run = Run(study, Path(options.study).parent, output, resume=options.resume, force=options.force)
-        _report(run(), run.fit, output)
+        done = run(study, output, resume=options.resume, force=options.force)
     except Interrupted as stop:
         print(f"{stop}", file=sys.stderr)
         return 3
+    _report(done, output)
     return 0
 
 
-def _report(summary: dict[str, Any], fit: Any, output: Path) -> None:
+def _report(done: Any, output: Path) -> None:
     """What a user sees at the end."""
     print()
-    if fit is not None:
-        print(fit)
-    if "design" in summary:
-        improvement = summary["design"]["max_expected_improvement"]
-        count = len(summary["design"]["inputs"])
-        largest = f", max EI {max(improvement):.2e} at its largest and {improvement[-1]:.2e} at the end" if improvement else ""
-        print(f"{count} experiments{largest}; stopped by: {summary['design']['stop_reason']}")
+    if done.calibration is not None:
+        print(done.calibration)
+    if done.steps:
+        improvement = [step["max_expected_improvement"] for step in done.steps]
+        print(
+            f"{len(done.campaign)} experiments, max EI {max(improvement):.2e} at its largest and {improvement[-1]:.2e} "
+            f"at the end; stopped by: {done.stop_reason}"
+        )
+    if done.comparison is not None:
+        print()
+        print(done.comparison)
+        for note in done.comparison.notes:
+            print(note)
+    if done.location is not None:
+        print()
+        print(done.location)
     print(f"results in {output}")
+
+
+def _init(options: Any) -> int:
+    from hsed_jax.config.initial import initial_study
+    from hsed_jax.measurements import check_campaign, read_campaign
+
+    folder = Path(options.campaign)
+    campaign = read_campaign(folder)
+    for finding in check_campaign(campaign):
+        print(finding)
+    output = Path(options.output) if options.output else folder / "study.yaml"
+    if output.exists() and not options.force:
+        raise UserError(f"{output} exists already; say --force to replace it or choose another --output")
+    text = initial_study(campaign, folder, output)
+    try:
+        output.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"{output}: cannot be written ({error.strerror}); choose another --output") from None
+    print(f"wrote {output}; run it with: hsed run {output}")
+    return 0
 
 
 if __name__ == "__main__":

@@ -43,46 +43,54 @@ class RunFolder:
 
     def __init__(self, path: str | Path, study: Mapping[str, Any], *, resume: bool = False, force: bool = False):
         self.path = Path(path)
-        occupied = self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir()))
+        occupied = self.path.exists() and (not self.path.is_dir() or any(map(_is_content, self.path.iterdir())))
         if occupied and not (self.path / "journal.jsonl").exists():
             if not (self.path / "study.yaml").exists():
                 raise UserError(f"{self.path} exists and is no run folder; choose another --output")
-        elif resume and not occupied:
+        elif resume and not self.path.exists():
             raise UserError(f"{self.path}: there is no run to resume; leave out --resume to start one")
         if occupied and not (resume or force):
             raise UserError(f"{self.path} holds a run already; say --resume to go on with it or --force to replace it")
-        self.path.mkdir(parents=True, exist_ok=True)
-        self._lock = self._locked()
-        if occupied and force:
-            self._clear()
-        written = self.path / "study.yaml"
-        if resume and written.exists():
-            self._agree(yaml.safe_load(written.read_text(encoding="utf-8")), dict(study))
-        else:
-            _replace(written, yaml.safe_dump(dict(study), sort_keys=False, allow_unicode=True))
-        self._provenance(study.get("seed"))
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            self._lock = self._locked()
+        except OSError as error:
+            raise UserError(f"{self.path} cannot be written to ({error.strerror}); choose another --output") from None
+        try:
+            if occupied and force:
+                self._clear()
+            written = self.path / "study.yaml"
+            if resume and written.exists():
+                self._agree(yaml.safe_load(written.read_text(encoding="utf-8")), dict(study))
+            else:
+                _replace(written, yaml.safe_dump(dict(study), sort_keys=False, allow_unicode=True))
+            self._provenance(study.get("seed"))
+        except BaseException:
+            # An exception that a notebook keeps would keep the lock, too.
+            self.close()
+            raise
 
     def close(self) -> None:
         """Let another process have the folder."""
         self._lock.close()
 
     def record(self, event: str, **content: Any) -> None:
-        """Append an event to the journal and see it onto the disk."""
-        line = json.dumps({"event": event, **content}, allow_nan=False)
+        """Append an event to the journal and see it onto the disk; a number that is not finite is written as null."""
+        line = json.dumps(_with_null({"event": event, **content}), allow_nan=False)
         with self._journal.open("a", encoding="utf-8") as journal:
             journal.write(line + "\n")
             journal.flush()
             os.fsync(journal.fileno())
 
     def events(self) -> list[dict[str, Any]]:
-        """All events so far; a last line that a kill cut short is dropped from the file, too."""
+        """All events so far, null read as NaN; a last line that a kill cut short is dropped from the file, too."""
         if not self._journal.exists():
             return []
         text = self._journal.read_text(encoding="utf-8")
         whole, _, rest = text.rpartition("\n")
         if rest:
             _replace(self._journal, whole + "\n" if whole else "")
-        return [json.loads(line) for line in whole.splitlines() if line]
+        return [_with_nan(json.loads(line)) for line in whole.splitlines() if line]
 
     def write_summary(self, summary: Mapping[str, Any]) -> None:
         """Write `summary.json`: numbers are numbers, what is not finite is left out."""
@@ -122,7 +130,9 @@ class RunFolder:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             lock.close()
-            raise UserError(f"{self.path} is in use by another running process; wait for it or choose another --output") from None
+            raise UserError(
+                f"{self.path} is in use by another running process; wait for it or choose another --output"
+            ) from None
         return lock
 
     def _clear(self) -> None:
@@ -167,7 +177,9 @@ def _git_state() -> dict[str, Any] | None:
         return None
 
     def git(*arguments: str) -> str:
-        return subprocess.run(["git", "-C", str(here), *arguments], capture_output=True, text=True, check=True).stdout.strip()
+        return subprocess.run(
+            ["git", "-C", str(here), *arguments], capture_output=True, text=True, check=True
+        ).stdout.strip()
 
     try:
         return {"commit": git("rev-parse", "HEAD"), "modified": bool(git("status", "--porcelain"))}
@@ -184,6 +196,27 @@ def _finite(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def _with_null(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _with_null(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_with_null(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _with_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _with_nan(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_with_nan(item) for item in value]
+    return math.nan if value is None else value
+
+
+def _is_content(path: Path) -> bool:
+    """Whether a file of a run folder holds anything: a run killed in its first moments leaves a lock and a draft."""
+    return path.name != ".lock" and path.suffix != ".part"
 
 
 def _replace(path: Path, text: str) -> None:

@@ -8,64 +8,84 @@ import jax
 import numpy as np
 from tqdm import tqdm
 
+from hsed_jax.analysis import CALIBRATION_KEY, Calibration, calibrate_built, compare, locate
 from hsed_jax.config.build import Built
 from hsed_jax.config.schema import Study
+from hsed_jax.criticism.compare import Comparison
+from hsed_jax.criticism.locate import Location
 from hsed_jax.design.sequential import DesignState
 from hsed_jax.errors import UserError
-from hsed_jax.inference.fit import Fit, fit, summarise
-from hsed_jax.inference.nuts import Settings
-from hsed_jax.laboratories.base import ExperimentFailed
-from hsed_jax.measurements import Campaign, Channel, Experiment, Noise, write_campaign, write_experiment
-from hsed_jax.physics.outputs import output
+from hsed_jax.inference.fit import fit, summarise
+from hsed_jax.laboratories.base import ExperimentFailed, Measured
+from hsed_jax.measurements import (
+    Campaign,
+    Experiment,
+    check_campaign,
+    read_campaign,
+    write_campaign,
+    write_experiment,
+)
 from hsed_jax.reporting.outcome import Outcome, summary
 from hsed_jax.store import RunFolder
-
-# Keys of the random numbers: of the design's step i it is fold_in(root, i); the final calibration has its own.
-_CALIBRATION = 1_000_000
 
 
 class Interrupted(Exception):
     """The run stopped part-way and can be resumed; the message says where."""
 
 
-class Run:
-    """A study being run in a folder.
+def run(
+    study: Study,
+    output: str | Path | None = None,
+    *,
+    resume: bool = False,
+    force: bool = False,
+    progress: bool = True,
+) -> "Run":
+    """Run the steps of a study, as the command line does.
 
     Arguments:
         study: what to run.
-        folder: of the study file, which its relative paths start from.
-        output: the run folder.
-        resume, force: what to do about a run that is there already.
+        output: the run folder; by default `runs/<study>`.
+        resume: go on with the run in the folder.
+        force: replace the run in the folder.
         progress: show a progress bar.
+
+    Raises:
+        UserError: the study or the folder is wrong.
+        Interrupted: the user stopped it; it can be resumed.
+    """
+    started = Run(study, output or Path("runs") / study.study, resume=resume, force=force, progress=progress)
+    started()
+    return started
+
+
+class Run:
+    """A study being run in a folder; see `run`.
+
+    Attributes:
+        campaign: the experiments so far.
+        steps: what each step of the design found, as in the journal.
+        calibration, comparison, location: results of the steps that ran.
     """
 
-    def __init__(
-        self,
-        study: Study,
-        folder: Path,
-        output: str | Path,
-        *,
-        resume: bool = False,
-        force: bool = False,
-        progress: bool = True,
-    ):
+    def __init__(self, study: Study, output: str | Path, *, resume: bool, force: bool, progress: bool):
         self.study = study
-        self.built = Built(study, folder)
+        self.built = Built(study)
         self.built.check()
+        if self.built.measured is not None:
+            stop_at_errors(self.built.measured)
         self.store = RunFolder(output, study.written(), resume=resume, force=force)
         self.progress = progress
         self.state: DesignState | None = None
-        self.fit: Fit | None = None
+        self.campaign = self.built.empty_campaign() if self.built.measured is None else self.built.measured
         self.steps: list[dict[str, Any]] = []
         self.stop_reason = "iterations"
-        self.campaign = self._empty_campaign()
+        self.calibration: Calibration | None = None
+        self.comparison: Comparison | None = None
+        self.location: Location | None = None
 
     def __call__(self) -> dict[str, Any]:
-        """Run the steps of the study; returns the content of `summary.json`.
-
-        Raises:
-            Interrupted: the user stopped it.
-        """
+        """Run the steps; returns the content of `summary.json`."""
         from hsed_jax.reporting.results import results_tree
         from hsed_jax.reporting.run_figures import draw
 
@@ -82,10 +102,31 @@ class Run:
             self.store.write_summary(summary(self.outcome("interrupted")))
             raise Interrupted(
                 f"stopped after {len(self.steps)} of {self.study.design.iterations} steps of the design; "
-                f"nothing is lost: say --resume to go on"
+                "nothing is lost: say --resume to go on"
             ) from None
         finally:
             self.store.close()
+
+    def outcome(self, status: str) -> Outcome:
+        """What the run has come to."""
+        return Outcome(
+            study=self.study.study,
+            status=status,
+            posterior=self.built.posterior,
+            simulator=self.built.simulator,
+            laboratory=self.built.laboratory if self.study.experiments.virtual is not None else None,
+            units=self.built.units,
+            campaign=self.campaign,
+            space=self.built.space,
+            design=self.built.design if self.state is not None else None,
+            initial=self.study.design.initial,
+            state=self.state,
+            steps=self.steps,
+            stop_reason=self.stop_reason if status == "complete" else status,
+            fit=None if self.calibration is None else self.calibration.fit,
+            comparison=self.comparison,
+            location=self.location,
+        )
 
     # The design: Steps 1 to 8 of the paper.
 
@@ -97,17 +138,19 @@ class Run:
         initial = design.space.initial_design(entry.initial)
         for number in range(self.state.count, entry.initial):
             self._perform(number, initial[number])
-        bar = tqdm(total=entry.iterations, initial=len(self.steps), disable=not self.progress, unit="step", desc="design")
+        bar = tqdm(
+            total=entry.iterations, initial=len(self.steps), disable=not self.progress, unit="step", desc="design"
+        )
         with bar:
-            while len(self.steps) < entry.iterations and not self._finished():
+            while planned is not None or (len(self.steps) < entry.iterations and not self._finished()):
                 if planned is None:
                     planned = self._step(root)
                     bar.set_postfix_str(self._postfix())
+                    bar.update()
                 self._perform(self.state.count, planned)
                 planned = None
-                bar.update()
-                if self._finished():
-                    self.stop_reason = "tolerance"
+        if self._finished():
+            self.stop_reason = "tolerance"
 
     def _step(self, root) -> np.ndarray:
         assert self.state is not None
@@ -139,47 +182,60 @@ class Run:
 
     def _perform(self, number: int, cube: np.ndarray) -> None:
         """Ask the laboratory for one experiment, and keep what comes before anything else happens."""
-        assert self.state is not None
-        design = self.built.design
-        declared = design.space.declared(np.asarray(cube)[None])
-        inputs = dict(zip(design.space.names, declared[0].tolist(), strict=True))
+        space = self.built.space
+        declared = space.declared(np.asarray(cube)[None])
+        inputs = dict(zip(space.names, declared[0].tolist(), strict=True))
         name = f"E{number + 1:02d}"
-        self.store.record("asked", experiment=name, inputs=inputs, cube=np.asarray(cube).tolist())
+        about: dict[str, Any] = {"experiment": name, "inputs": inputs, "cube": np.asarray(cube).tolist()}
+        self.store.record("asked", **about)
         try:
-            measured = self.built.laboratory.perform(number, {k: float(v[0]) for k, v in design.space.si(declared).items()})
-            event = {"experiment": name, "quantities": measured.quantities}
-            self.store.record("performed", **event, cube=np.asarray(cube).tolist(), inputs=inputs)
-            self._take(name, np.asarray(cube), inputs, measured.quantities, None)
+            si = {k: float(v[0]) for k, v in space.si(declared).items()}
+            measured = self.built.laboratory.perform(number, si)
         except ExperimentFailed as failure:
-            self.store.record("failed", experiment=name, cube=np.asarray(cube).tolist(), inputs=inputs, reason=str(failure))
-            self._take(name, np.asarray(cube), inputs, {}, str(failure))
+            self._take(about, Measured({}), str(failure))
+            write_experiment(self.campaign, name, self.store.campaign)
+            self.store.record("failed", **about, reason=str(failure))
+            return
+        self._take(about, measured, None)
+        # The record is on the disk before the journal says that it is.
         write_experiment(self.campaign, name, self.store.campaign)
+        self.store.record("performed", **about, quantities=measured.quantities)
 
-    def _take(
-        self, name: str, cube: np.ndarray, inputs: dict[str, float], quantities: dict[str, float], failure: str | None
-    ) -> None:
+    def _take(self, about: dict[str, Any], measured: Measured, failure: str | None) -> None:
         assert self.state is not None
-        outputs = [quantities.get(q, np.nan) for q in self.study.quantities]
-        self.state = self.built.design.tell(self.state, cube.tolist(), outputs)
-        si = {k: v * self.built.space.factors[k] for k, v in inputs.items()}
-        status = "completed" if failure is None else "failed"
-        self.campaign = self.campaign.add(Experiment(name, si, quantities=quantities, status=status, reason=failure))
+        si = {name: value * self.built.space.factors[name] for name, value in about["inputs"].items()}
+        experiment = Experiment(
+            about["experiment"],
+            si,
+            record=measured.record,
+            quantities=measured.quantities,
+            status="completed" if failure is None else "failed",
+            reason=failure,
+        )
+        self.campaign = self.campaign.add(experiment)
+        outputs = np.full(self.built.observation.groups.size, np.nan)
+        if failure is None:
+            # As the campaign holds it: what is read back from its files is the same to the last bit.
+            outputs = self.built.observation.measured(self.campaign[experiment.id])
+        self.state = self.built.design.tell(self.state, about["cube"], outputs.tolist())
 
     def _replay(self) -> np.ndarray | None:
         """Go through the journal; returns an input that was chosen and not yet performed."""
         assert self.state is not None
         planned = None
-        for event in self.store.events():
+        events = self.store.events()
+        held = any(event["event"] == "performed" for event in events) and self.study.observe == "histories"
+        records = read_campaign(self.store.campaign) if held else None
+        for event in events:
             if event["event"] == "step":
                 self.steps.append({k: v for k, v in event.items() if k != "event"})
-                carried = event["state"]
-                s = self.state
+                carried, s = event["state"], self.state
                 theta = np.asarray(carried["theta"])
                 self.state = DesignState(s.cube, s.conditions, s.outputs, s.count, theta, carried["step_size"])
                 planned = np.asarray(event["cube"])
             elif event["event"] in ("performed", "failed"):
-                found = event.get("quantities", {})
-                self._take(event["experiment"], np.asarray(event["cube"]), event["inputs"], found, event.get("reason"))
+                record = records[event["experiment"]].record if records is not None else None
+                self._take(event, Measured(event.get("quantities", {}), record), event.get("reason"))
                 planned = None
         if len(self.campaign):
             write_campaign(self.campaign, self.store.campaign)
@@ -194,49 +250,43 @@ class Run:
         estimates = ", ".join(f"{name} {value:.4g}" for name, value in step["map"].items())
         return f"max EI {step['max_expected_improvement']:.2e}, {estimates}"
 
-    # The calibration on all that has been measured.
+    # What is made of the experiments.
 
     def _calibrate(self) -> None:
-        sizes = self.study.calibration
         if self.state is None:
-            raise UserError("steps: calibrate needs experiments; put design before it")
-        self.fit = fit(
+            if self.built.measured is None:
+                self.campaign = self.built.perform()
+            write_campaign(self.campaign, self.store.campaign)
+            self.calibration = calibrate_built(self.built, self.campaign)
+            return
+        study = self.study
+        found = fit(
             self.built.posterior,
             self.built.design.data(self.state),
-            starts=sizes.starts,
-            settings=Settings(sizes.chains, sizes.warmup, sizes.draws, sizes.target_acceptance),
-            key=jax.random.fold_in(jax.random.key(self.study.seed), _CALIBRATION),
+            starts=study.calibration.starts,
+            settings=self.built.settings,
+            key=jax.random.fold_in(jax.random.key(study.seed), CALIBRATION_KEY),
             units=self.built.units,
+            correlated=study.observe == "histories" and study.correlated_errors,
+            find=self.built.design.maximise,
         )
+        self.calibration = Calibration(self.built, self.campaign, found)
 
-    # What is left in the folder.
+    def _compare(self) -> None:
+        if self.calibration is None:
+            raise UserError("steps: compare needs a calibrated model; put calibrate before it")
+        self.comparison = compare(self.calibration)
+        self.location = locate(self.calibration)
 
-    def outcome(self, status: str) -> Outcome:
-        """What the run has come to."""
-        built = self.built
-        return Outcome(
-            self.study.study,
-            status,
-            built.posterior,
-            built.simulator,
-            built.laboratory,
-            built.units,
-            built.design,
-            self.study.design.initial,
-            self.state,
-            self.steps,
-            self.stop_reason if status == "complete" else status,
-            self.fit,
-        )
 
-    def _empty_campaign(self) -> Campaign:
-        declared = self.built.laboratory.noise
-        channels = {}
-        for name in self.study.quantities:
-            noise = declared.get(name)
-            of_channel = None
-            if noise is not None:
-                of_channel = Noise(relative=noise.size) if noise.relative else Noise(absolute=noise.size)
-            channels[name] = Channel(name, output(name).unit, noise=of_channel)
-        units = dict(self.built.space.units)
-        return Campaign(self.study.study, "ground_motion", inputs=units, quantities=channels)
+def stop_at_errors(campaign: Campaign) -> None:
+    """Refuse a campaign whose data have errors.
+
+    Raises:
+        UserError: names the first and says how many there are.
+    """
+    errors = [finding for finding in check_campaign(campaign) if finding.level == "error"]
+    if errors:
+        more = f" (and {len(errors) - 1} more: hsed check lists them)" if len(errors) > 1 else ""
+        where = campaign.source or campaign.name
+        raise UserError(f"{where}: {str(errors[0]).removeprefix('error: ')}{more}")

@@ -1,10 +1,12 @@
 """Responses against independent solutions: exact linear dynamics, balance of energy, tight references, closed forms."""
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import cumulative_simpson, quad
+from scipy.interpolate import CubicSpline
 from scipy.linalg import expm
 from scipy.optimize import brentq
 from scipy.signal import lsim
@@ -18,10 +20,6 @@ from hsed_jax.physics.simulator import Conditions, Recorded, Simulator, Timeline
 from hsed_jax.physics.structures import ModalDamping, Spring, Structure
 
 NAMES = ("peak_force", "peak_elongation", "dissipated_energy")
-TOLERANCE_LINEAR = 1e-9
-TOLERANCE_BALANCE = 1e-10
-TOLERANCE_LOOP = 1e-9
-TOLERANCE_LOOP_PEAK = 1e-9
 
 
 def state_space(structure: Structure, specimen_stiffness: float):
@@ -35,7 +33,7 @@ def state_space(structure: Structure, specimen_stiffness: float):
 
 
 def linear_pulse_response(A, b, times, V_P, T_P, gamma=2.0, nu=0.1):
-    """Exact response to the pulse: its four harmonics ride along as rotors, and the matrix exponential does the rest."""
+    """Exact response to the pulse: its four harmonics ride along as rotors in one matrix exponential."""
     c, e = 2 * np.pi / T_P, 2 * np.pi / (gamma * T_P)
     offset = V_P * (np.sin(nu + gamma * np.pi) - np.sin(nu - gamma * np.pi)) / (4 * np.pi * (1 - gamma**2)) / gamma
     half = gamma * T_P / 2
@@ -57,10 +55,7 @@ def linear_pulse_response(A, b, times, V_P, T_P, gamma=2.0, nu=0.1):
         y[s], y[s + 1] = np.sin(phase - omega * half), np.cos(phase - omega * half)
     at_end = (expm(whole * gamma * T_P) @ y)[:size]
     return np.array(
-        [
-            (expm(whole * t) @ y)[:size] if t <= gamma * T_P else expm(A * (t - gamma * T_P)) @ at_end
-            for t in times
-        ]
+        [(expm(whole * t) @ y)[:size] if t <= gamma * T_P else expm(A * (t - gamma * T_P)) @ at_end for t in times]
     )
 
 
@@ -77,7 +72,8 @@ STRUCTURES = {
         ModalDamping((0.02, 0.05, 0.1), 5e5),
     ),
 }
-STEPS = 1000
+STEP, STEPS = 0.0025, 4000
+WITHIN_RK4 = 1e-7  # of the largest value; measured 3e-8 for the pulse, 7e-8 for El Centro
 
 
 @pytest.fixture(scope="session", params=STRUCTURES)
@@ -87,7 +83,7 @@ def elastic(request):
     simulator = Simulator(
         structure,
         None,
-        Timeline(0.01, STEPS),
+        Timeline(STEP, STEPS),
         constants=(("A", 5e5), ("beta", 0.0), ("gamma", 0.0), ("n", 1.0)),
     )
     channels = ("elongation", "elongation_rate", "force", "energy")
@@ -109,44 +105,46 @@ def on_half_steps(pulse: NearFaultPulse, step_length) -> np.ndarray:
 
 def test_elastic_specimen_gives_the_exact_linear_response_to_a_pulse(elastic):
     structure, program = elastic
-    h = np.full(STEPS, 0.01)
+    h = np.full(STEPS, STEP)
     response = program(on_half_steps(NearFaultPulse(2.25, 1.0), h), h)
-    exact = linear_pulse_response(*state_space(structure, 5e5), np.arange(0, STEPS + 1, 10) * 0.01, 2.25, 1.0)
+    exact = linear_pulse_response(*state_space(structure, 5e5), np.linspace(0, 10, 101), 2.25, 1.0)
     n = len(structure.masses)
     for name, part in (("elongation", exact[:, :n]), ("elongation_rate", exact[:, n:])):
         expected = np.array([structure.elongation(list(row)) for row in part])
-        error = np.abs(response.channels[name][::10] - expected).max() / np.abs(expected).max()
-        assert error < TOLERANCE_LINEAR
+        error = np.abs(response.channels[name][::40] - expected).max() / np.abs(expected).max()
+        assert error < WITHIN_RK4
     np.testing.assert_allclose(response.channels["force"], 5e5 * response.channels["elongation"], rtol=0, atol=1e-7)
     # An elastic specimen stores ½ A Δu² and dissipates nothing.
     stored = 0.5 * 5e5 * np.asarray(response.channels["elongation"]) ** 2
-    np.testing.assert_allclose(response.channels["energy"], stored, rtol=0, atol=TOLERANCE_LINEAR * stored.max())
+    np.testing.assert_allclose(response.channels["energy"], stored, rtol=0, atol=WITHIN_RK4 * stored.max())
 
 
 def test_elastic_specimen_gives_the_exact_linear_response_to_a_record(elastic, shared):
     structure, program = elastic
     dt, acceleration = read_at2(shared / "data" / "ground_motions" / "elCentro.AT2")
-    a = np.interp(np.arange(STEPS + 1) * 0.01, np.arange(acceleration.size) * dt, acceleration)
+    a = np.interp(np.arange(STEPS + 1) * STEP, np.arange(acceleration.size) * dt, acceleration)
     samples = np.interp(np.arange(2 * STEPS + 1) / 2, np.arange(STEPS + 1), a)
-    response = program(samples, np.full(STEPS, 0.01))
+    response = program(samples, np.full(STEPS, STEP))
     A, b = state_space(structure, 5e5)
     n = len(structure.masses)
     # lsim is exact for an input that is linear between its samples
-    _, u, _ = lsim((A, b[:, None], np.eye(2 * n), np.zeros((2 * n, 1))), a, np.arange(STEPS + 1) * 0.01)
+    _, u, _ = lsim((A, b[:, None], np.eye(2 * n), np.zeros((2 * n, 1))), a, np.arange(STEPS + 1) * STEP)
     expected = np.array([structure.elongation(list(row)) for row in u[:, :n]])
-    assert np.abs(response.channels["elongation"] - expected).max() / np.abs(expected).max() < TOLERANCE_LINEAR
+    error = np.abs(response.channels["elongation"] - expected).max() / np.abs(expected).max()
+    assert error < WITHIN_RK4
 
 
 def test_method_is_of_fourth_order(elastic):
     structure, program = elastic
-    A, b = state_space(structure, 5e5)
-    exact = structure.elongation(list(linear_pulse_response(A, b, [5.0], 2.25, 1.0)[0, : len(structure.masses)]))
+    exact = linear_pulse_response(*state_space(structure, 5e5), np.linspace(0, 10, 101), 2.25, 1.0)
+    expected = np.array([structure.elongation(list(row)) for row in exact[:, : len(structure.masses)]])
     errors = []
-    for steps in (250, 500, 1000):
-        h = np.where(np.arange(STEPS) < steps, 5.0 / steps, 0.0)  # what is left over is padding
-        errors.append(abs(program(on_half_steps(NearFaultPulse(2.25, 1.0), h), h).channels["elongation"][-1] - exact))
+    for steps in (1000, 2000, 4000):
+        h = np.where(np.arange(STEPS) < steps, 10 / steps, 0.0)  # what is left over is padding
+        response = program(on_half_steps(NearFaultPulse(2.25, 1.0), h), h)
+        errors.append(np.abs(response.channels["elongation"][: steps + 1 : steps // 100] - expected).max())
     orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
-    np.testing.assert_allclose(orders, 4, atol=0.25)
+    np.testing.assert_allclose(orders, 4, atol=0.03)  # measured 3.985 … 3.999
 
 
 # --- balance of energy -------------------------------------------------------------------------------------------
@@ -170,7 +168,7 @@ def test_work_of_the_ground_is_kinetic_strain_damping_and_specimen_energy(paper_
     supplied = work(-np.ones(2) @ M @ v * h["ground_acceleration"])
     kept = 0.5 * np.einsum("it,ij,jt->t", v, M, v) + 0.5 * np.einsum("it,ij,jt->t", u, K, u)
     burnt = work(np.einsum("it,ij,jt->t", v, C, v)) + h["energy"]
-    assert np.abs(supplied - kept - burnt).max() / np.abs(supplied).max() < TOLERANCE_BALANCE
+    assert np.abs(supplied - kept - burnt).max() / np.abs(supplied).max() < 2e-8  # measured 5.8e-9
 
 
 # --- the paper's reference ---------------------------------------------------------------------------------------
@@ -240,8 +238,12 @@ def test_hysteretic_quantities_converge_faster_than_third_order(errors):
 
 def test_settled_digits_of_the_notes(hysteretic):
     values, _ = hysteretic[0.005][1](np.array([[2.25, 1.0, 5e5, 1.0, 2e-5], [2.25, 1.0, 5e5, 1.0, 0.0]]))
-    np.testing.assert_allclose(values[0], [1.17436e5, 0.303626, 2.07345e4], rtol=5e-6)  # half of the sixth digit
-    np.testing.assert_allclose(values[1, :2], [1.25475e5, 0.25382], rtol=[5e-6, 3e-5])
+    values = np.asarray(values)
+    # Half a unit of the last digit printed, and what the step of 5 ms adds (measured: 0.28 N, 0.53 µm, 0.022 J off).
+    assert (np.abs(values[0] - [1.17436e5, 0.303626, 2.07345e4]) < [0.6, 1.5e-6, 0.1]).all(), values[0]
+    # Without degradation, the DOP853 of the reference table at this x; notes.md (RK4, OpenSees) prints 5e-5 less.
+    np.testing.assert_allclose(values[1], [125480.67709, 0.2538289004, 20736.80085], rtol=5e-6)
+    np.testing.assert_allclose(values[1, :2], [1.25475e5, 0.25382], rtol=6e-5)
 
 
 def test_reference_depends_on_what_damping_is_formed_with(paper_simulator, pulse_conditions):
@@ -259,9 +261,7 @@ def test_reference_depends_on_what_damping_is_formed_with(paper_simulator, pulse
 ROWS = np.array([[1.5 + 0.3 * i, 0.6 + 0.2 * i, 4e5 + 5e4 * i, 0.7 + 0.2 * i, 1e-5 * i] for i in range(5)])
 
 
-@pytest.mark.parametrize(
-    ("column", "value"), [(2, np.nan), (3, np.nan), (2, 1e12), (0, np.inf), (2, -1e6)], ids=str
-)
+@pytest.mark.parametrize(("column", "value"), [(2, np.nan), (3, np.nan), (2, 1e12), (0, np.inf), (4, np.nan)], ids=str)
 def test_one_diverging_experiment_is_flagged_and_leaves_the_others_bit_identical(hysteretic, column, value):
     _, program = hysteretic[1 / 64]
     good, ok = program(ROWS)
@@ -326,10 +326,12 @@ def test_histories_start_at_zero_and_agree_with_the_continuous_peaks(paper_simul
     names = (*names, "acceleration_2_absolute", "ground_acceleration")
     parameters = {"A": 5e5, "beta": 1.0}
     timeline = Timeline(0.0025, 4000)
-    full, thin, none = (
-        jax.jit(lambda c, s=paper_simulator(timeline=t), n=n: s.respond(parameters, c, n))(pulse_conditions(2.25, 1.0))
-        for t, n in ((timeline, names), (timeline._replace(every=40), names), (timeline, ()))
-    )
+
+    def respond(timeline, names):
+        simulator = paper_simulator(timeline=timeline)
+        return jax.jit(lambda c: simulator.respond(parameters, c, names))(pulse_conditions(2.25, 1.0))
+
+    full, thin, none = respond(timeline, names), respond(timeline._replace(every=40), names), respond(timeline, ())
     assert none.channels == {}
     assert {name: values.shape for name, values in full.channels.items()} == dict.fromkeys(names, (4001,))
     assert {name: values.shape for name, values in thin.channels.items()} == dict.fromkeys(names, (101,))
@@ -344,10 +346,10 @@ def test_histories_start_at_zero_and_agree_with_the_continuous_peaks(paper_simul
         assert full.quantities[name] == pytest.approx(float(none.quantities[name]), rel=1e-12)
     h = {name: np.asarray(values) for name, values in full.channels.items()}
     assert h["energy"][-1] == full.quantities["dissipated_energy"]
-    # A peak between samples is at most ½ ü (h/2)² above the highest sample; the force peaks in a kink, first order in h.
-    for name, gap in (("elongation", 1e-5), ("force", 1e-4)):
-        excess = float(full.quantities[f"peak_{name}"]) / np.abs(h[name]).max() - 1
-        assert 0 <= excess < gap
+    # Between samples an elongation rises by at most ½ max|Δü| (h/2)², and a force by 2A times that.
+    above = 0.5 * np.abs(np.gradient(h["elongation_rate"], 0.0025)).max() * (0.0025 / 2) ** 2
+    for name, bound in (("elongation", above), ("force", 2 * 5e5 * above)):
+        assert 0 <= float(full.quantities[f"peak_{name}"]) - np.abs(h[name]).max() < bound
     np.testing.assert_allclose(
         h["acceleration_2_absolute"], h["acceleration_2"] + h["ground_acceleration"], rtol=0, atol=1e-12
     )
@@ -388,9 +390,10 @@ def test_uneven_steps_agree_with_even_ones(on_record):
     uneven *= 10 / uneven.sum()
     a, b = (on_record(on_half_steps(PULSE, h), h) for h in (even, uneven))
     for name in NAMES:
-        assert b.quantities[name] == pytest.approx(float(a.quantities[name]), rel=1e-4)
-    fine = np.interp(np.cumsum(uneven), np.cumsum(even), a.channels["elongation"][1:])
-    np.testing.assert_allclose(b.channels["elongation"][1:], fine, rtol=0, atol=3e-3 * np.abs(fine).max())
+        assert b.quantities[name] == pytest.approx(float(a.quantities[name]), rel=5e-5)  # measured 1.9e-5
+    between = CubicSpline(np.linspace(0, 10, 641), a.channels["elongation"])(np.cumsum(uneven))
+    error = np.abs(b.channels["elongation"][1:] - between).max() / np.abs(between).max()
+    assert error < 1e-4  # measured 4e-5
 
 
 def test_padded_steps_of_length_zero_change_nothing(on_record):
@@ -407,9 +410,7 @@ def test_padded_steps_of_length_zero_change_nothing(on_record):
     paused = on_record(on_half_steps(PULSE, lengths), lengths)
     kept = np.concatenate([[True], lengths > 0])
     for name, values in paused.channels.items():
-        np.testing.assert_allclose(
-            values[kept], padded.channels[name][:601], rtol=0, atol=1e-12 * np.abs(values).max()
-        )
+        np.testing.assert_allclose(values[kept], padded.channels[name][:601], rtol=0, atol=1e-12 * np.abs(values).max())
     for name in NAMES:
         assert paused.quantities[name] == pytest.approx(float(padded.quantities[name]), rel=1e-12)
 
@@ -456,12 +457,12 @@ def steady_loop(A, beta, gamma, n, amplitude):
     """Peak force and energy per cycle of the steady loop, from quadrature of du = dz/(A − (±β + γ)|z|ⁿ)."""
 
     def span(peak, weight):
-        below, _ = quad(lambda z: z**weight / (A - (gamma - beta) * z**n), 0, peak, epsabs=0, epsrel=1e-12)
-        above, _ = quad(lambda z: z**weight / (A - (gamma + beta) * z**n), 0, peak, epsabs=0, epsrel=1e-12)
+        below, _ = quad(lambda z: z**weight / (A - (gamma - beta) * z**n), 0, peak, epsabs=0, epsrel=1e-11)
+        above, _ = quad(lambda z: z**weight / (A - (gamma + beta) * z**n), 0, peak, epsabs=0, epsrel=1e-11)
         return below, above
 
     ultimate = (A / (beta + gamma)) ** (1 / n)
-    peak = brentq(lambda z: sum(span(z, 0)) - 2 * amplitude, 1e-3 * ultimate, ultimate * (1 - 1e-9), xtol=1e-6)
+    peak = brentq(lambda z: sum(span(z, 0)) - 2 * amplitude, 1e-3 * ultimate, ultimate * 0.9999, xtol=1e-7)
     below, above = span(peak, 1)
     return peak, 2 * (above - below)
 
@@ -477,9 +478,10 @@ def test_steady_loop_has_the_energy_and_the_peak_of_quadrature(driven, law):
     peak, energy = steady_loop(*law, amplitude)
     e = np.asarray(response.channels["energy"])
     per_cycle = DRIVEN_STEPS // cycles
-    assert e[-1] - e[-1 - per_cycle] == pytest.approx(energy, rel=TOLERANCE_LOOP)
+    # 250 steps a cycle, reversals in the middle of a step; measured 7e-6, and 4e-5 for the highest *sample*.
+    assert e[-1] - e[-1 - per_cycle] == pytest.approx(energy, rel=1.5e-5)
     last = np.abs(response.channels["force"][-1 - per_cycle :]).max()
-    assert last == pytest.approx(peak, rel=TOLERANCE_LOOP_PEAK)
+    assert last == pytest.approx(peak, rel=6e-5)
 
 
 def test_force_does_not_depend_on_the_rate(driven):
@@ -495,8 +497,6 @@ def test_force_does_not_depend_on_the_rate(driven):
 
 
 def test_a_given_adjoint_changes_no_value(paper_simulator):
-    import diffrax
-
     system = paper_simulator().system({"A": 5e5, "beta": 1.0})
     forcing = PULSE.forcing(1 / 64, 640)
     plain = integrate(system, forcing, 1 / 64, 640)

@@ -106,7 +106,7 @@ def test_a_structure_that_only_the_specimen_holds_has_an_undamped_rigid_mode(mas
     np.testing.assert_allclose(C.sum(axis=1), 0, atol=1e-12 * np.abs(C).max())  # a rigid motion meets no resistance
     # Each remaining mode has its 5 %: C M⁻¹ C = (2ζ)² K.
     np.testing.assert_allclose(
-        C @ np.diag(1 / np.array(masses)) @ C, 0.01 * np.asarray(structure.stiffness_matrix()), atol=1e-7 * 1e6
+        C @ np.diag(1 / np.array(masses)) @ C, 0.01 * np.asarray(structure.stiffness_matrix()), atol=0.1
     )
     slope = jax.jacfwd(lambda k: Structure(masses, springs, (None, 0), ModalDamping(0.05, k)).damping_matrix())(0.0)
     assert np.isfinite(slope).all()

@@ -1,159 +1,234 @@
 """From what a user said to the objects that compute: no `None` reaches the numerics."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
-from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
+from hsed_jax.config import parts
 from hsed_jax.config.schema import ErrorEntry, Study
 from hsed_jax.design.sequential import SequentialDesign
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
+from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.nuts import Settings
+from hsed_jax.inference.observation import Grid, Histories, Observation, Quantities, assemble
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.predict import predictor
 from hsed_jax.inference.priors import Prior
-from hsed_jax.laboratories.virtual import Noise, VirtualLaboratory
-from hsed_jax.measurements import parse_unit, read_at2
-from hsed_jax.physics.bouc_wen import BoucWen
-from hsed_jax.physics.effects import EFFECTS
-from hsed_jax.physics.excitations import NearFaultPulse, RecordedMotion
-from hsed_jax.physics.parameters import Parameter, parameters_of
+from hsed_jax.laboratories.virtual import VirtualLaboratory
+from hsed_jax.measurements import (
+    Campaign,
+    Channel,
+    Characteristics,
+    Experiment,
+    Noise,
+    characteristics,
+    parse_unit,
+    read_campaign,
+)
+from hsed_jax.physics.outputs import output
 from hsed_jax.physics.scales import Scales
-from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator, Timeline
-from hsed_jax.physics.structures import ModalDamping, RayleighDamping, Spring, Structure
+from hsed_jax.physics.simulator import Parametrised, Simulator, Timeline
+from hsed_jax.physics.structures import Structure
 
 # The integration resolves the shortest period with this many steps; peaks are then good to 1e-4 (tests/test_response.py).
 STEPS_PER_PERIOD = 24
-UNKNOWN_ERROR = Prior("half_normal", 0.3)
+# A step of an imposed elongation is at most this share of the yield elongation.
+STEP_PER_YIELD = 0.2
+_MOST_STEPS_PER_SAMPLE = 20
+_VIRTUAL_SAMPLES = 400
+_IMPOSED = ("time", "ground_acceleration")
 
 
 @dataclass(frozen=True)
 class Built:
-    """Everything a study needs to run."""
+    """Everything a study needs to run; each part is built when it is first asked for.
+
+    Attributes:
+        study: what the user said.
+        campaign: measured experiments; by default the campaign that the study names.
+    """
 
     study: Study
-    folder: Path
+    campaign: Campaign | None = None
+
+    @cached_property
+    def measured(self) -> Campaign | None:
+        """The campaign of measurements, where the study has one."""
+        path = self.study.experiments.campaign
+        if self.campaign is not None or path is None:
+            return self.campaign
+        return read_campaign(self.study.folder / path)
+
+    @property
+    def component_test(self) -> bool:
+        """Whether the elongation was imposed on the specimen alone."""
+        return self.measured is not None and self.measured.protocol == "displacement"
 
     @cached_property
     def space(self) -> InputSpace:
         """The variable inputs."""
-        units = {name: _at(f"inputs.{name}.unit", parse_unit, entry.unit) for name, entry in self.study.inputs.items()}
+        units = {name: parts.at(f"inputs.{name}.unit", parse_unit, e.unit) for name, e in self.study.inputs.items()}
         return InputSpace(
-            {name: _prior(f"inputs.{name}", entry.prior) for name, entry in self.study.inputs.items()},
+            {name: parts.prior(f"inputs.{name}", entry.prior) for name, entry in self.study.inputs.items()},
             {name: entry.unit for name, entry in self.study.inputs.items()},
             {name: float(unit.to_si(1.0)) for name, unit in units.items()},
         )
 
     @cached_property
     def structure(self) -> Structure | None:
-        """The numerical substructure."""
-        entry = self.study.structure
-        if entry is None:
+        """The numerical substructure; None for a component test."""
+        if self.component_test:
             return None
-        stiffness = entry.damping.specimen_stiffness
-        reference = 1.0 if stiffness == "model" else float(stiffness)
-        if entry.damping.rayleigh is not None:
-            damping = RayleighDamping(entry.damping.rayleigh.alpha, entry.damping.rayleigh.beta, reference)
-        else:
-            damping = ModalDamping(jnp.asarray(entry.damping.modal), reference)
-        springs = [Spring(_ends(s.between), s.stiffness) for s in entry.springs]
-        try:
-            return Structure(entry.masses, springs, _ends(entry.specimen.between), damping)
-        except ValueError as error:
-            raise UserError(f"structure: {error}") from None
+        if self.study.structure is None:
+            raise UserError(
+                "structure: this key is required, unless the elongation was imposed (protocol: displacement)"
+            )
+        return parts.structure(self.study.structure)
 
     @cached_property
     def parameters(self) -> tuple[dict[str, Prior], dict[str, float]]:
         """Free parameters of the model with their priors, and the fixed ones with their values."""
-        model = self.study.model
-        given: dict[str, Any] = {}
-        _check_names("model.parameters", model.parameters, _law_parameters())
-        for name, known in _law_parameters().items():
-            if name in model.parameters:
-                given[name] = (known, model.parameters[name])
-            elif known.neutral is None:
-                raise UserError(f"model.parameters.{name}: this key is required ({known.meaning}, {known.unit})")
-        for effect, entries in model.effects.items():
-            forms = _effect_parameters("model.effects", effect, entries)
-            named = {forms[name].name for name in entries}
-            for name, entry in entries.items():
-                given[f"{effect}.{name}"] = (forms[name], entry)
-            for known in parameters_of(EFFECTS[effect]).values():
-                if known.name not in named:
-                    assert known.prior is not None
-                    given[f"{effect}.{known.name}"] = (known, dict(known.prior))
-        free, fixed = {}, {}
-        for name, (known, entry) in given.items():
-            effect, _, rest = name.rpartition(".")
-            where = f"model.effects.{effect}.{rest}" if effect else f"model.parameters.{name}"
-            if isinstance(entry, dict):
-                free[name] = _prior(where, entry)
-            else:
-                fixed[name] = _within(where, float(entry), known)
-        if not free:
-            raise UserError("model.parameters: at least one parameter needs a prior, such as A: {uniform: [2.0e5, 9.0e5]}")
-        return free, fixed
+        return parts.model_parameters(self.study.model)
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """SI unit of every free parameter."""
+        free, fixed = self.parameters
+        return parts.parameter_units(tuple(free), fixed)
+
+    @cached_property
+    def excitation(self) -> Parametrised | None:
+        """From inputs to a ground motion; None where every experiment brings its record."""
+        return parts.excitation(self.study.excitation, self.study.inputs, self.study.folder)
+
+    @cached_property
+    def characteristics(self) -> Characteristics | None:
+        """Characteristic values of the measured campaign."""
+        return None if self.measured is None else characteristics(self.measured)
+
+    @cached_property
+    def scales(self) -> Scales:
+        """Characteristic values for the effects: as given, else from the campaign, else 1 (SI)."""
+        if self.study.scales is not None:
+            return Scales(**self.study.scales.model_dump())
+        if self.characteristics is None:
+            return Scales()
+        found = self.characteristics[:4]
+        return Scales(*(value if math.isfinite(value) and value > 0 else 1.0 for value in found))
+
+    @cached_property
+    def grid(self) -> Grid | None:
+        """Samples and steps per sample of the measured records; None where there are none."""
+        records = [] if self.measured is None else [e.record for e in self.measured.completed if e.record is not None]
+        if not records:
+            return None
+        samples = max(len(record) for record in records)
+        if self.component_test:
+            assert self.characteristics is not None
+            longest = max(
+                float(np.max(np.abs(np.diff(r["elongation"])), initial=0.0))
+                for r in records
+                if "elongation" in r.channels
+            )
+            yielding = self.characteristics.force / self.characteristics.stiffness
+            needed = longest / (STEP_PER_YIELD * yielding) if math.isfinite(yielding) else 1.0
+        else:
+            longest = max(float(np.max(np.diff(record.time), initial=0.0)) for record in records)
+            needed = longest * STEPS_PER_PERIOD / self._shortest_period()
+        return Grid(samples, min(max(math.ceil(needed - 1e-9), 1), _MOST_STEPS_PER_SAMPLE))
 
     @cached_property
     def timeline(self) -> Timeline:
         """The grid of the integration."""
+        if self.grid is not None:
+            return Timeline(0.0, self.grid.every * (self.grid.samples - 1), self.grid.every)
         entry = self.study.excitation
-        if entry is None:
-            raise UserError("excitation: this key is required, unless the campaign brings its records")
-        duration = entry.duration if entry.duration is not None else self._record_duration()
+        if entry is None or self.excitation is None:
+            raise UserError("excitation: give near_fault_pulse or recorded, since no record is measured")
+        if entry.duration is None:
+            duration = float(parts.recorded_motion(entry, self.study.folder)[0][-1])
+        else:
+            duration = entry.duration
         step = entry.step if entry.step is not None else self._shortest_period() / STEPS_PER_PERIOD
         if step > duration:
             raise UserError(f"excitation.step: {step:g} s is longer than the duration, {duration:g} s")
         steps = math.ceil(duration / step - 1e-9)
-        return Timeline(duration / steps, steps)
+        every = 1
+        if self.study.observe == "histories":
+            every = max(1, round(steps / _VIRTUAL_SAMPLES))
+            steps = every * math.ceil(steps / every)
+        return Timeline(duration / steps, steps, every)
 
     @cached_property
     def simulator(self) -> Simulator:
         """The computational simulator."""
-        _, fixed = self.parameters
-        return self._simulator(tuple(self.study.model.effects), fixed)
+        return self._simulator(tuple(self.study.model.effects), tuple(self.parameters[1].items()))
 
     @cached_property
     def laboratory(self) -> VirtualLaboratory:
         """Where experiments are performed."""
         entry = self.study.experiments.virtual
-        assert entry is not None
-        _check_names("experiments.virtual.parameters", entry.parameters, _law_parameters())
-        truth = {
-            name: _within(f"experiments.virtual.parameters.{name}", value, _law_parameters()[name])
-            for name, value in entry.parameters.items()
-        }
-        for name, known in _law_parameters().items():
-            if known.neutral is None and name not in truth:
-                raise UserError(f"experiments.virtual.parameters.{name}: this key is required ({known.meaning})")
-        for effect, values in entry.effects.items():
-            forms = _effect_parameters("experiments.virtual.effects", effect, values)
-            for name, value in values.items():
-                truth[f"{effect}.{name}"] = _within(f"experiments.virtual.effects.{effect}.{name}", value, forms[name])
-        noise = {}
-        for name, error in _per_output("experiments.virtual.noise", entry.noise, self.study.quantities).items():
-            if error.unknown:
-                raise UserError(f"experiments.virtual.noise: the noise of {name} must be a number: relative or absolute")
-            relative = error.relative is not None
-            noise[name] = Noise(float(error.relative if relative else error.absolute or 0.0), relative)
-        simulator = self._simulator(tuple(entry.effects), {})
-        return VirtualLaboratory(simulator, truth, tuple(self.study.quantities), noise, self.study.seed)
+        if entry is None:
+            raise UserError("experiments: the step design needs a laboratory, such as virtual, to perform what it asks")
+        return VirtualLaboratory(
+            self._simulator(tuple(entry.effects), ()),
+            parts.true_parameters(entry),
+            tuple(self.study.quantities),
+            self.outputs if self.study.observe == "histories" else (),
+            parts.true_noise(entry, list(self.outputs)),
+            self.study.seed,
+        )
+
+    @cached_property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the observed quantities or channels."""
+        if self.study.observe == "quantities":
+            return tuple(self.study.quantities)
+        if self.measured is None:
+            names = tuple(self.study.channels or ("elongation", "force"))
+            known = None
+        else:
+            imposed = (*_IMPOSED, "elongation") if self.component_test else _IMPOSED
+            known = tuple(name for name in self.measured.channels if name not in imposed)
+            names = tuple(self.study.channels or known)
+        for name in names:
+            try:
+                output(name)
+            except KeyError:
+                raise UserError(
+                    f"channels: there is no channel {name!r}, such as force, elongation, velocity_1"
+                ) from None
+            if known is not None and name not in known:
+                raise UserError(f"channels: {name} was not measured; measured are {', '.join(known) or 'none'}")
+        if not names:
+            raise UserError(
+                "observe: there is no measured channel to compare with; the campaign has only what was imposed"
+            )
+        return names
+
+    @cached_property
+    def observation(self) -> Observation:
+        """What is compared with the model."""
+        if self.study.observe == "quantities":
+            return Quantities(self.outputs, self.grid, self.excitation)
+        samples = self.timeline.steps // self.timeline.every + 1
+        return Histories(self.outputs, samples, self.grid, self.excitation)
 
     @cached_property
     def errors(self) -> tuple[list[float | Prior], np.ndarray]:
-        """Per quantity: the error s, a number or a prior; and whether it is relative."""
-        given = _per_output("error", self.study.error, self.study.quantities)
+        """Per output: the error s, a number or a prior; and whether it is relative."""
+        given = parts.per_output("error", self.study.error, list(self.outputs))
         errors: list[float | Prior] = []
         relative = []
-        for name in self.study.quantities:
-            entry = given.get(name, ErrorEntry(unknown=True))
-            errors.append(UNKNOWN_ERROR if entry.unknown else float(entry.relative or entry.absolute or 0.0))
+        for name in self.outputs:
+            entry = given.get(name) or self._declared_error(name)
+            # Of a history the model may miss as much as there is; a quantity off by half is already a poor model.
+            unknown = Prior("half_normal", 0.3 if self.study.observe == "quantities" else 1.0)
+            errors.append(unknown if entry.unknown else float(entry.relative or entry.absolute or 0.0))
             relative.append(entry.absolute is None)
         return errors, np.asarray(relative)
 
@@ -161,13 +236,19 @@ class Built:
     def posterior(self) -> Posterior:
         """The posterior of the study."""
         free, _ = self.parameters
-        names, quantities, simulator = tuple(free), tuple(self.study.quantities), self.simulator
+        names, respond = tuple(free), self.observation.respond(self.simulator)
+        predict = predictor(lambda theta, conditions: respond(dict(zip(names, theta, strict=True)), conditions))
+        return Posterior(predict, free, self.errors[0], self.outputs, self.observation.groups)
 
-        def respond(theta, conditions):
-            parameters = dict(zip(names, theta, strict=True))
-            return simulator.quantities(parameters, conditions, quantities)
+    def data(self, campaign: Campaign, experiments: Sequence[Experiment]) -> Data:
+        """Experiments of a campaign as data."""
+        return assemble(self.observation, campaign, experiments, self.errors[1])
 
-        return Posterior(predictor(respond), free, self.errors[0], quantities)
+    @property
+    def settings(self) -> Settings:
+        """Sizes of NUTS for a calibration."""
+        sizes = self.study.calibration
+        return Settings(sizes.chains, sizes.warmup, sizes.draws, sizes.target_acceptance)
 
     @cached_property
     def design(self) -> SequentialDesign:
@@ -177,7 +258,7 @@ class Built:
             posterior=self.posterior,
             space=self.space,
             size=entry.initial + entry.iterations,
-            relative=self.errors[1],
+            relative=self.errors[1][self.observation.groups],
             settings=Settings(sizes.chains, sizes.step_warmup, sizes.step_draws, sizes.target_acceptance),
             starts=sizes.starts,
             candidates=entry.candidates,
@@ -187,17 +268,35 @@ class Built:
             seed=self.study.seed,
         )
 
-    @property
-    def units(self) -> dict[str, str]:
-        """SI unit of every parameter that is estimated."""
-        known = _law_parameters()
-        units = {name: known[name].unit if name in known else "1" for name in self.posterior.model_names}
-        for name in self.posterior.model_names:
-            effect, _, rest = name.rpartition(".")
-            for parameter in parameters_of(EFFECTS[effect]).values() if effect else ():
-                if parameter.physical is not None and parameter.physical.name == rest:
-                    units[name] = parameter.physical.unit
-        return units
+    def perform(self) -> Campaign:
+        """The virtual laboratory's experiments at the initial design, and those for testing."""
+        entry = self.study.experiments.virtual
+        assert entry is not None
+        campaign, train = self.empty_campaign(), self.study.design.initial
+        declared = self.space.declared(self.space.initial_design(train + entry.test))
+        for number, inputs in enumerate(declared):
+            si = {name: float(values[0]) for name, values in self.space.si(inputs[None]).items()}
+            measured = self.laboratory.perform(number, si)
+            split = "train" if number < train else "test"
+            name = f"E{number + 1:02d}"
+            campaign = campaign.add(
+                Experiment(name, si, record=measured.record, quantities=measured.quantities, split=split)
+            )
+        return campaign
+
+    def empty_campaign(self) -> Campaign:
+        """The campaign that the laboratory fills."""
+        noise = {
+            n: Noise(relative=e.size) if e.relative else Noise(absolute=e.size)
+            for n, e in self.laboratory.noise.items()
+        }
+        named = {name: Channel(name, output(name).unit, noise=noise.get(name)) for name in self.outputs}
+        if self.study.observe == "quantities":
+            return Campaign(self.study.study, "ground_motion", inputs=dict(self.space.units), quantities=named)
+        channels = {name: Channel(name, unit) for name, unit in (("time", "s"), ("ground_acceleration", "m/s^2"))}
+        return Campaign(
+            self.study.study, "ground_motion", inputs=dict(self.space.units), channels={**channels, **named}
+        )
 
     def check(self) -> None:
         """Build everything that can be wrong, and compute nothing.
@@ -205,55 +304,51 @@ class Built:
         Raises:
             UserError: something is.
         """
-        if not self.study.inputs:
-            raise UserError("inputs: a design needs at least one input, such as V_P: {uniform: [1.5, 3.0], unit: m/s}")
-        for part in ("space", "structure", "parameters", "timeline", "simulator", "laboratory", "errors"):
+        needed = ["space", "structure", "parameters", "excitation", "outputs", "timeline", "simulator", "errors"]
+        if self.study.experiments.virtual is not None or "design" in self.study.steps:
+            if not self.study.inputs:
+                raise UserError(
+                    "inputs: a design needs at least one input, such as V_P: {uniform: [1.5, 3.0], unit: m/s}"
+                )
+            needed.append("laboratory")
+            self._check_trend()
+            self._check_candidates()
+        for part in needed:
             getattr(self, part)
 
-    def _simulator(self, effects: tuple[str, ...], constants: Mapping[str, float]) -> Simulator:
-        entry = self.study.structure
-        if entry is None:
-            raise UserError("structure: this key is required, unless the elongation was imposed (a component test)")
-        return Simulator(
-            self.structure,
-            self._excitation(),
-            self.timeline,
-            effects,
-            Scales(),
-            tuple(constants.items()),
-            entry.damping.specimen_stiffness == "model",
-        )
+    def _check_trend(self) -> None:
+        entry, d = self.study.design, len(self.study.inputs)
+        needed = {"constant": 1, "linear": 1 + d, "quadratic": (d + 1) * (d + 2) // 2}[entry.kriging.trend] + 1
+        if "design" in self.study.steps and entry.initial < needed:
+            raise UserError(
+                f"design.initial: a {entry.kriging.trend} trend in {d} inputs needs at least {needed} experiments, but it is {entry.initial}"
+            )
 
-    def _excitation(self):
-        entry = self.study.excitation
-        if entry is None or (entry.near_fault_pulse is None and entry.recorded is None):
-            raise UserError("excitation: give near_fault_pulse or recorded")
-        if entry.near_fault_pulse is not None:
-            arguments = entry.near_fault_pulse.model_dump()
-            constructor: Any = NearFaultPulse
-        else:
-            motion, scale = self._motion(), entry.recorded.scale if entry.recorded else 1.0
-            arguments = {"scale": scale}
+    def _check_candidates(self) -> None:
+        entry = self.study.design
+        if entry.candidates < entry.initial + entry.iterations:
+            raise UserError(
+                f"design.candidates: {entry.candidates} are too few to choose {entry.iterations} experiments from"
+            )
 
-            def constructor(scale):
-                return RecordedMotion(motion.time, scale * motion.ground_acceleration)
+    def _declared_error(self, name: str) -> ErrorEntry:
+        """The noise that the campaign declares, and where it declares none, inferred."""
+        if self.measured is None:
+            entry = self.study.experiments.virtual
+            declared = parts.per_output("experiments.virtual.noise", entry.noise, list(self.outputs)) if entry else {}
+            return declared.get(name, ErrorEntry(unknown=True))
+        channels = self.measured.quantities if self.study.observe == "quantities" else self.measured.channels
+        noise = channels[name].noise if name in channels else None
+        if noise is None or not (noise.absolute or noise.relative):
+            return ErrorEntry(unknown=True)
+        return ErrorEntry(absolute=noise.absolute, relative=noise.relative)
 
-        for name, value in arguments.items():
-            if isinstance(value, str) and value not in self.study.inputs:
-                known = ", ".join(self.study.inputs) or "none"
-                raise UserError(f"excitation: {name} refers to {value!r}, which is no input; inputs are {known}")
-        return Parametrised(constructor, tuple(arguments.items()))
-
-    def _motion(self) -> RecordedMotion:
-        assert self.study.excitation is not None and self.study.excitation.recorded is not None
-        step, acceleration = read_at2(self.folder / self.study.excitation.recorded.file)
-        return RecordedMotion(step * np.arange(len(acceleration)), acceleration)
-
-    def _record_duration(self) -> float:
-        return float(self._motion().time[-1])
+    def _simulator(self, effects: tuple[str, ...], constants: tuple[tuple[str, float], ...]) -> Simulator:
+        follows = self.study.structure is not None and self.study.structure.damping.specimen_stiffness == "model"
+        return Simulator(self.structure, self.excitation, self.timeline, effects, self.scales, constants, follows)
 
     def _shortest_period(self) -> float:
-        """Of the structure with the specimen at the upper end of its stiffness, and of the pulse."""
+        """Of the structure with the specimen at the upper end of its stiffness, and of the pulse [s]."""
         free, fixed = self.parameters
         stiffest = fixed["A"] if "A" in fixed else float(free["A"].quantile(0.999))
         assert self.structure is not None
@@ -267,60 +362,3 @@ class Built:
             if not isinstance(shortest, str):
                 periods.append(shortest)
         return min(periods)
-
-
-def _law_parameters() -> dict[str, Parameter]:
-    return parameters_of(BoucWen)
-
-
-def _effect_parameters(where: str, effect: str, entries: Mapping[str, Any]) -> dict[str, Parameter]:
-    """Parameters of an effect under both their names, the dimensionless and the physical one."""
-    if effect not in EFFECTS:
-        raise UserError(f"{where}.{effect}: there is no such effect; the catalogue has {', '.join(EFFECTS)}")
-    known = parameters_of(EFFECTS[effect])
-    forms = {**known, **{p.physical.name: p for p in known.values() if p.physical is not None}}
-    _check_names(f"{where}.{effect}", entries, forms)
-    return forms
-
-
-def _check_names(where: str, given: Mapping[str, Any], known: Mapping[str, Any]) -> None:
-    for name in given:
-        if name not in known:
-            raise UserError(f"{where}.{name}: there is no such parameter; allowed here are {', '.join(known)}")
-
-
-def _within(where: str, value: float, known: Parameter) -> float:
-    if not known.lower <= value <= known.upper:
-        raise UserError(f"{where}: {value:g} is outside what is possible, {known.lower:g} to {known.upper:g} {known.unit}")
-    return value
-
-
-def _per_output(
-    where: str, entry: ErrorEntry | dict[str, ErrorEntry] | None, outputs: list[str]
-) -> dict[str, ErrorEntry]:
-    if entry is None:
-        return {}
-    if isinstance(entry, ErrorEntry):
-        return dict.fromkeys(outputs, entry)
-    for name in entry:
-        if name not in outputs:
-            raise UserError(f"{where}.{name}: this is not observed; observed are {', '.join(outputs)}")
-    return dict(entry)
-
-
-def _prior(where: str, entry: Mapping[str, Any]) -> Prior:
-    ((name, arguments),) = entry.items()
-    return _at(where, Prior, str(name), arguments)
-
-
-def _at[T](where: str, make: Any, *arguments: Any) -> T:
-    """Call, and put the place in front of what is wrong."""
-    try:
-        return make(*arguments)
-    except UserError as error:
-        raise UserError(f"{where}: {error}") from None
-
-
-def _ends(between: tuple[Any, Any]) -> tuple[int | None, int | None]:
-    first, second = (None if end == "ground" else int(end) - 1 for end in between)
-    return first, second

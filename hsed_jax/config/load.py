@@ -1,14 +1,15 @@
 """Reading a study: YAML, overrides by dotted path, and one clear message for what is wrong."""
 
 import difflib
-from collections.abc import Sequence
+import re
+from collections.abc import Hashable, Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from hsed_jax.config.schema import Study
+from hsed_jax.config.schema import TAGS, Study
 from hsed_jax.errors import UserError
 
 
@@ -19,6 +20,8 @@ class _Loader(yaml.SafeLoader):
         seen = set()
         for key, _ in node.value:
             name = self.construct_object(key, deep=True)
+            if not isinstance(name, Hashable):
+                raise yaml.YAMLError(f"line {key.start_mark.line + 1}: a key must be a word, not a list or a mapping")
             if name in seen:
                 raise yaml.YAMLError(f"line {key.start_mark.line + 1}: the key {name!r} stands twice")
             seen.add(name)
@@ -31,7 +34,7 @@ _Loader.yaml_implicit_resolvers = {
 }
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
-    __import__("re").compile(r"^[-+]?(\d+\.?\d*([eE][-+]?\d+)?|\.\d+([eE][-+]?\d+)?|\.(inf|nan))$"),
+    re.compile(r"^[-+]?(\d+\.?\d*([eE][-+]?\d+)?|\.\d+([eE][-+]?\d+)?|\.(inf|nan))$"),
     list("-+0123456789."),
 )
 
@@ -53,15 +56,22 @@ def load_study(source: str | Path | dict[str, Any], overrides: Sequence[str] = (
         where = str(source)
         if not path.is_file():
             raise UserError(f"{where}: there is no such file")
-        content = parse_yaml(path.read_text(encoding="utf-8"), where)
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise UserError(f"{where}: cannot be read as text in UTF-8 ({error})") from None
+        content = parse_yaml(text, where)
     if not isinstance(content, dict):
         raise UserError(f"{where}: a study is a mapping of keys such as study, model, experiments")
     for override in overrides:
         content = _override(content, override)
     try:
-        return Study.model_validate(content)
+        study = Study.model_validate(content)
     except ValidationError as error:
         raise UserError(f"{where}: {explain(error, Study)}") from None
+    if not isinstance(source, dict):
+        study._folder = Path(source).parent
+    return study
 
 
 def parse_yaml(text: str, where: str) -> Any:
@@ -69,7 +79,12 @@ def parse_yaml(text: str, where: str) -> Any:
     try:
         return yaml.load(text, _Loader)
     except yaml.YAMLError as error:
-        raise UserError(f"{where}: not valid YAML: {' '.join(str(error).split())}") from None
+        place = getattr(error, "problem_mark", None)
+        if place is None:
+            raise UserError(f"{where}: not valid YAML: {' '.join(str(error).split())}") from None
+        problem = getattr(error, "problem", None) or "it cannot be read"
+        line = f"line {place.line + 1}, column {place.column + 1}"
+        raise UserError(f"{where}: not valid YAML: {line}: {problem}") from None
 
 
 def _override(content: dict[str, Any], override: str) -> dict[str, Any]:
@@ -96,7 +111,9 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
     """The first fault of a validation in one sentence: key, fault, what is allowed."""
     faults = error.errors(include_url=False)
     # Of the branches of a union, the one that got furthest says most.
-    fault = max(faults, key=lambda f: (len([k for k in f["loc"] if f["type"] != "float_type"]), f["type"] == "extra_forbidden"))
+    fault = max(
+        faults, key=lambda f: (len([k for k in f["loc"] if f["type"] != "float_type"]), f["type"] == "extra_forbidden")
+    )
     keys = [str(k) for k in fault["loc"] if not _is_branch(str(k))]
     path = ".".join(keys) or "study"
     given = fault["input"]
@@ -107,18 +124,59 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
         return f"{path}: there is no such key{hint}; allowed here are {', '.join(allowed)}"
     if fault["type"] == "missing":
         return f"{path}: this key is required"
-    message = fault["msg"].removeprefix("Value error, ")
-    message = message[0].lower() + message[1:]
-    shown = repr(given) if not isinstance(given, dict | list) or len(repr(given)) < 60 else "what is given"
     if fault["type"] == "value_error":
-        return f"{path}: {message}"
-    return f"{path}: {message}, but it is {shown}"
+        message = fault["msg"].removeprefix("Value error, ")
+        return f"{path}: {message[0].lower()}{message[1:]}"
+    shown = repr(given) if not isinstance(given, dict | list) or len(repr(given)) < 60 else "something else"
+    first, *others = dict.fromkeys(_wanted(f) for f in faults if _same_place(f, fault))
+    wanted = " or ".join([first, *(other.removeprefix("this must be ") for other in others)])
+    return f"{path}: {wanted}, but it is {shown}"
+
+
+_WANTED = {
+    "float_type": "this must be a number",
+    "float_parsing": "this must be a number",
+    "int_type": "this must be a whole number",
+    "int_parsing": "this must be a whole number",
+    "int_from_float": "this must be a whole number",
+    "string_type": "this must be a text",
+    "list_type": "this must be a list, such as [1.0, 2.0]",
+    "tuple_type": "this must be a list, such as [ground, 1]",
+    "dict_type": "this must be a mapping of keys to values",
+    "model_type": "this must be a mapping of keys to values",
+    "finite_number": "this must be a finite number",
+    "too_long": "there are too many values here",
+}
+
+
+def _wanted(fault: Any) -> str:
+    """What a value must be, in the words of a study rather than of the validator."""
+    kind, context = fault["type"], fault.get("ctx", {})
+    if kind in _WANTED:
+        return _WANTED[kind]
+    if kind == "literal_error":
+        return f"this must be {context['expected']}"
+    if kind == "too_short":
+        return "this must not be empty" if context["min_length"] == 1 else f"this needs {context['min_length']} values"
+    if kind == "string_pattern_mismatch":
+        return "this must be made of letters, digits, blanks, dots, dashes and underscores"
+    message = fault["msg"].removeprefix("Input should be ")
+    return f"this must be {message[0].lower()}{message[1:]}"
+
+
+def _same_place(one: Any, other: Any) -> bool:
+    """Whether two faults concern the same key of the user's: branches of a union that were all tried in vain."""
+    keys = [[str(k) for k in f["loc"] if not _is_branch(str(k))] for f in (one, other)]
+    return keys[0] == keys[1]
 
 
 def _is_branch(key: str) -> bool:
     """Whether a part of an error's location names a branch of a union and not a key of the user's."""
-    return key in ("float", "int", "str", "list[float]", "constrained-float") or any(c in key for c in "[(") or (
-        key[:1].isupper() and key.endswith("Entry")
+    return (
+        key
+        in ("float", "int", "str", "list[float]", "constrained-float", "literal['ground']", "literal['model']", *TAGS)
+        or any(c in key for c in "[(")
+        or (key[:1].isupper() and key.endswith("Entry"))
     )
 
 

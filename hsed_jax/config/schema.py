@@ -1,13 +1,25 @@
 """What a user may say in a study: names, types, defaults.  Nothing is computed here."""
 
-from typing import Annotated, Any, Literal, Self
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    PrivateAttr,
+    Tag,
+    field_validator,
+    model_validator,
+)
 
 from hsed_jax.physics.outputs import QUANTITIES
 
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
+Ratio = Annotated[float, Field(ge=0, lt=1)]
 End = int | Literal["ground"]
 Value = float | str
 """A number, or the name of an input."""
@@ -42,12 +54,12 @@ class Rayleigh(Section):
 class Damping(Section):
     """Modal or Rayleigh damping; the specimen counts with `specimen_stiffness` [N/m], or with the model's own A (`model`)."""
 
-    modal: float | list[float] | None = None
+    modal: Ratio | list[Ratio] | None = None
     rayleigh: Rayleigh | None = None
     specimen_stiffness: Positive | Literal["model"]
 
     @model_validator(mode="after")
-    def _one_kind(self) -> Self:
+    def _one_kind(self) -> "Damping":
         if (self.modal is None) == (self.rayleigh is None):
             raise ValueError("give either modal or rayleigh")
         return self
@@ -87,7 +99,7 @@ class ExcitationEntry(Section):
     step: Positive | None = None
 
     @model_validator(mode="after")
-    def _at_most_one(self) -> Self:
+    def _at_most_one(self) -> "ExcitationEntry":
         if self.near_fault_pulse is not None and self.recorded is not None:
             raise ValueError("give either near_fault_pulse or recorded")
         if self.near_fault_pulse is not None and self.duration is None:
@@ -117,6 +129,10 @@ class InputEntry(Section):
     def _distribution_and_unit(cls, value: Any) -> Any:
         if isinstance(value, dict) and "prior" not in value:
             rest = {name: given for name, given in value.items() if name != "unit"}
+            if len(rest) != 1:
+                given = ", ".join(map(str, value)) or "nothing"
+                example = "{uniform: [1.5, 3.0], unit: m/s}"
+                raise ValueError(f"give one distribution and unit, such as {example}; given are {given}")
             return {"prior": rest, "unit": value.get("unit", "1")}
         return value
 
@@ -141,10 +157,25 @@ class ErrorEntry(Section):
     unknown: Literal[True] | None = None
 
     @model_validator(mode="after")
-    def _one_kind(self) -> Self:
+    def _one_kind(self) -> "ErrorEntry":
         if sum(kind is not None for kind in (self.relative, self.absolute, self.unknown)) != 1:
             raise ValueError("give exactly one of relative, absolute, unknown")
         return self
+
+
+TAGS = ("same error for all", "error per output")
+
+
+def _error_kind(value: Any) -> str:
+    """Which of the two shapes an error has: keys that are no kinds of errors must be names of outputs."""
+    per_output = isinstance(value, dict) and bool(value) and not set(value) & set(ErrorEntry.model_fields)
+    return TAGS[per_output]
+
+
+ErrorsEntry = Annotated[
+    Annotated[ErrorEntry, Tag(TAGS[0])] | Annotated[dict[str, ErrorEntry], Tag(TAGS[1])], Discriminator(_error_kind)
+]
+"""One error for all outputs, or one per output."""
 
 
 class VirtualEntry(Section):
@@ -152,7 +183,9 @@ class VirtualEntry(Section):
 
     parameters: dict[str, float]
     effects: dict[str, dict[str, float]] = {}
-    noise: ErrorEntry | dict[str, ErrorEntry] | None = None
+    noise: ErrorsEntry | None = None
+    test: Annotated[int, Field(ge=0)] = 0
+    """Experiments at further inputs that are performed for testing and never fitted."""
 
 
 class ExperimentsEntry(Section):
@@ -162,7 +195,7 @@ class ExperimentsEntry(Section):
     campaign: str | None = None
 
     @model_validator(mode="after")
-    def _one_source(self) -> Self:
+    def _one_source(self) -> "ExperimentsEntry":
         if (self.virtual is None) == (self.campaign is None):
             raise ValueError("give one of virtual, campaign")
         return self
@@ -203,23 +236,37 @@ class CalibrationEntry(Section):
     target_acceptance: Annotated[float, Field(gt=0, lt=1)] = 0.8
 
 
-STEPS = ("design", "calibrate")
+class ScalesEntry(Section):
+    """Characteristic values that make the amplitudes of effects dimensionless (SI); by default from the data."""
+
+    force: Positive
+    elongation: Positive
+    rate: Positive
+    energy: Positive
+
+
+Step = Literal["design", "calibrate", "compare"]
 
 
 class Study(Section):
     """A study, as written in its YAML file."""
 
     study: Annotated[str, Field(pattern=r"^[\w.\- ]+$")]
-    seed: int = 0
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     structure: StructureEntry | None = None
     excitation: ExcitationEntry | None = None
     inputs: dict[str, InputEntry] = {}
     model: ModelEntry
     experiments: ExperimentsEntry
-    observe: Literal["quantities"] = "quantities"
+    observe: Literal["quantities", "histories"] = "quantities"
+    channels: list[str] | None = None
+    """Channels to fit and compare when histories are observed; by default all that were measured."""
     quantities: Annotated[list[str], Field(min_length=1)] = list(QUANTITIES)
-    error: ErrorEntry | dict[str, ErrorEntry] | None = None
-    steps: list[Literal["design", "calibrate"]] = list(STEPS)
+    error: ErrorsEntry | None = None
+    correlated_errors: bool = True
+    """Let the samples of a history whose residual is correlated in time count for as many as they are worth."""
+    scales: ScalesEntry | None = None
+    steps: Annotated[list[Step], Field(min_length=1)] = ["design", "calibrate"]
     design: DesignEntry = DesignEntry()
     calibration: CalibrationEntry = CalibrationEntry()
 
@@ -229,7 +276,16 @@ class Study(Section):
         for name in names:
             if name not in QUANTITIES:
                 raise ValueError(f"there is no quantity {name!r}; allowed are {', '.join(QUANTITIES)}")
+            if names.count(name) > 1:
+                raise ValueError(f"{name} stands twice")
         return names
+
+    _folder: Path = PrivateAttr(default=Path())
+
+    @property
+    def folder(self) -> Path:
+        """Where relative paths start from: the folder of the study's file."""
+        return self._folder
 
     def written(self) -> dict[str, Any]:
         """The study with every default written out, ready for YAML; reading it again gives the same study."""

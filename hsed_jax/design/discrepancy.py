@@ -15,7 +15,10 @@ def variance_over(predicted: Float[Array, "m J"], ok: Float[Array, " m"]) -> Flo
 
 
 def discrepancy(
-    measured: Float[Array, "n J"], predicted: Float[Array, "n J"], variance: Float[Array, " J"], weights: Float[Array, "n J"]
+    measured: Float[Array, "n J"],
+    predicted: Float[Array, "n J"],
+    variance: Float[Array, " J"],
+    weights: Float[Array, "n J"],
 ) -> Float[Array, " n"]:
     """The norm of Eq. 12 per experiment; quantities that were not measured (weight 0) do not count."""
     return jnp.sum(weights * (measured - predicted) ** 2 / variance, axis=1)

@@ -19,6 +19,7 @@ from hsed_jax.design.acquisition import ACQUISITIONS, choose, sobol_candidates
 from hsed_jax.design.discrepancy import discrepancy, variance_over
 from hsed_jax.design.kriging import Kriging, condition, fit_kriging
 from hsed_jax.design.space import InputSpace
+from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.maximum import Maximum, maximise
 from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence, sample
@@ -54,7 +55,7 @@ class StepInfo(NamedTuple):
         maximum: MAP, covariance, evidence.
         chains: the posterior's draws.
         convergence: whether to believe them.
-        discrepancy: Eq. 12 at the tested inputs, (count,).
+        discrepancy: Eq. 12 at the tested inputs, (count,); NaN where the model diverged.
         kriging: the surrogate of it.
         value: the acquisition at the chosen input (expected improvement, if that is the acquisition).
         expected_improvement: the largest expected improvement over the candidates (Eq. 14).
@@ -135,7 +136,12 @@ class SequentialDesign:
         )
 
     def ask(self, state: DesignState, key: PRNGKeyArray) -> tuple[np.ndarray, DesignState, StepInfo]:
-        """Steps 2 to 6: the next input in the unit cube (d,), the state to go on from, and what was found."""
+        """Steps 2 to 6: the next input in the unit cube (d,), the state to go on from, and what was found.
+
+        Raises:
+            UserError: too many experiments failed for a Kriging of the others.
+        """
+        self._check_enough(state)
         of_nuts, of_kriging, of_choice = jax.random.split(key, 3)
         data = self.data(state)
         maximum = self.maximise(data, self.starting_points(state))
@@ -164,9 +170,19 @@ class SequentialDesign:
         return chosen, going_on, info
 
     def _fit(self, state: DesignState, norms: np.ndarray, key: PRNGKeyArray) -> Kriging:
-        mask = self._measured(state)
+        mask = self._measured(state) & np.isfinite(norms)
         responses = jnp.asarray(np.where(mask, norms, 0.0))
         return fit_kriging(jnp.asarray(state.cube), responses, jnp.asarray(mask), key=key, **self.kriging)
+
+    def _check_enough(self, state: DesignState) -> None:
+        usable, terms = int(self._measured(state).sum()), len(self.space.names)
+        needed = {"constant": 1, "linear": 1 + terms, "quadratic": (terms + 1) * (terms + 2) // 2}
+        least = 1 + needed[self.kriging.get("trend", "constant")]
+        if usable < least:
+            raise UserError(
+                f"only {usable} of {state.count} experiments gave something to use, and the design needs {least} to go on; "
+                "perform more initial experiments (design.initial) or choose inputs that can be tested"
+            )
 
     def _measured(self, state: DesignState) -> np.ndarray:
         """Which experiments gave something; one that failed is tested but says nothing of the discrepancy."""
@@ -176,12 +192,12 @@ class SequentialDesign:
         """The Kriging of a step again, from what the journal keeps of it.
 
         Arguments:
-            norms: discrepancies the step found, (count then,).
+            norms: discrepancies the step found, (count then,); NaN where the model diverged.
             lengths, nugget: hyper-parameters of its Kriging.
         """
-        mask = self._measured(state) & (np.arange(self.size) < len(norms))
-        responses = np.zeros(self.size)
+        responses = np.full(self.size, np.nan)
         responses[: len(norms)] = norms
+        mask = self._measured(state) & np.isfinite(responses)
         options = {name: value for name, value in self.kriging.items() if name != "starts"}
         return condition(
             jnp.asarray(state.cube),
@@ -216,7 +232,9 @@ class SequentialDesign:
 
     @cached_property
     def _discrepancy(self):
-        over = Conditions({k: jnp.asarray(x) for k, x in self.space.si(self.space.declared(self.space.spread(256))).items()})
+        over = Conditions(
+            {k: jnp.asarray(x) for k, x in self.space.si(self.space.declared(self.space.spread(256))).items()}
+        )
         predict, models = self.posterior.predict, len(self.posterior.model_names)
 
         @jax.jit
@@ -228,6 +246,7 @@ class SequentialDesign:
                 variance = variance_over(there.reshape(-1, there.shape[-1]), good.ravel())
             else:
                 variance = variance_over(*predict(theta[:models], over, jnp.asarray(256)))
-            return discrepancy(data.values, here, variance, data.weights * ok[:, None])
+            # Where the model diverged there is no discrepancy, which is not the same as none.
+            return jnp.where(ok > 0, discrepancy(data.values, here, variance, data.weights), jnp.nan)
 
         return compute

@@ -32,7 +32,9 @@ class InputSpace:
 
     def declared(self, cube: Float[np.ndarray, "n d"] | Float[Array, "n d"]) -> np.ndarray:
         """Points of the unit cube (n, d) as inputs in their declared units (n, d)."""
-        columns = [np.asarray(p.quantile(column)) for p, column in zip(self.priors.values(), np.asarray(cube).T, strict=True)]
+        columns = [
+            np.asarray(p.quantile(column)) for p, column in zip(self.priors.values(), np.asarray(cube).T, strict=True)
+        ]
         return np.stack(columns, axis=1)
 
     def cube(self, declared: np.ndarray) -> np.ndarray:
@@ -50,7 +52,9 @@ class InputSpace:
     def bounds(self) -> np.ndarray:
         """What the design may reach, in declared units, shape (d, 2)."""
         d = len(self.names)
-        return self.declared(np.array([np.full(d, 1e-9), np.full(d, 1 - 1e-9)])).T.round(6)
+        low, high = self.declared(np.array([np.full(d, 1e-9), np.full(d, 1 - 1e-9)]))
+        digits = 6 - np.floor(np.log10(high - low)).astype(int)
+        return np.asarray([[round(float(x), int(n)) for x in pair] for *pair, n in zip(low, high, digits, strict=True)])
 
     def initial_design(self, count: int) -> np.ndarray:
         """The first points of the Sobol' sequence (Sobol' 1967) without its corner point, in the unit cube (count, d)."""

@@ -1,14 +1,16 @@
 """A calibrated model: MAP, posterior draws and whether to believe them, as one object that shows itself."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PRNGKeyArray
+from jaxtyping import Array, PRNGKeyArray
 
-from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.correlation import reweighted, worths
+from hsed_jax.inference.likelihood import Data, standardised_residual
 from hsed_jax.inference.maximum import Maximum, maximise
 from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence, sample
 from hsed_jax.inference.posterior import Posterior
@@ -59,7 +61,13 @@ class Fit:
         for name, s in self.summary().items():
             numbers = (self.map[name], s["mean"], s["sd"], s["q05"], s["q95"])
             rows.append(
-                (name, *(f"{v:.4g}" for v in numbers), f"{s['ess_bulk']:.0f}", f"{s['rhat']:.3f}", self.units.get(name, "1"))
+                (
+                    name,
+                    *(f"{v:.4g}" for v in numbers),
+                    f"{s['ess_bulk']:.0f}",
+                    f"{s['rhat']:.3f}",
+                    self.units.get(name, "1"),
+                )
             )
         return rows
 
@@ -77,7 +85,17 @@ class Fit:
         return f"<table><thead><tr>{title}</tr></thead><tbody>{cells}</tbody></table>{note}"
 
 
-def fit(posterior: Posterior, data: Data, *, starts: int, settings: Settings, key: PRNGKeyArray, units: dict[str, str]) -> Fit:
+def fit(
+    posterior: Posterior,
+    data: Data,
+    *,
+    starts: int,
+    settings: Settings,
+    key: PRNGKeyArray,
+    units: dict[str, str],
+    correlated: bool = False,
+    find: Callable[[Data, Array], Maximum] | None = None,
+) -> Fit:
     """Calibrate: MAP from several starts, then NUTS from its mode.
 
     Arguments:
@@ -87,8 +105,19 @@ def fit(posterior: Posterior, data: Data, *, starts: int, settings: Settings, ke
         settings: sizes of NUTS.
         key: of the random numbers.
         units: SI units of the parameters, for reports.
+        correlated: let the samples of an output whose residual at the MAP is correlated count for what they are worth
+            (`hsed_jax.inference.correlation`), and fit again.
+        find: `maximise` for this posterior where it is compiled already.
     """
-    maximum = jax.jit(lambda data, starts: maximise(posterior, data, starts))(data, posterior.starts(starts))
+    find = find or jax.jit(lambda data, starts: maximise(posterior, data, starts))
+    maximum = find(data, posterior.starts(starts))
+    if correlated:
+        predicted, ok = posterior.predict(maximum.theta[: len(posterior.model_names)], data.conditions, data.count)
+        residual = standardised_residual(predicted, ok, posterior.errors(maximum.theta), data)
+        worth = worths(np.asarray(residual), np.asarray(data.weights), posterior.groups)
+        if np.any(worth < 1):
+            data = reweighted(data, worth, posterior.groups)
+            maximum = find(data, posterior.starts(starts).at[0].set(maximum.u))
     chains = jax.jit(lambda *arguments: sample(posterior, *arguments, settings))(data, maximum, jnp.asarray(0.8), key)
     return Fit(posterior, data, maximum, chains, convergence(chains), units)
 

@@ -21,7 +21,8 @@ class Data(NamedTuple):
         conditions: conditions of the experiments, leading axis n.
         values: measured outputs, SI, shape (n, J).
         scales: c in σ = s·c, shape (n, J).
-        weights: 1 where measured and used, 0 where missing or padding, shape (n, J).
+        weights: 1 where measured and used, 0 where missing or padding, shape (n, J); between them where samples repeat
+            one another, so that they count for as many as they are worth.
         count: how many experiments there are; rows beyond are padding.
     """
 
@@ -35,10 +36,9 @@ class Data(NamedTuple):
 def standardised_residual(
     predicted: Float[Array, "n J"], ok: Float[Array, " n"], errors: Float[Array, " J"], data: Data
 ) -> Float[Array, "n J"]:
-    """(f − y)/σ, zero where there are no data; a diverged experiment counts as a thousand standard deviations."""
-    sigma = jnp.where(data.weights > 0, errors * data.scales, 1.0)
-    residual = (predicted - data.values) / sigma
-    return data.weights * jnp.where(ok[:, None] > 0, residual, 1e3)
+    """√w (f − y)/σ, zero where there are no data; a diverged experiment counts as a thousand standard deviations."""
+    residual = (predicted - data.values) / _sigma(errors, data)
+    return jnp.sqrt(data.weights) * jnp.where(ok[:, None] > 0, residual, 1e3)
 
 
 def log_likelihood(
@@ -46,7 +46,9 @@ def log_likelihood(
 ) -> Float[Array, ""]:
     """Log of Eq. 4, the normalising constant included."""
     residual = standardised_residual(predicted, ok, errors, data)
-    sigma = jnp.where(data.weights > 0, errors * data.scales, 1.0)
-    present = jnp.arange(data.values.shape[0]) < data.count
-    counted = data.weights * present[:, None]
-    return -0.5 * jnp.sum(counted * (residual**2 + LOG_2PI)) - jnp.sum(counted * jnp.log(sigma))
+    constants = data.weights * (0.5 * LOG_2PI + jnp.log(_sigma(errors, data)))
+    return -0.5 * jnp.sum(residual**2) - jnp.sum(constants)
+
+
+def _sigma(errors: Float[Array, " J"], data: Data) -> Float[Array, "n J"]:
+    return jnp.where(data.weights > 0, errors * data.scales, 1.0)

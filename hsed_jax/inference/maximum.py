@@ -54,11 +54,7 @@ def maximise(posterior: Posterior, data: Data, starts: Float[Array, "s p"]) -> M
     curvature = posterior.curvature(u, data)
     covariance = to_theta @ jnp.linalg.inv(curvature) @ to_theta.T
     start, whitening = _sampling_frame(posterior, data, u)
-    log_evidence = (
-        posterior.log_density(start, data)
-        + 0.5 * u.size * LOG_2PI
-        + jnp.linalg.slogdet(whitening)[1]
-    )
+    log_evidence = posterior.log_density(start, data) + 0.5 * u.size * LOG_2PI + jnp.linalg.slogdet(whitening)[1]
     return Maximum(u, theta, heights[best], covariance, log_evidence, start, whitening, converged[best])
 
 

@@ -94,9 +94,7 @@ def sample(
     state, (w, potential, diverging, steps) = jax.lax.scan(keep, state, None, length=settings.draws)
     u = place + w @ frame.T
     theta = jax.vmap(jax.vmap(posterior.constrain))(u)
-    theta, potential, diverging, steps = (
-        jnp.swapaxes(x, 0, 1) for x in (theta, potential, diverging, steps)
-    )
+    theta, potential, diverging, steps = (jnp.swapaxes(x, 0, 1) for x in (theta, potential, diverging, steps))
     return Chains(theta, -potential, diverging, steps, jnp.mean(state.adapt_state.step_size))
 
 

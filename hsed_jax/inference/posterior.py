@@ -28,6 +28,7 @@ class Posterior:
         priors: of the model's free parameters, by name, in the order `predict` takes them.
         errors: per output either a declared error (a number) or a `Prior` for an inferred one.
         outputs: names of the outputs, in the order of `errors`.
+        groups: the output that each column of the data belongs to, (J,).
     """
 
     def __init__(
@@ -36,14 +37,18 @@ class Posterior:
         priors: Mapping[str, Prior],
         errors: Sequence[float | Prior],
         outputs: Sequence[str],
+        groups: np.ndarray,
     ):
         self.predict = predict
         self.model_names = tuple(priors)
         inferred = {f"error.{output}": e for output, e in zip(outputs, errors, strict=True) if isinstance(e, Prior)}
         self.priors = {**priors, **inferred}
         self.names = tuple(self.priors)
+        self.outputs, self.groups = tuple(outputs), np.asarray(groups)
         self._declared = jnp.asarray([1.0 if isinstance(e, Prior) else e for e in errors])
-        positions = [self.names.index(f"error.{o}") for o, e in zip(outputs, errors, strict=True) if isinstance(e, Prior)]
+        positions = [
+            self.names.index(f"error.{o}") for o, e in zip(outputs, errors, strict=True) if isinstance(e, Prior)
+        ]
         self._inferred = (np.flatnonzero([isinstance(e, Prior) for e in errors]), np.asarray(positions, dtype=int))
 
     def constrain(self, u: Float[Array, " p"]) -> Float[Array, " p"]:
@@ -61,14 +66,16 @@ class Posterior:
         spread = 0.1 + 0.8 * sequence.random_base2(count.bit_length())[: max(count - 1, 1)]
         shares = np.vstack([np.full((1, len(self.names)), 0.5), spread])[:count]
         theta = np.stack(
-            [np.asarray(prior.quantile(share)) for prior, share in zip(self.priors.values(), shares.T, strict=True)], axis=1
+            [np.asarray(prior.quantile(share)) for prior, share in zip(self.priors.values(), shares.T, strict=True)],
+            axis=1,
         )
         return jnp.stack([self.unconstrain(row) for row in jnp.asarray(theta)])
 
     def errors(self, theta: Float[Array, " p"]) -> Float[Array, " J"]:
-        """s of every output: declared or taken from θ."""
+        """s of every column: declared or taken from θ."""
         outputs, positions = self._inferred
-        return self._declared.at[outputs].set(theta[positions]) if len(outputs) else self._declared
+        by_output = self._declared.at[outputs].set(theta[positions]) if len(outputs) else self._declared
+        return by_output[self.groups]
 
     def log_density(self, u: Float[Array, " p"], data: Data) -> Float[Array, ""]:
         """Log posterior density *in u*, unnormalised: what a sampler of u needs."""
@@ -100,7 +107,7 @@ class Posterior:
             mode, highest = prior.mode
             parts.append(jnp.sign(x - mode)[None] * _root(2 * (highest - prior.log_density(x)))[None])
         for output, position in zip(*self._inferred, strict=True):
-            number = jnp.sum(data.weights[:, output])
+            number = jnp.sum(data.weights[:, self.groups == output])
             parts.append(_root(2 * number * (jnp.log(theta[position]) + 12))[None])
         return jnp.concatenate(parts)
 
@@ -117,7 +124,7 @@ class Posterior:
 
         by_mean, by_log_error = jax.jacfwd(scaled)(u)
         sigma = jnp.where(data.weights > 0, self.errors(self.constrain(u)) * data.scales, 1.0)
-        g = (data.weights / sigma)[..., None] * by_mean
+        g = (jnp.sqrt(data.weights) / sigma)[..., None] * by_mean
         number = jnp.sum(data.weights, axis=0)
         return jnp.einsum("njp,njq->pq", g, g) + 2 * jnp.einsum("j,jp,jq->pq", number, by_log_error, by_log_error)
 
@@ -135,7 +142,9 @@ class Posterior:
         return log_likelihood(predicted, ok, self.errors(theta), data)
 
     def _log_jacobian(self, u: Float[Array, " p"]) -> Float[Array, ""]:
-        terms = [p.to_support.log_abs_det_jacobian(x, p.to_support(x)) for p, x in zip(self.priors.values(), u, strict=True)]
+        terms = [
+            p.to_support.log_abs_det_jacobian(x, p.to_support(x)) for p, x in zip(self.priors.values(), u, strict=True)
+        ]
         return sum(terms, start=jnp.zeros(()))
 
 

@@ -15,9 +15,7 @@ from jaxtyping import Array, Float, Int, PyTree
 from hsed_jax.physics.batch import tiled_map
 
 Respond = Callable[[Float[Array, " p"], PyTree], tuple[Float[Array, " J"], Array]]
-Predict = Callable[
-    [Float[Array, " p"], PyTree, Int[Array, ""]], tuple[Float[Array, "n J"], Float[Array, " n"]]
-]
+Predict = Callable[[Float[Array, " p"], PyTree, Int[Array, ""]], tuple[Float[Array, "n J"], Float[Array, " n"]]]
 
 
 def predictor(respond: Respond) -> Predict:

@@ -1,5 +1,7 @@
 """Priors: a numpyro distribution by name, and what calibration needs of it."""
 
+import inspect
+import math
 import re
 from collections.abc import Mapping
 from functools import cached_property
@@ -10,11 +12,16 @@ import jax.numpy as jnp
 import numpy as np
 import numpyro.distributions as dist
 from jaxtyping import Array, Float
-from numpyro.distributions.transforms import biject_to
+from numpyro.distributions.transforms import AffineTransform, ComposeTransform, biject_to
 
 from hsed_jax.errors import UserError
 
-_SPELLINGS = {"lognormal": "LogNormal", "loguniform": "LogUniform", "halfnormal": "HalfNormal", "truncated": "TruncatedNormal"}
+_SPELLINGS = {
+    "lognormal": "LogNormal",
+    "loguniform": "LogUniform",
+    "halfnormal": "HalfNormal",
+    "truncated": "TruncatedNormal",
+}
 
 
 class Prior:
@@ -32,7 +39,8 @@ class Prior:
     def __init__(self, name: str, arguments: Any):
         self.name, self.arguments = name, arguments
         self.distribution = _build(name, arguments)
-        self.to_support = biject_to(self.distribution.support)
+        self.bounds = _limits(self.distribution)
+        self.to_support = _standardised(self.distribution, self.quantile)
 
     def log_density(self, value: Float[Array, "..."]) -> Float[Array, "..."]:
         """Log of the density at a value within the support."""
@@ -42,7 +50,7 @@ class Prior:
         """The value below which this share of the prior lies; from samples where the distribution has no closed form."""
         try:
             return self.distribution.icdf(jnp.asarray(probability))
-        except NotImplementedError:
+        except (NotImplementedError, ImportError):  # numpyro takes some quantiles from a package that may be absent
             draws = self.distribution.sample(jax.random.key(0), (4096,))
             return jnp.quantile(draws, jnp.asarray(probability))
 
@@ -60,28 +68,69 @@ class Prior:
 
 
 def _build(name: str, arguments: Any) -> dist.Distribution:
-    camel = _SPELLINGS.get(name.lower().replace("_", ""), "".join(part[:1].upper() + part[1:] for part in name.split("_")))
+    camel = _SPELLINGS.get(
+        name.lower().replace("_", ""), "".join(part[:1].upper() + part[1:] for part in name.split("_"))
+    )
     kind = getattr(dist, camel, None)
     if not (isinstance(kind, type) and issubclass(kind, dist.Distribution)) and not callable(kind):
         raise UserError(
             f"there is no distribution {name!r}; allowed are uniform, normal, lognormal, half_normal, truncated_normal "
             "or any scalar continuous distribution of numpyro by its name"
         )
+    by_name = isinstance(arguments, Mapping)
+    given = list(arguments.values() if by_name else arguments if isinstance(arguments, list | tuple) else [arguments])
+    expected, required = _signature(kind)
+    allowed = f"its arguments are {', '.join(expected)}, as numbers" if expected else "it takes numbers"
+    wrong = UserError(f"{name}: {arguments!r} does not fit this distribution; {allowed}")
+    if any(isinstance(number, bool) for number in given) or not required <= len(given):
+        raise wrong
     try:
-        if isinstance(arguments, Mapping):
-            made = kind(**{str(k): float(v) for k, v in arguments.items()}, validate_args=True)
+        numbers = [float(number) for number in given]
+    except (TypeError, ValueError):
+        raise wrong from None
+    if not all(math.isfinite(number) for number in numbers):
+        raise UserError(f"{name}: {arguments!r} must be finite numbers")
+    try:
+        if by_name:
+            made = kind(**dict(zip(map(str, arguments), numbers, strict=True)), validate_args=True)
         else:
-            numbers = arguments if isinstance(arguments, list | tuple) else [arguments]
-            made = kind(*(float(number) for number in numbers), validate_args=True)
-    except (TypeError, ValueError) as error:
+            made = kind(*numbers, validate_args=True)
+    except TypeError:
+        raise wrong from None
+    except ValueError as error:
         reason = re.sub(r"\s+", " ", str(error))
-        raise UserError(f"{name}: {arguments!r} are no arguments of this distribution ({reason})") from None
-    low, high = _limits(made)
-    if made.batch_shape or made.event_shape or made.support.is_discrete:
+        raise UserError(f"{name}: {arguments!r} does not fit this distribution ({reason})") from None
+    if not isinstance(made, dist.Distribution) or made.batch_shape or made.event_shape or made.support.is_discrete:
         raise UserError(f"{name} is not a scalar continuous distribution")
+    if isinstance(made, dist.Delta):
+        raise UserError(f"{name}: a value that is known is written as a plain number")
+    low, high = _limits(made)
     if low is not None and high is not None and not low < high:
         raise UserError(f"{name}: the lower bound {low:g} must lie below the upper bound {high:g}")
     return made
+
+
+def _signature(kind: Any) -> tuple[list[str], int]:
+    """Names of a distribution's arguments, and how many of them a location-scale or bounded family must be told."""
+    try:
+        parameters = inspect.signature(kind).parameters.values()
+    except (TypeError, ValueError):
+        return [], 1
+    names = [p.name for p in parameters if p.name != "validate_args"]
+    # numpyro has a default for nearly everything; a prior whose bounds or spread were forgotten is a mistake, though.
+    pairs = ({"low", "high"}, {"loc", "scale"})
+    return names, 2 if any(pair <= set(names) for pair in pairs) else 1
+
+
+def _standardised(distribution: dist.Distribution, quantile: Any) -> Any:
+    """The map from u to the support, with u of order one: an unbounded SI number may be 1e6, and so may its spread."""
+    to_support = biject_to(distribution.support)
+    low, high = _limits(distribution)
+    if low is not None and high is not None:
+        return to_support
+    with jax.ensure_compile_time_eval():
+        below, middle, above = (float(to_support.inv(quantile(share))) for share in (0.16, 0.5, 0.84))
+    return ComposeTransform([AffineTransform(middle, 0.5 * (above - below)), to_support])
 
 
 def _limits(made: dist.Distribution) -> tuple[float | None, float | None]:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hsed_jax.laboratories.base import ExperimentFailed, Measured
+from hsed_jax.measurements import Record
 from hsed_jax.physics.simulator import Conditions, Simulator
 
 
@@ -27,7 +28,8 @@ class VirtualLaboratory:
     Attributes:
         simulator: with the effects of the true specimen.
         parameters: the true parameters (SI).
-        quantities: what is measured.
+        quantities: what is measured, one number per experiment.
+        channels: histories that are measured instead, at the samples of the simulator's timeline.
         noise: per quantity; none where absent.
         seed: of the noise; the noise of an experiment depends on its number alone.
     """
@@ -35,6 +37,7 @@ class VirtualLaboratory:
     simulator: Simulator
     parameters: Mapping[str, float]
     quantities: tuple[str, ...]
+    channels: tuple[str, ...]
     noise: Mapping[str, Noise]
     seed: int
 
@@ -44,13 +47,11 @@ class VirtualLaboratory:
         Raises:
             ExperimentFailed: the simulation diverged.
         """
-        draws = np.random.default_rng([self.seed, number]).standard_normal(len(self.quantities))
-        measured = {}
-        for (name, value), draw in zip(self.exact(inputs).items(), draws, strict=True):
-            noise = self.noise.get(name)
-            sd = 0.0 if noise is None else noise.size * (abs(value) if noise.relative else 1.0)
-            measured[name] = float(value + sd * draw)
-        return Measured(measured)
+        random = np.random.default_rng([self.seed, number])
+        if self.channels:
+            return Measured({}, self._record(inputs, random))
+        exact = self.exact(inputs)
+        return Measured({name: float(self._noisy(name, np.asarray(value), random)) for name, value in exact.items()})
 
     def exact(self, inputs: Mapping[str, float]) -> dict[str, float]:
         """The quantities of the specimen at `inputs` (SI) without noise.
@@ -58,8 +59,7 @@ class VirtualLaboratory:
         Raises:
             ExperimentFailed: the simulation diverged.
         """
-        conditions = Conditions({name: jnp.asarray(float(value)) for name, value in inputs.items()})
-        values, ok = self._simulate(conditions)
+        values, ok = self._simulate(_conditions(inputs))
         if not ok:
             raise ExperimentFailed("the simulation of the specimen diverged")
         return dict(zip(self.quantities, np.asarray(values).tolist(), strict=True))
@@ -68,3 +68,29 @@ class VirtualLaboratory:
     def _simulate(self):
         parameters = {name: float(value) for name, value in self.parameters.items()}
         return jax.jit(lambda conditions: self.simulator.quantities(parameters, conditions, self.quantities))
+
+    def _record(self, inputs: Mapping[str, float], random: np.random.Generator) -> Record:
+        response = self._simulate_histories(_conditions(inputs))
+        if not response.ok:
+            raise ExperimentFailed("the simulation of the specimen diverged")
+        step, steps, every = self.simulator.timeline
+        time = step * every * np.arange(steps // every + 1)
+        channels = {name: np.asarray(values) for name, values in response.channels.items()}
+        return Record(time, {name: self._noisy(name, values, random) for name, values in channels.items()})
+
+    def _noisy(self, name: str, values: np.ndarray, random: np.random.Generator) -> np.ndarray:
+        noise = self.noise.get(name)
+        draw = random.standard_normal(values.shape)
+        if noise is None:
+            return values
+        return values + noise.size * (np.sqrt(np.mean(values**2)) if noise.relative else 1.0) * draw
+
+    @cached_property
+    def _simulate_histories(self):
+        parameters = {name: float(value) for name, value in self.parameters.items()}
+        names = ("ground_acceleration", *self.channels)
+        return jax.jit(lambda conditions: self.simulator.respond(parameters, conditions, names))
+
+
+def _conditions(inputs: Mapping[str, float]) -> Conditions:
+    return Conditions({name: jnp.asarray(float(value)) for name, value in inputs.items()})

@@ -3,6 +3,8 @@
 from hsed_jax.measurements.at2 import read_at2 as read_at2
 from hsed_jax.measurements.at2 import write_at2 as write_at2
 from hsed_jax.measurements.campaign import Campaign as Campaign
+from hsed_jax.measurements.characteristics import Characteristics as Characteristics
+from hsed_jax.measurements.characteristics import characteristics as characteristics
 from hsed_jax.measurements.checks import Finding as Finding
 from hsed_jax.measurements.checks import check_campaign as check_campaign
 from hsed_jax.measurements.checks import noise_estimate as noise_estimate

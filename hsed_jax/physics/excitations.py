@@ -138,9 +138,10 @@ class NearFaultPulse(AbstractExcitation):
     def _combine(self, carrier: tuple, envelope: tuple) -> Scalar:
         carrier_rate, envelope_rate = self._angular_frequencies()
         half = 0.5 * self.V_P
-        return -half * carrier_rate * carrier[1] * (1 + envelope[0]) - (
-            half * carrier[0] - self._offset()
-        ) * envelope_rate * envelope[1]
+        return (
+            -half * carrier_rate * carrier[1] * (1 + envelope[0])
+            - (half * carrier[0] - self._offset()) * envelope_rate * envelope[1]
+        )
 
     def _is_inside(self, time: Scalar) -> Bool[ArrayLike, ""]:
         return (time >= 0) & (time <= self.duration)

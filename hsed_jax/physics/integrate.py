@@ -100,7 +100,9 @@ class RungeKutta4(diffrax.AbstractSolver):
             jax.tree.map(lambda y, a, b, c, d: y + h / 6 * (a + 2 * (b + c) + d), start, k1, k2, k3, k4)
         )
         end, force, elongation = _mended(system, (start, first), (end, last), k1, h)
-        peaks = Peaks(jnp.maximum(y0.peaks.force, jnp.abs(force)), jnp.maximum(y0.peaks.elongation, jnp.abs(elongation)))
+        peaks = Peaks(
+            jnp.maximum(y0.peaks.force, jnp.abs(force)), jnp.maximum(y0.peaks.elongation, jnp.abs(elongation))
+        )
         y1 = Progress(end, peaks, system.channels(end, last, self.channel_names))
         return y1, None, {"y0": y0, "y1": y1}, (carry, last), diffrax.RESULTS.successful
 
@@ -109,7 +111,9 @@ def _moved(state: State, rates: State, length: Scalar) -> State:
     return jax.tree.map(lambda y, k: y + length * k, state, rates)
 
 
-def _mended(system: AbstractSystem, before: tuple, after: tuple, flow: State, h: Scalar) -> tuple[State, Scalar, Scalar]:
+def _mended(
+    system: AbstractSystem, before: tuple, after: tuple, flow: State, h: Scalar
+) -> tuple[State, Scalar, Scalar]:
     """The state after a step that may hold a reversal, and the force and elongation at the reversal (or else the end).
 
     `flow` are the rates at the start of the step.
@@ -185,13 +189,8 @@ def integrate(
         max_steps=steps,
     )
     assert solution.ys is not None
-    last = jax.tree.map(lambda kept: kept[-1], solution.ys["end"])
     histories = solution.ys.get("histories", {})
-    quantities = {
-        "peak_force": last.peaks.force,
-        "peak_elongation": last.peaks.elongation,
-        "dissipated_energy": last.state.memory["energy"],
-    }
+    quantities = {name: kept[-1] for name, kept in solution.ys["end"].items()}
     finite = jnp.isfinite(sum(jnp.abs(value) for value in quantities.values()))
     return Response(quantities, histories, finite)
 
@@ -202,8 +201,18 @@ def _vector_field(number: Any, progress: Progress, args: Any) -> Progress:
     return still._replace(state=system.rates(progress.state, sample))
 
 
+def _quantities(number: Any, progress: Progress, args: Any) -> dict[str, Scalar]:
+    # Not the whole state: without masses it holds empty tuples, which diffrax cannot save.
+    del number, args
+    return {
+        "peak_force": progress.peaks.force,
+        "peak_elongation": progress.peaks.elongation,
+        "dissipated_energy": progress.state.memory["energy"],
+    }
+
+
 def _saves(channels: tuple[str, ...], every: int) -> dict[str, diffrax.SubSaveAt]:
-    saves = {"end": diffrax.SubSaveAt(t1=True)}
+    saves = {"end": diffrax.SubSaveAt(t1=True, fn=_quantities)}
     if channels:
         saves["histories"] = diffrax.SubSaveAt(t0=True, steps=every, fn=lambda t, y, args: y.channels)
     return saves

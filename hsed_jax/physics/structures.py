@@ -35,7 +35,7 @@ class ModalDamping(eqx.Module):
         specimen_stiffness: stiffness of the specimen while C is formed [N/m].
     """
 
-    ratios: ArrayLike
+    ratios: ArrayLike | tuple[Scalar, ...]
     specimen_stiffness: Scalar = 0.0
 
     def matrix(self, masses: Float[Array, " m"], stiffness: Float[Array, "m m"]) -> Float[Array, "m m"]:

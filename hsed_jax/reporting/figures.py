@@ -4,11 +4,8 @@ Each function takes plain arrays in SI units and returns a `Picture`: the figure
 sentence for who cannot see it.  Nothing here reads a file or touches matplotlib's global state.
 """
 
-import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -20,49 +17,14 @@ from matplotlib.figure import Figure
 
 from hsed_jax.physics.outputs import output
 from hsed_jax.reporting import style
+from hsed_jax.reporting.style import Picture as Picture
+from hsed_jax.reporting.style import save as save
 
 History = Mapping[str, npt.ArrayLike]
 """Channels of one experiment by canonical name, and `time` [s]; all of shape (m,), in SI units."""
 
 _MANY_POINTS = 50_000
 _SERIES = {"color": style.BLUE, "marker": "o", "linewidth": 1.1}
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A figure with its caption and, as alternative text, what it shows."""
-
-    figure: Figure
-    caption: str
-    alt: str
-
-    def __post_init__(self):
-        """Find the layout once and keep it: it would move a little each time the figure is drawn."""
-        self.figure.draw_without_rendering()
-        self.figure.set_layout_engine("none")
-
-    @style.in_house_style
-    def _repr_png_(self) -> bytes:
-        # A figure made without pyplot does not show itself in a notebook.
-        buffer = io.BytesIO()
-        self.figure.savefig(buffer, format="png", dpi=110)
-        return buffer.getvalue()
-
-
-@style.in_house_style
-def save(picture: Picture, folder: str | Path, name: str) -> tuple[Path, Path]:
-    """Write `name.png` (200 dpi) and `name.svg` into a folder, and return their paths.
-
-    The same picture gives the same bytes: no date, fixed identifiers.  The caption and the alternative text travel in
-    the metadata of both files.
-    """
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    about = {"Title": picture.caption, "Description": picture.alt}
-    png, svg = folder / f"{name}.png", folder / f"{name}.svg"
-    picture.figure.savefig(png, dpi=200, metadata=about)
-    picture.figure.savefig(svg, dpi=200, metadata={**about, "Date": None})
-    return png, svg
 
 
 @style.in_house_style
@@ -167,7 +129,8 @@ def estimate_maps(
         shown = np.ma.masked_invalid(estimate / divisor)
         _filled_contours(figure, panel, x, y, shown, style.label(name, unit))
         panel.set(xlabel=style.label(x_name, x_unit), ylabel=style.label(y_name, y_unit))
-        low, high = (style.amount(value, unit) for value in (shown.min(), shown.max()))
+        # The extremes of nothing are `masked`, which is no number.
+        low, high = (style.amount(float(np.ma.filled(v, np.nan)), unit) for v in (shown.min(), shown.max()))
         said.append(f"{name} between {low} and {high}")
     style.panel_titles(panels)
     return Picture(
@@ -340,15 +303,15 @@ def _peaks_in_words(measured: History, predicted: History) -> str:
 def _filled_contours(
     figure: Figure, panel: Axes, x: np.ndarray, y: np.ndarray, values: np.ma.MaskedArray, label: str
 ) -> None:
-    """A contour map with its colour bar; squares where the grid is a single row or point."""
+    """A contour map with its colour bar, and squares where contours cannot reach: beside gaps, on a grid of one row."""
     levels = style.levels(values)
-    if min(values.shape) > 1:
+    is_grid = min(values.shape) > 1
+    if not is_grid or np.ma.is_masked(values):
+        points, norm = np.meshgrid(x, y, indexing="ij"), Normalize(levels[0], levels[-1])
+        mappable = panel.scatter(*points, c=values, marker="s", s=16, cmap=style.COLOUR_MAP, norm=norm, zorder=0.5)
+    if is_grid:
         mappable = panel.contourf(x, y, values.T, levels, cmap=style.COLOUR_MAP)
         panel.contour(x, y, values.T, levels, colors=style.BLACK, linewidths=0.4)
-    else:
-        points = np.meshgrid(x, y, indexing="ij")
-        norm = Normalize(levels[0], levels[-1])
-        mappable = panel.scatter(*points, c=values, marker="s", cmap=style.COLOUR_MAP, norm=norm)
     panel.grid(False)
     figure.colorbar(mappable, ax=panel, label=label)
 
@@ -375,7 +338,7 @@ def _order_over_a_plane(inputs: np.ndarray, initial: int, bounds: np.ndarray, ax
         # Each number belongs to its marker: where two overlap, the later one is whole.
         marker, layer = "s" if index < initial else "o", 3 + index / len(inputs)
         panel.plot(u, v, marker, ms=9, mfc="white", mec=style.BLACK, mew=0.7, zorder=layer, clip_on=False)
-        panel.annotate(str(index + 1), (u, v), ha="center", va="center", fontsize=6, zorder=layer)
+        panel.annotate(str(index + 1), (u, v), ha="center", va="center_baseline", fontsize=6, zorder=layer)
     panel.set(xlabel=axes[0], ylabel=axes[1], xlim=bounds[0], ylim=bounds[1])
     panel.grid(False)
     _order_legend(figure, panel, filled)

@@ -1,16 +1,18 @@
 """What a run has come to: everything its summary, results and figures are made from."""
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
+from hsed_jax.criticism.compare import Comparison
+from hsed_jax.criticism.locate import Location
 from hsed_jax.design.sequential import DesignState, SequentialDesign
+from hsed_jax.design.space import InputSpace
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.laboratories.virtual import VirtualLaboratory
+from hsed_jax.measurements import Campaign
 from hsed_jax.physics.simulator import Simulator
 
 
@@ -23,38 +25,30 @@ class Outcome:
         status: `complete` or `interrupted`.
         posterior: prior and likelihood of the model.
         simulator: of the model.
-        laboratory: where experiments were performed.
+        laboratory: the virtual laboratory, where there is one.
         units: SI unit of each parameter.
+        campaign: the experiments.
+        space: of the inputs.
         design: the sequential design, and its state, steps (as in the journal) and reason to stop, where it ran.
-        fit: the final calibration, where it ran.
+        fit, comparison, location: results of the steps that ran.
     """
 
     study: str
     status: str
     posterior: Posterior
     simulator: Simulator
-    laboratory: VirtualLaboratory
+    laboratory: VirtualLaboratory | None
     units: dict[str, str]
-    design: SequentialDesign
+    campaign: Campaign
+    space: InputSpace
+    design: SequentialDesign | None
     initial: int
     state: DesignState | None
     steps: list[dict[str, Any]]
     stop_reason: str
     fit: Fit | None
-
-    @property
-    def quantities(self) -> tuple[str, ...]:
-        """Names of the observed quantities."""
-        return self.laboratory.quantities
-
-    @cached_property
-    def predicted(self) -> np.ndarray:
-        """Quantities predicted at θ_MAP for the experiments so far, SI, (count, J)."""
-        assert self.state is not None and self.fit is not None
-        data = self.design.data(self.state)
-        theta = self.fit.maximum.theta[: len(self.posterior.model_names)]
-        values, _ = self.posterior.predict(theta, data.conditions, jnp.asarray(data.count))
-        return np.asarray(values)[: self.state.count]
+    comparison: Comparison | None
+    location: Location | None
 
     @property
     def estimates(self) -> np.ndarray:
@@ -81,7 +75,12 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             "divergences": fit.convergence.divergences,
             "log_evidence": float(fit.maximum.log_evidence),
         }
+    if outcome.comparison is not None:
+        content["comparison"] = outcome.comparison.summary()
+    if outcome.location is not None and "comparison" in content:
+        content["comparison"]["where"] = outcome.location.summary()
     if state is not None:
+        assert outcome.design is not None
         estimates = outcome.estimates.T.tolist()
         content["design"] = {
             "inputs": outcome.design.space.declared(state.cube[: state.count]).tolist(),

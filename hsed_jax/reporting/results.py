@@ -7,7 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from hsed_jax.physics.outputs import output
+from hsed_jax.criticism.compare import Comparison
+from hsed_jax.criticism.locate import Location
+from hsed_jax.physics.outputs import output as output_of
 from hsed_jax.reporting.outcome import Outcome
 
 _GRID = 41
@@ -18,11 +20,14 @@ def results_tree(outcome: Outcome) -> xr.DataTree:
     groups: dict[str, xr.Dataset] = {}
     if outcome.fit is not None:
         groups |= _posterior(outcome)
-    if outcome.state is not None:
-        groups |= _experiments(outcome)
-        if outcome.steps:
-            groups["design"] = _design(outcome)
-            groups["surrogate"] = _surrogate(outcome)
+    groups["observed_data"] = _observed(outcome)
+    if outcome.comparison is not None:
+        groups |= _predictions(outcome.comparison)
+    if outcome.location is not None and outcome.location.places:
+        groups["where"] = _where(outcome.location)
+    if outcome.steps:
+        groups["design"] = _design(outcome)
+        groups["surrogate"] = _surrogate(outcome)
     tree = xr.DataTree.from_dict(groups)
     tree.attrs["study"] = outcome.study
     return tree
@@ -46,26 +51,64 @@ def _posterior(outcome: Outcome) -> dict[str, xr.Dataset]:
     return {"posterior": xr.Dataset(draws, coords), "sample_stats": xr.Dataset(stats, coords)}
 
 
-def _experiments(outcome: Outcome) -> dict[str, xr.Dataset]:
-    state = outcome.state
-    assert state is not None
-    space = outcome.design.space
-    declared = space.declared(state.cube[: state.count])
-    names = [f"E{i + 1:02d}" for i in range(state.count)]
-    coords: dict = {"experiment": names}
-    coords |= {name: ("experiment", declared[:, i], {"units": space.units[name]}) for i, name in enumerate(space.names)}
-
-    def quantities(values: np.ndarray) -> xr.Dataset:
-        columns = {
-            name: ("experiment", values[:, j], {"units": output(name).unit})
-            for j, name in enumerate(outcome.quantities)
-        }
-        return xr.Dataset(columns, coords)
-
-    groups = {"observed_data": quantities(state.outputs[: state.count])}
-    if outcome.fit is not None:
-        groups["predictions"] = quantities(outcome.predicted)
+def _predictions(comparison: Comparison) -> dict[str, xr.Dataset]:
+    """Measured and predicted outputs of every compared experiment, a group each."""
+    groups = {}
+    for split, prediction in (("train", comparison.train_prediction), ("test", comparison.test_prediction)):
+        if prediction is None:
+            continue
+        if prediction.groups.size == len(prediction.outputs):
+            coords = {"experiment": [e.id for e in prediction.experiments]}
+            tables = {"measured": prediction.measured, "predicted": prediction.predicted, "sd": prediction.sd}
+            groups[f"predictions/{split}"] = xr.Dataset(
+                {
+                    f"{output}_{kind}": ("experiment", table[:, j], {"units": output_of(output).unit})
+                    for j, output in enumerate(prediction.outputs)
+                    for kind, table in tables.items()
+                },
+                coords,
+            )
+            continue
+        for row, experiment in enumerate(prediction.experiments):
+            assert experiment.record is not None
+            histories = {}
+            for output in prediction.outputs:
+                for kind, values in zip(
+                    ("measured", "predicted", "mean", "sd"), prediction.histories(row, output), strict=True
+                ):
+                    histories[f"{output}_{kind}"] = ("time", values, {"units": output_of(output).unit})
+            time = {"time": ("time", experiment.record.time, {"units": "s"})}
+            groups[f"predictions/{split}/{experiment.id}"] = xr.Dataset(histories, time)
     return groups
+
+
+def _where(location: Location) -> xr.Dataset:
+    """The places of the misfit, ranked."""
+    places = location.places
+    return xr.Dataset(
+        {
+            "coordinate": ("rank", [place.coordinate for place in places]),
+            "sentence": ("rank", [place.sentence for place in places]),
+            "error_share": ("rank", [place.error_share for place in places]),
+            "sample_share": ("rank", [place.sample_share for place in places]),
+            "information": ("rank", [place.information for place in places]),
+        },
+        {"rank": np.arange(1, len(places) + 1)},
+    )
+
+
+def _observed(outcome: Outcome) -> xr.Dataset:
+    """Measured quantities and inputs of the experiments, where quantities are observed."""
+    experiments = outcome.campaign.experiments
+    coords: dict = {"experiment": [e.id for e in experiments]}
+    for name in outcome.campaign.inputs:
+        unit = outcome.campaign.unit(name)
+        coords[name] = ("experiment", [float(unit.from_si(e.inputs[name])) for e in experiments], {"units": unit.text})
+    columns = {
+        name: ("experiment", [e.quantities.get(name, np.nan) for e in experiments], {"units": output_of(name).unit})
+        for name in outcome.campaign.quantities
+    }
+    return xr.Dataset(columns, coords)
 
 
 def _design(outcome: Outcome) -> xr.Dataset:
@@ -86,7 +129,7 @@ def _design(outcome: Outcome) -> xr.Dataset:
 def _surrogate(outcome: Outcome) -> xr.Dataset:
     """The last Kriging of the discrepancy on a grid of the inputs (up to two) or at its training points."""
     design, state = outcome.design, outcome.state
-    assert state is not None
+    assert state is not None and design is not None
     last = outcome.steps[-1]
     kriging = design.surrogate(state, last["discrepancy"], last["kriging"]["lengths"], last["kriging"]["nugget"])
     space = design.space

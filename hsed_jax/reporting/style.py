@@ -1,12 +1,15 @@
-"""How every figure looks: size, fonts, colours, and the words and units on its axes.
+"""How every figure looks and is kept: size, fonts, colours, the words and units on its axes, and its files.
 
-Colours are Okabe & Ito's, told apart by colour-blind readers; what is compared also differs in line style, so that a
+Colour-blind readers tell the colours apart; what is compared also differs in line style or width, so that a
 black-and-white print says the same.
 """
 
+import io
 import re
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from functools import wraps
+from pathlib import Path
 
 import matplotlib
 import matplotlib.style
@@ -26,7 +29,7 @@ from hsed_jax.physics.parameters import parameters_of
 WIDTH = 7.0
 """Width of every figure [inch]: a page of text."""
 
-BLACK, DARK_GREY, GREY, BLUE, RED = "#000000", "#555555", "#a0a0a0", "#0072b2", "#d03a10"
+BLACK, DARK_GREY, GREY, BLUE, RED = "#000000", "#808080", "#a0a0a0", "#0072b2", "#d03a10"
 COLOUR_MAP = "viridis"
 
 MEASURED = {"color": BLACK, "linestyle": (0, (4, 1.6)), "linewidth": 1.1, "label": "measured (HS)", "zorder": 3}
@@ -64,6 +67,43 @@ def in_house_style[**P, R](draw: Callable[P, R]) -> Callable[P, R]:
             return draw(*args, **kwargs)
 
     return styled
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure with its caption and, as alternative text, what it shows."""
+
+    figure: Figure
+    caption: str
+    alt: str
+
+    def __post_init__(self):
+        """Find the layout once and keep it: it would move a little each time the figure is drawn."""
+        self.figure.draw_without_rendering()
+        self.figure.set_layout_engine("none")
+
+    @in_house_style
+    def _repr_png_(self) -> bytes:
+        # A figure made without pyplot does not show itself in a notebook.
+        buffer = io.BytesIO()
+        self.figure.savefig(buffer, format="png", dpi=110)
+        return buffer.getvalue()
+
+
+@in_house_style
+def save(picture: Picture, folder: str | Path, name: str) -> tuple[Path, Path]:
+    """Write `name.png` (200 dpi) and `name.svg` into a folder, and return their paths.
+
+    The same picture gives the same bytes: no date, fixed identifiers.  The caption and the alternative text travel in
+    the metadata of both files.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    about = {"Title": picture.caption, "Description": picture.alt}
+    png, svg = folder / f"{name}.png", folder / f"{name}.svg"
+    picture.figure.savefig(png, dpi=200, metadata=about)
+    picture.figure.savefig(svg, dpi=200, metadata={**about, "Date": None})
+    return png, svg
 
 
 def new_figure(height: float) -> Figure:
@@ -112,18 +152,16 @@ def levels(values: np.ma.MaskedArray) -> np.ndarray:
 
 
 def readable(unit: str, *values: npt.ArrayLike) -> tuple[float, str]:
-    """Divisor and unit that bring the largest of `values` between 1 and 1000: (1000.0, "kN") for 2.5e5 N.
+    """Divisor and unit in which the largest of `values` is easy to read: (1000.0, "kN") for 2.5e5 N, mm below 1 m.
 
     Only units that take a prefix in this field change: those that begin with N, J or Pa, and m by itself.
     """
-    peak = max((np.nanmax(np.abs(v), initial=0.0) for v in map(np.asarray, values) if np.isfinite(v).any()), default=0)
-    if peak == 0 or not re.match(r"(N|J|Pa)(?!\^)\b|m$", unit):
-        return 1.0, unit
-    prefixes = {1e6: "M", 1e3: "k", 1.0: "", 1e-3: "m", 1e-6: "µ"}
-    if unit == "m":
-        prefixes = {1.0: "", 1e-3: "m", 1e-6: "µ"}
-    divisor = next((d for d in prefixes if peak >= d), 1.0)
-    return divisor, prefixes[divisor] + unit
+    largest = max((float(v[np.isfinite(v)].max(initial=0.0)) for v in map(np.abs, values)), default=0.0)
+    if unit == "m" and 0 < largest < 1:
+        return 1e-3, "mm"
+    if re.match(r"(N|J|Pa)(?!\^)\b", unit):
+        return next(((d, prefix + unit) for d, prefix in ((1e6, "M"), (1e3, "k")) if largest >= d), (1.0, unit))
+    return 1.0, unit
 
 
 def channel_label(name: str, unit: str) -> str:
@@ -164,7 +202,7 @@ def lettered(names: Sequence[str]) -> str:
 
 def amount(value: float, unit: str = "1") -> str:
     """A number with its unit in running text, where symbols cannot be set."""
-    if np.ma.is_masked(value) or not np.isfinite(value):
+    if not np.isfinite(value):
         return "no value"
     return f"{value:.3g}" if unit in ("1", "-", "") else f"{value:.3g} {unit}"
 

@@ -1,0 +1,182 @@
+"""The sentence of the package in Python: simulate, calibrate, compare, locate.  The command line says the same."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hsed_jax.config.build import Built
+from hsed_jax.config.schema import Study
+from hsed_jax.criticism import compare as comparing
+from hsed_jax.criticism import locate as locating
+from hsed_jax.criticism.compare import Comparison
+from hsed_jax.criticism.locate import Location
+from hsed_jax.criticism.prediction import Prediction, predict
+from hsed_jax.errors import UserError
+from hsed_jax.inference.fit import Fit, fit
+from hsed_jax.inference.priors import Prior
+from hsed_jax.measurements import Campaign
+from hsed_jax.physics.batch import tiled_map
+from hsed_jax.physics.integrate import Response
+from hsed_jax.physics.simulator import Conditions
+
+# Of the random numbers of a calibration; the steps of a design have the numbers below.
+CALIBRATION_KEY = 1_000_000
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A model calibrated on a campaign.
+
+    Attributes:
+        built: the study and what was built of it.
+        campaign: the experiments; those of the test split were not fitted.
+        fit: MAP, draws and their convergence.
+    """
+
+    built: Built
+    campaign: Campaign
+    fit: Fit
+
+    @property
+    def map(self) -> dict[str, float]:
+        """θ_MAP by name, SI."""
+        return self.fit.map
+
+    def predict(self, campaign: Campaign) -> Prediction:
+        """Predict the completed experiments of a campaign."""
+        experiments = campaign.completed.experiments
+        return predict(self.fit, self.built.data(campaign, experiments), experiments)
+
+    @cached_property
+    def train(self) -> Prediction:
+        """Predictions of the experiments that were fitted."""
+        return self.predict(self.campaign.train)
+
+    def __repr__(self) -> str:
+        return repr(self.fit)
+
+    def _repr_html_(self) -> str:
+        return self.fit._repr_html_()
+
+
+def campaign_of(study: Study) -> Campaign:
+    """The experiments of a study: the campaign it names, or what its virtual laboratory measures at the initial design."""
+    built = Built(study)
+    return built.perform() if built.measured is None else built.measured
+
+
+def calibrate(study: Study, campaign: Campaign | None = None) -> Calibration:
+    """Calibrate the model of a study on the training experiments of a campaign.
+
+    Arguments:
+        study: the study.
+        campaign: measured experiments; by default those of the study (`campaign_of`).
+
+    Raises:
+        UserError: the campaign does not fit the study, or has nothing to fit.
+    """
+    campaign = campaign_of(study) if campaign is None else campaign
+    return calibrate_built(Built(study, campaign), campaign)
+
+
+def calibrate_built(built: Built, campaign: Campaign) -> Calibration:
+    """`calibrate`, with what is built already."""
+    study = built.study
+    found = fit(
+        built.posterior,
+        built.data(campaign, campaign.train.experiments),
+        starts=study.calibration.starts,
+        settings=built.settings,
+        key=jax.random.fold_in(jax.random.key(study.seed), CALIBRATION_KEY),
+        units=built.units,
+        correlated=study.observe == "histories" and study.correlated_errors,
+    )
+    return Calibration(built, campaign, found)
+
+
+def compare(calibration: Calibration, campaign: Campaign | None = None) -> Comparison:
+    """How far the calibrated model is from the measurements, against the noise.
+
+    Arguments:
+        calibration: the calibrated model.
+        campaign: experiments to compare with; by default those it was calibrated on and their test split.
+    """
+    campaign = calibration.campaign if campaign is None else campaign
+    train, test = campaign.train, campaign.test
+    of_train = calibration.train if campaign is calibration.campaign else calibration.predict(train)
+    of_test = calibration.predict(test) if len(test) else None
+    declared = np.asarray([not isinstance(error, Prior) for error in calibration.built.errors[0]])
+    parameters = len(calibration.fit.posterior.model_names)
+    notes = comparing.correlation_notes(of_train) if calibration.built.study.observe == "histories" else []
+    if calibration.built.component_test and not campaign.has_time:
+        notes.append(
+            "the records have no time: the row number stands for it, which a rate-independent law does not notice"
+        )
+    return comparing.compare(of_train, of_test, declared, parameters, notes)
+
+
+def locate(calibration: Calibration, campaign: Campaign | None = None) -> Location:
+    """Where the calibrated model fails.
+
+    Arguments:
+        calibration: the calibrated model.
+        campaign: experiments to look at, all splits; by default those it was calibrated on.
+    """
+    if campaign is None:
+        return locating.locate(calibration.train, calibration.campaign)
+    return locating.locate(calibration.predict(campaign), campaign)
+
+
+def simulate(
+    study: Study,
+    inputs: Mapping[str, Any],
+    parameters: Mapping[str, Any] | None = None,
+    channels: tuple[str, ...] = ("elongation", "force", "energy"),
+) -> Response:
+    """Simulate the model of a study under its excitation.
+
+    Arguments:
+        study: the study.
+        inputs: variable inputs by name in their declared units, numbers or arrays of one common length: a batch.
+        parameters: free parameters by name (SI), numbers or arrays; by default the medians of their priors.
+        channels: histories to keep; none for quantities alone, which is faster.
+
+    Returns:
+        The response; in a batch every array has a leading axis.
+
+    Raises:
+        UserError: an input or parameter is missing or unknown, or lengths differ.
+    """
+    built = Built(study)
+    free, _ = built.parameters
+    given = {**{name: float(prior.quantile(0.5)) for name, prior in free.items()}, **(parameters or {})}
+    for what, names, known in (("input", inputs, built.study.inputs), ("parameter", given, free)):
+        for name in names:
+            if name not in known:
+                raise UserError(f"there is no {what} {name!r}; the study has {', '.join(known) or 'none'}")
+        if missing := [name for name in known if name not in names]:
+            raise UserError(f"{what} {missing[0]!r} is missing; the study has {', '.join(known)}")
+    factors = built.space.factors
+    lanes = (
+        {name: jnp.asarray(value, dtype=float) for name, value in given.items()},
+        {name: jnp.asarray(value, dtype=float) * factors[name] for name, value in inputs.items()},
+    )
+    sizes = {leaf.shape for leaf in jax.tree.leaves(lanes)} - {()}
+    if len(sizes) > 1 or any(len(shape) != 1 for shape in sizes):
+        raise UserError(
+            f"inputs and parameters must be numbers or arrays of one common length, but have the shapes {sizes}"
+        )
+
+    def one(lane):
+        return built.simulator.respond(lane[0], Conditions(lane[1]), channels)
+
+    if not sizes:
+        return jax.jit(one)(lanes)
+    ((size,),) = sizes
+    batch = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (size,)), lanes)
+    return jax.jit(lambda batch: tiled_map(jax.vmap(one), batch))(batch)

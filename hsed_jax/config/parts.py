@@ -1,0 +1,224 @@
+"""The parts of a study, built: priors, errors, structure, excitation, parameters; each fault names its key."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from hsed_jax.config.schema import ErrorEntry, ExcitationEntry, ModelEntry, StructureEntry, VirtualEntry
+from hsed_jax.errors import UserError
+from hsed_jax.inference.priors import Prior
+from hsed_jax.laboratories.virtual import Noise
+from hsed_jax.measurements import parse_unit, read_at2
+from hsed_jax.measurements.units import TIME, VELOCITY
+from hsed_jax.physics.bouc_wen import BoucWen
+from hsed_jax.physics.effects import EFFECTS
+from hsed_jax.physics.excitations import NearFaultPulse, RecordedMotion
+from hsed_jax.physics.parameters import Parameter, parameters_of
+from hsed_jax.physics.simulator import Parametrised
+from hsed_jax.physics.structures import ModalDamping, RayleighDamping, Spring, Structure
+
+
+def structure(entry: StructureEntry) -> Structure:
+    """The numerical substructure."""
+    stiffness = entry.damping.specimen_stiffness
+    reference = 1.0 if stiffness == "model" else float(stiffness)
+    if entry.damping.rayleigh is not None:
+        damping: Any = RayleighDamping(entry.damping.rayleigh.alpha, entry.damping.rayleigh.beta, reference)
+    else:
+        ratios = entry.damping.modal
+        if isinstance(ratios, list) and len(ratios) != len(entry.masses):
+            raise UserError(
+                f"structure.damping.modal: {len(ratios)} ratios for {len(entry.masses)} modes; give one, or one per mode"
+            )
+        damping = ModalDamping(jnp.asarray(ratios), reference)
+    springs = [Spring(ends(s.between), s.stiffness) for s in entry.springs]
+    try:
+        return Structure(entry.masses, springs, ends(entry.specimen.between), damping)
+    except ValueError as error:
+        raise UserError(f"structure: {error}") from None
+
+
+def ends(between: tuple[Any, Any]) -> tuple[int | None, int | None]:
+    """Ends as a user numbers them (masses from 1, or the ground) as a structure does (from 0, or None)."""
+    first, second = (None if end == "ground" else int(end) - 1 for end in between)
+    return first, second
+
+
+def excitation(entry: ExcitationEntry | None, inputs: Mapping[str, Any], folder: Path) -> Parametrised | None:
+    """From inputs to a ground motion; None where every experiment brings its record."""
+    if entry is None or (entry.near_fault_pulse is None and entry.recorded is None):
+        return None
+    if entry.near_fault_pulse is not None:
+        arguments: dict[str, Any] = entry.near_fault_pulse.model_dump()
+        constructor: Any = NearFaultPulse
+    else:
+        assert entry.recorded is not None
+        time, acceleration = recorded_motion(entry, folder)
+        arguments = {"scale": entry.recorded.scale}
+
+        def constructor(scale):
+            return RecordedMotion(time, scale * acceleration)
+
+    where = f"excitation.{'recorded' if entry.near_fault_pulse is None else 'near_fault_pulse'}"
+    for name, value in arguments.items():
+        if isinstance(value, str) and value not in inputs:
+            known = ", ".join(inputs) or "none"
+            raise UserError(f"{where}.{name}: it refers to {value!r}, which is no input; inputs are {known}")
+    for name, dimension in (("V_P", VELOCITY), ("T_P", TIME)):
+        if isinstance(value := arguments.get(name), str):
+            at(f"inputs.{value}.unit", parse_unit, inputs[value].unit, dimension)
+    period, gamma = arguments.get("T_P", 1.0), arguments.get("gamma", 2.0)
+    if isinstance(period, str):
+        lowest = float(prior(f"inputs.{period}", inputs[period].prior).quantile(1e-9))
+        if not lowest > 0:
+            raise UserError(f"inputs.{period}: a period is positive, but this distribution reaches {lowest:.3g}")
+    elif period <= 0:
+        raise UserError(f"{where}.T_P: a period is positive, but it is {period:g}")
+    if not isinstance(gamma, str) and (gamma <= 0 or gamma == 1):
+        raise UserError(f"{where}.gamma: the number of oscillations is positive and not 1, but it is {gamma:g}")
+    return Parametrised(constructor, tuple(arguments.items()))
+
+
+def recorded_motion(entry: ExcitationEntry, folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Times [s] and accelerations [m/s²] of the accelerogram that a study names."""
+    assert entry.recorded is not None
+    step, acceleration = read_at2(folder / entry.recorded.file)
+    return step * np.arange(len(acceleration)), acceleration
+
+
+def model_parameters(model: ModelEntry) -> tuple[dict[str, Prior], dict[str, float]]:
+    """Free parameters of the model with their priors, and the fixed ones with their values."""
+    law = parameters_of(BoucWen)
+    check_names("model.parameters", model.parameters, law)
+    given: dict[str, tuple[str, Parameter, Any]] = {}
+    for name, known in law.items():
+        if name in model.parameters:
+            given[name] = (f"model.parameters.{name}", known, model.parameters[name])
+        elif known.neutral is None:
+            raise UserError(f"model.parameters.{name}: this key is required ({known.meaning}, {known.unit})")
+    for effect, entries in model.effects.items():
+        forms = effect_parameters("model.effects", effect, entries)
+        named = {forms[name].name for name in entries}
+        for name, entry in entries.items():
+            given[f"{effect}.{name}"] = (f"model.effects.{effect}.{name}", forms[name], entry)
+        for known in parameters_of(EFFECTS[effect]).values():
+            if known.name not in named:
+                assert known.prior is not None
+                given[f"{effect}.{known.name}"] = ("", known, dict(known.prior))
+    free, fixed = {}, {}
+    for name, (where, known, entry) in given.items():
+        if isinstance(entry, dict):
+            free[name] = prior(where, entry)
+            for bound in free[name].bounds:
+                if bound is not None:
+                    within(where, bound, known)
+        else:
+            fixed[name] = within(where, float(entry), known)
+    if not free:
+        raise UserError("model.parameters: at least one parameter needs a prior, such as A: {uniform: [2.0e5, 9.0e5]}")
+    return free, fixed
+
+
+def true_parameters(entry: VirtualEntry) -> dict[str, float]:
+    """The parameters of a virtual specimen."""
+    law = parameters_of(BoucWen)
+    where = "experiments.virtual"
+    check_names(f"{where}.parameters", entry.parameters, law)
+    truth = {name: within(f"{where}.parameters.{name}", value, law[name]) for name, value in entry.parameters.items()}
+    for name, known in law.items():
+        if known.neutral is None and name not in truth:
+            raise UserError(f"{where}.parameters.{name}: this key is required ({known.meaning})")
+    for effect, values in entry.effects.items():
+        forms = effect_parameters(f"{where}.effects", effect, values)
+        for name, value in values.items():
+            truth[f"{effect}.{name}"] = within(f"{where}.effects.{effect}.{name}", value, forms[name])
+    return truth
+
+
+def true_noise(entry: VirtualEntry, outputs: list[str]) -> dict[str, Noise]:
+    """The noise of a virtual laboratory, per output."""
+    noise = {}
+    for name, error in per_output("experiments.virtual.noise", entry.noise, outputs).items():
+        if error.unknown:
+            raise UserError(f"experiments.virtual.noise: the noise of {name} must be a number: relative or absolute")
+        relative = error.relative is not None
+        noise[name] = Noise(float(error.relative if relative else error.absolute or 0.0), relative)
+    return noise
+
+
+def parameter_units(names: tuple[str, ...], constants: Mapping[str, float]) -> dict[str, str]:
+    """SI unit of every named parameter."""
+    units = {}
+    for name in names:
+        effect, _, rest = name.rpartition(".")
+        known = parameters_of(EFFECTS[effect]) if effect else parameters_of(BoucWen)
+        physical = {p.physical.name: p.physical.unit for p in known.values() if p.physical is not None}
+        unit = known[rest].unit if rest in known else physical[rest]
+        # With n = 1 the unit of β and γ is an ordinary one.
+        units[name] = "1/m" if unit == "N^(1-n)/m" and constants.get("n", 1.0) == 1 and "n" not in names else unit
+    return units
+
+
+def effect_parameters(where: str, effect: str, entries: Mapping[str, Any]) -> dict[str, Parameter]:
+    """Parameters of an effect under both their names, the dimensionless and the physical one."""
+    if effect not in EFFECTS:
+        raise UserError(f"{where}.{effect}: there is no such effect; the catalogue has {', '.join(EFFECTS)}")
+    known = parameters_of(EFFECTS[effect])
+    forms = {**known, **{p.physical.name: p for p in known.values() if p.physical is not None}}
+    check_names(f"{where}.{effect}", entries, forms)
+    for name in entries:
+        same = [other for other in entries if forms[other].name == forms[name].name]
+        if len(same) > 1:
+            raise UserError(f"{where}.{effect}: {' and '.join(same)} are two forms of one parameter; give one of them")
+    return forms
+
+
+def check_names(where: str, given: Mapping[str, Any], known: Mapping[str, Any]) -> None:
+    """Refuse a name that is not known, and say which are."""
+    for name in given:
+        if name not in known:
+            raise UserError(f"{where}.{name}: there is no such parameter; allowed here are {', '.join(known)}")
+
+
+def within(where: str, value: float, known: Parameter) -> float:
+    """A fixed value, if it is possible."""
+    if not known.lower <= value <= known.upper:
+        raise UserError(f"{where}: {value:g} is outside what is possible, {_possible(known)}")
+    return value
+
+
+def _possible(known: Parameter) -> str:
+    low = "" if known.lower == -float("inf") else f"at least {known.lower:g}"
+    high = "" if known.upper == float("inf") else f"at most {known.upper:g}"
+    return " and ".join(side for side in (low, high) if side)
+
+
+def per_output(
+    where: str, entry: ErrorEntry | dict[str, ErrorEntry] | None, outputs: list[str]
+) -> dict[str, ErrorEntry]:
+    """One entry for all outputs, or one per output, as one per output."""
+    if entry is None:
+        return {}
+    if isinstance(entry, ErrorEntry):
+        return dict.fromkeys(outputs, entry)
+    for name in entry:
+        if name not in outputs:
+            raise UserError(f"{where}.{name}: this is not observed; observed are {', '.join(outputs)}")
+    return dict(entry)
+
+
+def prior(where: str, entry: Mapping[str, Any]) -> Prior:
+    """A prior, its faults with the key in front."""
+    ((name, arguments),) = entry.items()
+    return at(where, Prior, str(name), arguments)
+
+
+def at[T](where: str, make: Any, *arguments: Any) -> T:
+    """Call, and put the place in front of what is wrong."""
+    try:
+        return make(*arguments)
+    except UserError as error:
+        raise UserError(f"{where}: {error}") from None

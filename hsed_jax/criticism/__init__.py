@@ -1,0 +1,1 @@
+"""How wrong the model is, where it fails, and what it lacks."""

@@ -1,0 +1,273 @@
+r"""How far the model is from the measurements, against what the noise alone would leave.
+
+`error` is the normalised root-mean-square error: for each output the RMS residual over the RMS of that output about its mean,
+outputs averaged in the square.  `noise_floor` is the same figure for the noise.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from hsed_jax.criticism.cycles import absorbed_energy, cycle_numbers, energy_per_cycle
+from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.inference.correlation import autocorrelation_time
+from hsed_jax.measurements import noise_estimate
+
+_SIGNIFICANT = 0.01
+
+
+@dataclass(frozen=True)
+class Split:
+    """Errors over the training or the test experiments.
+
+    Attributes:
+        error, noise_floor: over all outputs.
+        per_output: nrmse, noise_floor, bias, r2, peak_error, coverage_90 by output.
+        per_experiment: the same by experiment and output, and energy_error where force and elongation are known.
+    """
+
+    error: float
+    noise_floor: float
+    per_output: dict[str, dict[str, float]]
+    per_experiment: dict[str, dict[str, dict[str, float]]]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A calibrated model against its measurements.
+
+    Attributes:
+        train, test: errors over the experiments that were fitted and over those that were not.
+        p_value: probability of a residual like this from the noise; None where nothing tells the noise.
+        adequate: whether the noise explains the residual (p_value at least 0.01).
+        worst: experiment, output and error of the largest errors.
+        notes: sentences on how the comparison was made.
+        train_prediction, test_prediction: what the errors are of.
+    """
+
+    train: Split
+    test: Split | None
+    p_value: float | None
+    adequate: bool
+    worst: list[dict[str, Any]]
+    notes: list[str]
+    train_prediction: Prediction
+    test_prediction: Prediction | None
+
+    def summary(self) -> dict[str, Any]:
+        """The key `comparison` of `summary.json`."""
+        content: dict[str, Any] = {"train": _plain(self.train), "adequate": self.adequate, "worst": self.worst}
+        if self.test is not None:
+            content["test"] = _plain(self.test)
+        if self.p_value is not None:
+            content["p_value"] = self.p_value
+        content["notes"] = self.notes
+        return content
+
+    def __repr__(self) -> str:
+        lines = [f"{'':8}{'error':>8}{'noise':>8}  per output (nrmse, bias, coverage of 90 %)"]
+        for name, split in (("train", self.train), ("test", self.test)):
+            if split is not None:
+                outputs = "; ".join(
+                    f"{o} {v['nrmse']:.3f}, {v['bias']:+.3f}, {v['coverage_90']:.2f}"
+                    for o, v in split.per_output.items()
+                )
+                lines.append(f"{name:8}{split.error:8.3f}{split.noise_floor:8.3f}  {outputs}")
+        return "\n".join([*lines, self.verdict])
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        return f"<pre>{escape(repr(self))}</pre>"
+
+    @property
+    def verdict(self) -> str:
+        """One sentence."""
+        if self.p_value is None:
+            return "whether the noise explains the residual cannot be said: no noise is declared"
+        if self.adequate:
+            return f"the residual is explained by the noise (p = {self.p_value:.2g})"
+        return f"the residual is not explained by the noise (p = {self.p_value:.1g})"
+
+
+def compare(
+    train: Prediction, test: Prediction | None, declared: np.ndarray, parameters: int, notes: list[str]
+) -> Comparison:
+    """Compare predictions with measurements.
+
+    Arguments:
+        train, test: predictions of the fitted and of the held-out experiments.
+        declared: per output, whether its noise is declared (else inferred from the residual itself).
+        parameters: how many parameters were fitted.
+        notes: sentences to carry along.
+    """
+    splits = [_split(p, declared) if p is not None else None for p in (train, test)]
+    assert splits[0] is not None
+    worst = sorted(
+        (
+            {"experiment": experiment, "output": output, "error": values["nrmse"]}
+            for split in splits
+            if split is not None
+            for experiment, outputs in split.per_experiment.items()
+            for output, values in outputs.items()
+        ),
+        key=lambda entry: -entry["error"],
+    )[:5]
+    p_value = discrepancy_p_value(train, declared, parameters)
+    adequate = p_value is not None and p_value >= _SIGNIFICANT
+    return Comparison(splits[0], splits[1], p_value, adequate, worst, notes, train, test)
+
+
+def discrepancy_p_value(prediction: Prediction, declared: np.ndarray, parameters: int) -> float | None:
+    r"""Probability that the noise alone leaves such a residual.
+
+    The smallest of up to two tests per output, times their number (Bonferroni): the size of the residual against declared
+    noise, $\sum (r/\sigma)^2 \sim \chi^2_{N-p}$; and, for histories, its whiteness (Ljung & Box 1978 over ten lags).
+    """
+    values = []
+    z = prediction.residual / np.where(prediction.used, prediction.sigma, 1.0)
+    total = int(prediction.used[:, declared[prediction.groups]].sum())
+    if total > parameters:
+        size = float((z[:, declared[prediction.groups]] ** 2).sum())
+        values.append(float(stats.chi2.sf(size, total - parameters)))
+    for group in range(len(prediction.outputs)):
+        columns = prediction.groups == group
+        if columns.sum() < 30:
+            continue
+        statistic, lags = 0.0, 0
+        for row, used in zip(z[:, columns], prediction.used[:, columns], strict=True):
+            residual = row[used]
+            if residual.size >= 30 and np.ptp(residual) > 0:
+                statistic += _ljung_box(residual)
+                lags += 10
+        if lags:
+            values.append(float(stats.chi2.sf(statistic, lags)))
+    return min(1.0, min(values) * len(values)) if values else None
+
+
+def _ljung_box(residual: np.ndarray) -> float:
+    m = residual.size
+    centred = residual - residual.mean()
+    power = centred @ centred
+    rho = np.asarray([centred[k:] @ centred[:-k] for k in range(1, 11)]) / power
+    return float(m * (m + 2) * np.sum(rho**2 / (m - np.arange(1, 11))))
+
+
+def _split(prediction: Prediction, declared: np.ndarray) -> Split:
+    per_output: dict[str, dict[str, float]] = {}
+    per_experiment: dict[str, dict[str, dict[str, float]]] = {}
+    for number, output in enumerate(prediction.outputs):
+        columns = prediction.columns(output)
+        used = prediction.used[:, columns]
+        if not used.any():
+            continue
+        noise = _noise(prediction, output, bool(declared[number]))
+        every = tuple(
+            np.where(used, table[:, columns], np.nan)
+            for table in (prediction.measured, prediction.predicted, prediction.mean, prediction.sd, noise)
+        )
+        per_output[output] = _errors(*every)
+        for row, experiment in enumerate(prediction.experiments):
+            if used[row].any() and (columns.sum() > 1 or len(prediction.experiments) > 1):
+                scale = per_output[output]["scale"] if columns.sum() == 1 else None
+                entry = _errors(*(table[row : row + 1] for table in every), scale=scale)
+                per_experiment.setdefault(experiment.id, {})[output] = entry
+    _add_energy_errors(prediction, per_experiment)
+    squares = [values["nrmse"] ** 2 for values in per_output.values()]
+    floors = [values["noise_floor"] ** 2 for values in per_output.values()]
+    return Split(float(np.sqrt(np.mean(squares))), float(np.sqrt(np.mean(floors))), per_output, per_experiment)
+
+
+def _errors(measured, predicted, mean, sd, noise, scale: float | None = None) -> dict[str, float]:
+    """The figures of one output over some experiments; NaN marks what was not measured."""
+    known = np.isfinite(measured)
+    residual = (predicted - measured)[known]
+    about_mean = measured[known] - measured[known].mean()
+    scale = float(np.sqrt(np.mean(about_mean**2))) if scale is None else scale
+    scale = scale if scale > 0 else float(np.sqrt(np.mean(measured[known] ** 2))) or 1.0
+    largest = float(np.max(np.abs(measured[known])))
+    inside = np.abs(measured - mean)[known] <= 1.6448536 * sd[known]
+    return {
+        "nrmse": float(np.sqrt(np.mean(residual**2))) / scale,
+        "noise_floor": float(np.sqrt(np.mean(noise[known] ** 2))) / scale,
+        "bias": float(residual.mean()) / scale,
+        "r2": 1 - float(np.mean(residual**2)) / scale**2,
+        "peak_error": (float(np.max(np.abs(predicted[known]))) - largest) / (largest or 1.0),
+        "coverage_90": float(inside.mean()),
+        "scale": scale,
+    }
+
+
+def _noise(prediction: Prediction, output: str, declared: bool) -> np.ndarray:
+    """Sd of the noise of an output, (n, J): declared, or for histories estimated from what no smooth signal explains."""
+    columns = prediction.columns(output)
+    sigma = prediction.sigma[:, columns].copy()
+    if declared or columns.sum() < 30:
+        return sigma
+    for row, experiment in enumerate(prediction.experiments):
+        used = prediction.used[row, columns]
+        if experiment.record is not None and used.sum() >= 8:
+            length = len(experiment.record)
+            time = experiment.record.time[used[:length]]
+            sigma[row] = noise_estimate(time, prediction.measured[row, columns][used])
+    return sigma
+
+
+def _add_energy_errors(prediction: Prediction, per_experiment: dict[str, dict[str, dict[str, float]]]) -> None:
+    """RMS error of the energy absorbed per cycle over its RMS, where force and elongation are both known."""
+    if "force" not in prediction.outputs:
+        return
+    for row, experiment in enumerate(prediction.experiments):
+        if experiment.record is None or experiment.id not in per_experiment:
+            continue
+        force, predicted, _, _ = prediction.histories(row, "force")
+        if "elongation" in prediction.outputs:
+            elongation, stretched, _, _ = prediction.histories(row, "elongation")
+        elif "elongation" in experiment.record.channels:
+            elongation = stretched = experiment.record["elongation"]
+        else:
+            continue
+        used = prediction.used[row, prediction.columns("force")][: len(force)]
+        if used.sum() < 3 or not np.ptp(elongation[used]) > 0:
+            continue
+        there = energy_per_cycle(force[used], elongation[used])
+        ours = np.bincount(
+            cycle_numbers(elongation[used]),
+            weights=np.diff(absorbed_energy(predicted[used], stretched[used]), prepend=0.0),
+            minlength=there.size,
+        )
+        rms = float(np.sqrt(np.mean(there**2)))
+        if rms > 0:
+            per_experiment[experiment.id]["force"]["energy_error"] = float(np.sqrt(np.mean((ours - there) ** 2))) / rms
+
+
+def _plain(split: Split) -> dict[str, Any]:
+    return {
+        "error": split.error,
+        "noise_floor": split.noise_floor,
+        "per_output": split.per_output,
+        "per_experiment": split.per_experiment,
+    }
+
+
+def correlation_notes(prediction: Prediction) -> list[str]:
+    """Sentences on outputs whose residual is correlated in time: how many samples count as how many."""
+    notes = []
+    for output in prediction.outputs:
+        columns = prediction.columns(output)
+        rows = [
+            (r[u], u.sum())
+            for r, u in zip(prediction.residual[:, columns], prediction.used[:, columns], strict=True)
+            if u.sum() >= 8
+        ]
+        if not rows:
+            continue
+        tau = float(np.median([autocorrelation_time(residual) for residual, _ in rows]))
+        if tau > 1:
+            samples = int(sum(count for _, count in rows))
+            notes.append(
+                f"the residual of {output} is correlated over {tau:.0f} samples: its {samples} samples count as {max(1, round(samples / tau))}"
+            )
+    return notes

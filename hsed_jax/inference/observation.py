@@ -1,0 +1,239 @@
+"""What of an experiment is compared with the model: its quantities, or its histories.
+
+An observation knows how to predict its outputs for one experiment, and how to turn measured experiments into padded `Data`.
+Outputs are columns; columns that share an error (all samples of a channel) form a group.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hsed_jax.errors import UserError
+from hsed_jax.inference.likelihood import Data
+from hsed_jax.measurements import Campaign, Experiment, Record
+from hsed_jax.physics.excitations import AbstractExcitation, Imposed, Tabulated
+from hsed_jax.physics.simulator import Conditions, Recorded, Simulator
+
+Excite = Callable[[Mapping[str, Any]], AbstractExcitation] | None
+Respond = Callable[[Mapping[str, Any], Conditions], tuple[Float[Array, " J"], Array]]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The time grid of recorded experiments: samples (padded to the longest record) and integration steps per sample."""
+
+    samples: int
+    every: int
+
+
+@dataclass(frozen=True)
+class Quantities:
+    """The named quantities of each experiment, one column each.
+
+    Attributes:
+        names: of the quantities.
+        grid: where the excitation is recorded; None where the inputs define it.
+        excitation: from inputs to a ground motion, for records that have none.
+    """
+
+    names: tuple[str, ...]
+    grid: Grid | None = None
+    excitation: Excite = None
+
+    @property
+    def groups(self) -> np.ndarray:
+        """Group of each column, (J,)."""
+        return np.arange(len(self.names))
+
+    def respond(self, simulator: Simulator) -> Respond:
+        """From parameters by name and conditions to the outputs (J,) and whether the simulation converged."""
+        return lambda parameters, conditions: simulator.quantities(parameters, conditions, self.names)
+
+    def measured(self, experiment: Experiment) -> np.ndarray:
+        """The measured outputs of one experiment, SI, (J,); NaN where there is none."""
+        return np.asarray([_quantity(experiment, name) for name in self.names])
+
+    def weights(self, experiment: Experiment) -> np.ndarray:
+        """1 where there is a measurement to use, (J,)."""
+        return np.isfinite(self.measured(experiment)).astype(float)
+
+    def magnitudes(self, experiment: Experiment) -> np.ndarray:
+        """What a relative error is relative to, per column, (J,): the measured value."""
+        return np.abs(np.nan_to_num(self.measured(experiment), nan=1.0))
+
+
+@dataclass(frozen=True)
+class Histories:
+    """The histories of the named channels at the times of the record, channel after channel.
+
+    Attributes:
+        names: of the channels.
+        samples: of the longest record.
+        grid: where the excitation is recorded; None where the inputs define it and all records share the times of the
+            simulator's timeline.
+        excitation: from inputs to a ground motion, for records that have none.
+    """
+
+    names: tuple[str, ...]
+    samples: int
+    grid: Grid | None = None
+    excitation: Excite = None
+
+    @property
+    def groups(self) -> np.ndarray:
+        """Group of each column, (J,)."""
+        return np.repeat(np.arange(len(self.names)), self.samples)
+
+    def respond(self, simulator: Simulator) -> Respond:
+        """From parameters by name and conditions to the outputs (J,) and whether the simulation converged."""
+
+        def respond(parameters, conditions):
+            response = simulator.respond(parameters, conditions, self.names)
+            return jnp.concatenate([response.channels[name] for name in self.names]), response.ok
+
+        return respond
+
+    def measured(self, experiment: Experiment) -> np.ndarray:
+        """The measured outputs of one experiment, SI, (J,); NaN beyond the record."""
+        record = _record(experiment)
+        columns = np.full((len(self.names), self.samples), np.nan)
+        for row, name in zip(columns, self.names, strict=True):
+            if name in record.channels:
+                row[: len(record)] = record[name]
+        return columns.ravel()
+
+    def weights(self, experiment: Experiment) -> np.ndarray:
+        """1 where there is a measurement within the window, (J,)."""
+        inside = np.zeros(self.samples)
+        inside[: len(_record(experiment))] = experiment.in_window
+        return np.isfinite(self.measured(experiment)) * np.tile(inside, len(self.names))
+
+    def magnitudes(self, experiment: Experiment) -> np.ndarray:
+        """What a relative error is relative to, per column, (J,): the channel's RMS in the window."""
+        weights, measured = self.weights(experiment), np.nan_to_num(self.measured(experiment))
+        squares = (weights * measured**2).reshape(len(self.names), -1).sum(axis=1)
+        counts = np.maximum(weights.reshape(len(self.names), -1).sum(axis=1), 1.0)
+        rms = np.sqrt(squares / counts)
+        return np.repeat(np.where(rms > 0, rms, 1.0), self.samples)
+
+
+Observation = Quantities | Histories
+
+
+def assemble(
+    observation: Observation,
+    campaign: Campaign,
+    experiments: Sequence[Experiment],
+    relative: np.ndarray,
+    size: int | None = None,
+) -> Data:
+    """Measured experiments as padded data.
+
+    Arguments:
+        observation: what is observed.
+        campaign: where the experiments come from (its protocol and units).
+        experiments: which of them, in order.
+        relative: per group, whether its error is relative to the magnitude of what was measured (else absolute, SI).
+        size: number of rows to pad to; by default as many as there are experiments.
+
+    Raises:
+        UserError: there is nothing to fit, or an experiment lacks what its excitation needs.
+    """
+    if not experiments:
+        raise UserError(f"the campaign {campaign.name!r} has no completed experiment to use here")
+    size = size or len(experiments)
+    rows = [*experiments, *[experiments[-1]] * (size - len(experiments))]
+    conditions = [conditions_of(e, campaign, observation.grid, observation.excitation) for e in rows]
+    measured = np.stack([observation.measured(e) for e in rows])
+    weights = np.stack([observation.weights(e) for e in rows])
+    weights[len(experiments) :] = 0.0
+    magnitudes = np.stack([observation.magnitudes(e) for e in rows])
+    scales = np.where(np.asarray(relative)[observation.groups][None], magnitudes, 1.0)
+    stacked = _stacked(conditions)
+    return Data(
+        stacked,
+        jnp.asarray(np.where(weights > 0, measured, 1.0)),
+        jnp.asarray(scales),
+        jnp.asarray(weights),
+        jnp.asarray(len(experiments)),
+    )
+
+
+def conditions_of(experiment: Experiment, campaign: Campaign, grid: Grid | None, excitation: Excite) -> Conditions:
+    """Inputs and recorded excitation of one experiment."""
+    inputs = {name: jnp.asarray(value) for name, value in experiment.inputs.items()}
+    if grid is None:
+        return Conditions(inputs)
+    record = _record(experiment)
+    lengths, half_steps = _grid_of(record.time, grid)
+    if campaign.protocol == "displacement":
+        samples: Any = _imposed(record, half_steps, experiment.id)
+    elif "ground_acceleration" in record.channels:
+        samples = np.interp(half_steps, record.time, record["ground_acceleration"])
+    elif excitation is not None:
+        motion = excitation(experiment.inputs)
+        samples = jax.vmap(motion.acceleration)(jnp.asarray(half_steps - record.time[0]))
+    else:
+        raise UserError(
+            f"experiment {experiment.id!r}: its record has no ground_acceleration and the study no excitation; give one"
+        )
+    return Conditions(inputs, Recorded(Tabulated(_arrays(samples)), jnp.asarray(lengths)))
+
+
+def _record(experiment: Experiment) -> Record:
+    if experiment.record is None:
+        raise UserError(f"experiment {experiment.id!r} has no record; histories and recorded motions need one")
+    return experiment.record
+
+
+def _grid_of(time: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    """Step lengths (steps,) and the times of the half-step grid (2·steps+1,); padded steps have length zero."""
+    steps = grid.every * (grid.samples - 1)
+    lengths = np.zeros(steps)
+    lengths[: grid.every * (len(time) - 1)] = np.repeat(np.diff(time) / grid.every, grid.every)
+    return lengths, time[0] + np.concatenate([[0.0], np.cumsum(np.repeat(lengths / 2, 2))])
+
+
+def _imposed(record: Record, times: np.ndarray, name: str) -> Imposed:
+    """The measured elongation between its samples: monotone cubics (Fritsch & Carlson 1980) turn only at samples."""
+    from scipy.interpolate import PchipInterpolator
+
+    if "elongation" not in record.channels:
+        raise UserError(f"experiment {name!r}: the protocol is displacement, but its record has no elongation")
+    if len(record) < 2:
+        raise UserError(f"experiment {name!r}: its record has one sample; an imposed elongation needs at least two")
+    curve = PchipInterpolator(record.time, record["elongation"])
+    inside = np.minimum(times, record.time[-1])
+    return Imposed(curve(inside), curve.derivative()(inside))
+
+
+def _arrays(samples: Any) -> Any:
+    if isinstance(samples, Imposed):
+        return Imposed(jnp.asarray(samples.elongation), jnp.asarray(samples.rate))
+    return jnp.asarray(samples)
+
+
+def _stacked(conditions: Sequence[Conditions]) -> Conditions:
+    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf, dtype=float) for leaf in leaves]), *conditions)
+
+
+def _quantity(experiment: Experiment, name: str) -> float:
+    """A quantity as given, or from the record."""
+    if name in experiment.quantities:
+        return experiment.quantities[name]
+    record = experiment.record
+    if record is None:
+        return float("nan")
+    force, elongation = record.channels.get("force"), record.channels.get("elongation")
+    if name == "peak_force" and force is not None:
+        return float(np.max(np.abs(force)))
+    if name == "peak_elongation" and elongation is not None:
+        return float(np.max(np.abs(elongation)))
+    if name == "dissipated_energy" and force is not None and elongation is not None:
+        return float(np.trapezoid(force, elongation))
+    return float("nan")

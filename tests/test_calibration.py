@@ -1,0 +1,461 @@
+"""Calibration against independent truth: grids, closed forms, SciPy; and warnings that come when they should."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.integrate import trapezoid
+from scipy.optimize import minimize
+
+from hsed_jax.config.build import Built
+from hsed_jax.config.load import load_study
+from hsed_jax.errors import UserError
+from hsed_jax.inference.likelihood import Data, log_likelihood
+from hsed_jax.inference.maximum import maximise
+from hsed_jax.inference.nuts import Chains, Settings, convergence, sample
+from hsed_jax.inference.posterior import Posterior
+from hsed_jax.inference.predict import predictor
+from hsed_jax.inference.priors import Prior
+from hsed_jax.physics.simulator import Conditions
+
+EXPERIMENTS = 8
+
+
+def posterior_of(respond, priors, errors) -> Posterior:
+    """The posterior of a toy: `respond` gives one output per error."""
+    outputs = [f"y{j}" for j in range(len(errors))]
+    return Posterior(predictor(respond), priors, errors, outputs, np.arange(len(errors)))
+
+
+def data_of(x, values, scales=1.0) -> Data:
+    """Measured outputs (n, J) at the inputs x (n,)."""
+    values = np.asarray(values, float)
+    return Data(
+        Conditions({"x": jnp.asarray(x, float)}),
+        jnp.asarray(values),
+        jnp.asarray(np.broadcast_to(scales, values.shape), float),
+        jnp.ones(values.shape),
+        jnp.asarray(len(values)),
+    )
+
+
+def find(posterior, data, starts=4):
+    return jax.jit(lambda d, s: maximise(posterior, d, s))(data, posterior.starts(starts))
+
+
+def draw(posterior, data, maximum, settings, seed=0):
+    go = jax.jit(lambda d, m, k: sample(posterior, d, m, jnp.asarray(0.8), k, settings))
+    return go(data, maximum, jax.random.key(seed))
+
+
+# --- the paper's case against a grid -----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def paper(request):
+    """Eight experiments of the paper's case: what was built, and the data."""
+    path = request.config.rootpath / "configs" / "paper.yaml"
+    built = Built(load_study(path, [f"design.initial={EXPERIMENTS}", "design.iterations=0"]))
+    design, state = built.design, built.design.init()
+    for number, cube in enumerate(design.space.initial_design(EXPERIMENTS)):
+        si = design.space.si(design.space.declared(cube[None]))
+        measured = built.laboratory.perform(number, {name: float(x[0]) for name, x in si.items()})
+        state = design.tell(state, cube.tolist(), [measured.quantities[q] for q in built.study.quantities])
+    return built, design.data(state), state
+
+
+@pytest.fixture(scope="module")
+def paper_maximum(paper):
+    built, data, _ = paper
+    return find(built.posterior, data)
+
+
+@pytest.fixture(scope="module")
+def paper_grid(paper):
+    """Axes, log posterior density over (A, beta) on a fine grid, and its integral: vmap of the simulator, and SciPy."""
+    built, _, state = paper
+    names = tuple(built.study.quantities)
+    conditions = Conditions({name: jnp.asarray(x) for name, x in state.conditions.items()})
+    prior = stats.uniform(2e5, 7e5).logpdf(5e5) + stats.uniform(0.5, 1.5).logpdf(1.0)
+
+    @jax.jit
+    def predict(A, beta):
+        def one(c):
+            return built.simulator.quantities({"A": A, "beta": beta}, c, names)[0]
+
+        return jax.vmap(one)(conditions)
+
+    def log_density(A, beta):
+        thetas = jnp.asarray(np.stack([m.ravel() for m in np.meshgrid(A, beta, indexing="ij")]))
+        predicted = np.asarray(jax.lax.map(lambda t: predict(*t), thetas.T, batch_size=64))
+        sigma = 0.05 * np.abs(state.outputs)
+        return stats.norm.logpdf(state.outputs, predicted, sigma).sum(axis=(1, 2)).reshape(len(A), len(beta)) + prior
+
+    A, beta = np.linspace(2e5, 9e5, 36), np.linspace(0.5, 2.0, 31)
+    coarse = log_density(A, beta)
+    # e⁻¹² of the peak and a coarse cell around: what lies outside weighs less than 1e-4.
+    inside = np.argwhere(coarse > coarse.max() - 12)
+    (a0, b0), (a1, b1) = inside.min(axis=0) - 1, inside.max(axis=0) + 1
+    A = np.linspace(A[max(a0, 0)], A[min(a1, 35)], 61)
+    beta = np.linspace(beta[max(b0, 0)], beta[min(b1, 30)], 61)
+    fine = log_density(A, beta)
+    mass = trapezoid(trapezoid(np.exp(fine - fine.max()), beta, axis=1), A)
+    return A, beta, fine, fine.max() + np.log(mass)
+
+
+def moments(A, beta, log_density):
+    """Mean, standard deviation and correlation of (A, beta) under a density on a grid."""
+    weight = np.exp(log_density - log_density.max())
+    weight /= weight.sum()
+    points = np.stack(np.meshgrid(A, beta, indexing="ij"))
+    mean = (weight * points).sum(axis=(1, 2))
+    centred = points - mean[:, None, None]
+    covariance = np.einsum("ij,aij,bij->ab", weight, centred, centred)
+    sd = np.sqrt(np.diag(covariance))
+    return mean, sd, covariance[0, 1] / sd.prod()
+
+
+def test_map_of_the_papers_case_is_the_top_of_the_grid(paper_maximum, paper_grid):
+    A, beta, log_density, _ = paper_grid
+    i, j = np.unravel_index(log_density.argmax(), log_density.shape)
+    assert abs(paper_maximum.theta[0] - A[i]) < A[1] - A[0]
+    assert abs(paper_maximum.theta[1] - beta[j]) < beta[1] - beta[0]
+    # Not below any point of the grid, and not above it by more than a cell can hide.
+    assert -1e-6 < float(paper_maximum.log_posterior) - log_density.max() < 0.5
+    assert bool(paper_maximum.converged)
+
+
+def test_laplace_evidence_of_the_papers_case_is_the_grids_integral(paper_maximum, paper_grid):
+    # The posterior is nearly Gaussian.
+    assert float(paper_maximum.log_evidence) == pytest.approx(paper_grid[3], abs=0.1)
+
+
+def test_nuts_of_the_papers_case_has_the_moments_of_the_grid(paper, paper_maximum, paper_grid):
+    built, data, _ = paper
+    chains = draw(built.posterior, data, paper_maximum, Settings(4, 100, 500))
+    judged = convergence(chains)
+    assert judged.warning(built.posterior.names) is None
+    mean, sd, correlation = moments(*paper_grid[:3])
+    draws = np.asarray(chains.theta).reshape(-1, 2)
+    # Four standard errors of the Monte Carlo, from the effective sample size.
+    error = 4 / np.sqrt(judged.ess_bulk.min())
+    np.testing.assert_allclose(draws.mean(axis=0), mean, atol=error * sd)
+    np.testing.assert_allclose(draws.std(axis=0), sd, rtol=error)
+    assert np.corrcoef(draws.T)[0, 1] == pytest.approx(correlation, abs=error * (1 - correlation**2) + 0.01)
+
+
+def test_gauss_newton_covariance_of_the_papers_case_is_near_the_grids(paper_maximum, paper_grid):
+    _, sd, _ = moments(*paper_grid[:3])
+    # A quadratic approximation at the mode of a slightly skew density.
+    np.testing.assert_allclose(np.sqrt(np.diag(paper_maximum.covariance)), sd, rtol=0.15)
+
+
+# --- the likelihood ----------------------------------------------------------------------------------------------
+
+
+def random_data(n, J, seed=0):
+    rng = np.random.default_rng(seed)
+    values, predicted = rng.normal(size=(n, J)), rng.normal(size=(n, J))
+    weights = (rng.uniform(size=(n, J)) < 0.7).astype(float)
+    scales = rng.uniform(0.5, 2.0, (n, J))
+    data = Data(Conditions({}), *(jnp.asarray(v) for v in (values, scales, weights)), jnp.asarray(n))
+    return data, predicted, rng.uniform(0.1, 1.0, J)
+
+
+def test_log_likelihood_is_the_sum_of_normal_log_densities_over_what_was_measured():
+    data, predicted, errors = random_data(7, 3)
+    expected = stats.norm.logpdf(np.asarray(data.values), predicted, errors * np.asarray(data.scales))
+    expected = (expected * np.asarray(data.weights)).sum()
+    found = log_likelihood(jnp.asarray(predicted), jnp.ones(7), jnp.asarray(errors), data)
+    assert float(found) == pytest.approx(expected, rel=1e-13)
+
+
+def test_missing_values_may_hold_anything():
+    data, predicted, errors = random_data(7, 3)
+    junk = data._replace(values=jnp.where(data.weights > 0, data.values, 1e30))
+    one, other = (float(log_likelihood(jnp.asarray(predicted), jnp.ones(7), jnp.asarray(errors), d)) for d in (data, junk))
+    assert one == other
+
+
+def test_padding_the_data_changes_no_number(paper, paper_maximum):
+    built, data, state = paper
+    design = Built(built.study.model_copy(update={"design": built.study.design.model_copy(update={"iterations": 5})})).design
+    larger = design.init()
+    for cube, outputs in zip(state.cube, state.outputs, strict=True):
+        larger = design.tell(larger, cube.tolist(), outputs.tolist())
+    padded = design.data(larger)
+    assert padded.values.shape[0] == EXPERIMENTS + 5
+    u = paper_maximum.u + 0.1
+    for function in (built.posterior.log_density, built.posterior.log_posterior):
+        assert float(function(u, padded)) == pytest.approx(float(function(u, data)), rel=1e-13)
+    np.testing.assert_allclose(
+        built.posterior.curvature(u, padded), built.posterior.curvature(u, data), rtol=1e-9
+    )
+
+
+def test_a_diverged_simulation_is_a_very_unlikely_one_and_not_a_number_that_is_missing():
+    posterior = posterior_of(
+        lambda t, c: (jnp.where(t[0] > 0.5, jnp.nan, t[0])[None] * c.inputs["x"], True), {"t": Prior("uniform", [0, 1])}, [1.0]
+    )
+    data = data_of(np.ones(3), np.full((3, 1), 0.4))
+    good, bad = (float(posterior.log_density(posterior.unconstrain(jnp.array([t])), data)) for t in (0.4, 0.6))
+    assert np.isfinite(bad) and bad < good - 1e5
+    assert float(find(posterior, data).theta[0]) == pytest.approx(0.4, abs=1e-4)
+
+
+# --- linear models, where everything has a closed form -----------------------------------------------------------
+
+X = np.linspace(0.2, 2.0, 10)
+SIGMA = 2e4
+
+
+def line(theta, conditions):
+    """θ₀ + θ₁x, in the magnitudes of a stiffness."""
+    return (theta[0] + 1e5 * theta[1] * conditions.inputs["x"])[None], True
+
+
+def line_data(seed=1):
+    truth = np.stack([np.ones_like(X), 1e5 * X], axis=1) @ [4.2e5, 0.8]
+    return data_of(X, (truth + SIGMA * np.random.default_rng(seed).standard_normal(X.size))[:, None])
+
+
+@pytest.mark.parametrize("noise", [SIGMA, 40 * SIGMA], ids=["data rule", "prior rules"])
+def test_normal_priors_and_a_linear_model_give_the_closed_form_to_rounding(noise):
+    priors = {"A": Prior("normal", [5e5, 1e5]), "beta": Prior("normal", {"loc": 1.0, "scale": 0.3})}
+    data = line_data()
+    found = find(posterior_of(line, priors, [noise]), data)
+    H, m, S = np.stack([np.ones_like(X), 1e5 * X], axis=1), np.array([5e5, 1.0]), np.diag([1e5**2, 0.3**2])
+    y = np.asarray(data.values)[:, 0]
+    covariance = np.linalg.inv(H.T @ H / noise**2 + np.linalg.inv(S))
+    mean = covariance @ (H.T @ y / noise**2 + np.linalg.inv(S) @ m)
+    evidence = stats.multivariate_normal(H @ m, H @ S @ H.T + noise**2 * np.eye(X.size)).logpdf(y)
+    # The mode of the prior is found on a grid of its quantiles; the optimiser stops at 1e-6.
+    np.testing.assert_allclose(found.theta, mean, atol=0, rtol=1e-4)
+    np.testing.assert_allclose(found.covariance, covariance, rtol=1e-6)
+    assert float(found.log_evidence) == pytest.approx(evidence, abs=1e-3)
+
+
+def test_uniform_priors_and_a_linear_model_give_the_gaussian_integral():
+    priors = {"A": Prior("uniform", [2e5, 9e5]), "beta": Prior("uniform", [0.0, 2.0])}
+    data = line_data()
+    found = find(posterior_of(line, priors, [SIGMA]), data)
+    H, y = np.stack([np.ones_like(X), 1e5 * X], axis=1), np.asarray(data.values)[:, 0]
+    best, covariance = np.linalg.lstsq(H, y, rcond=None)[0], SIGMA**2 * np.linalg.inv(H.T @ H)
+    peak = stats.norm.logpdf(y, H @ best, SIGMA).sum()
+    evidence = peak + 0.5 * np.linalg.slogdet(2 * np.pi * covariance)[1] - np.log(7e5 * 2.0)
+    np.testing.assert_allclose(found.theta, best, rtol=1e-4)
+    assert float(found.log_evidence) == pytest.approx(evidence, abs=0.1)
+
+
+def test_lognormal_prior_of_a_stiffness_is_as_good_as_any():
+    priors = {"A": Prior("lognormal", [13.0, 0.4]), "beta": Prior("half_normal", 2.0)}
+    data = line_data()
+    posterior = posterior_of(line, priors, [SIGMA])
+    found = find(posterior, data)
+    y = np.asarray(data.values)[:, 0]
+
+    def minus_log_posterior(t):
+        A, beta = 1e5 * t[0], t[1]
+        prior = stats.lognorm(0.4, scale=np.exp(13.0)).logpdf(A) + stats.halfnorm(scale=2.0).logpdf(beta)
+        return -stats.norm.logpdf(y, A + 1e5 * beta * X, SIGMA).sum() - prior
+
+    best = minimize(minus_log_posterior, [4.0, 0.8], method="Nelder-Mead", options={"xatol": 1e-8, "fatol": 1e-10})
+    np.testing.assert_allclose(found.theta, [1e5 * best.x[0], best.x[1]], rtol=1e-3)
+    assert float(found.log_posterior) == pytest.approx(-best.fun, abs=1e-5)
+
+
+# --- unknown errors ----------------------------------------------------------------------------------------------
+
+
+def test_posterior_of_an_unknown_error_is_the_closed_form():
+    # y = θx + ε with a flat prior of θ: p(s | y) ∝ p(s) s^(1−n) exp(−RSS/2s²)
+    rng = np.random.default_rng(3)
+    x = rng.uniform(0.5, 2.0, 15)
+    y = 1.3 * x + 0.2 * rng.standard_normal(15)
+    prior = Prior("half_normal", 0.3)
+    posterior = posterior_of(lambda t, c: ((t[0] * c.inputs["x"])[None], True), {"t": Prior("uniform", [-50, 50])}, [prior])
+    assert posterior.names == ("t", "error.y0")
+    data = data_of(x, y[:, None])
+    found = find(posterior, data)
+    chains = draw(posterior, data, found, Settings(4, 200, 1000))
+    judged = convergence(chains)
+    assert judged.warning(posterior.names) is None
+    best = x @ y / (x @ x)
+    rss = ((y - best * x) ** 2).sum()
+    s = np.linspace(0.02, 1.5, 20001)
+    density = np.exp(stats.halfnorm(scale=0.3).logpdf(s) - 14 * np.log(s) - rss / (2 * s**2) - 20)
+    density /= trapezoid(density, s)
+    mean = trapezoid(s * density, s)
+    sd = np.sqrt(trapezoid((s - mean) ** 2 * density, s))
+    draws = np.asarray(chains.theta)[..., 1].ravel()
+    error = 4 / np.sqrt(judged.ess_bulk[1])
+    assert draws.mean() == pytest.approx(mean, abs=error * sd)
+    assert draws.std() == pytest.approx(sd, rel=2 * error)
+    # The joint mode is another point: there s^n, not s^(n−1).
+    joint = s[np.argmax(stats.halfnorm(scale=0.3).logpdf(s) - 15 * np.log(s) - rss / (2 * s**2))]
+    np.testing.assert_allclose(found.theta, [best, joint], rtol=2e-3)
+
+
+def test_an_unknown_relative_error_is_recovered(paper):
+    built, data, state = paper
+    # The model's own predictions at known parameters with 10 % noise, many times over.
+    truth = {"A": 4.5e5, "beta": 0.9}
+    names = tuple(built.study.quantities)
+    conditions = Conditions({name: jnp.asarray(x) for name, x in state.conditions.items()})
+    exact = np.asarray(jax.vmap(lambda c: built.simulator.quantities(truth, c, names)[0])(conditions))
+    noisy = exact * (1 + 0.1 * np.random.default_rng(5).standard_normal(exact.shape))
+    study = built.study.model_copy(update={"error": None})
+    posterior = Built(study).posterior
+    assert posterior.names[2:] == tuple(f"error.{q}" for q in names)
+    found = find(posterior, data._replace(values=jnp.asarray(noisy), scales=jnp.asarray(np.abs(noisy))))
+    # Eight values each: 0.1 within a quarter in standard deviation; 0.04 to 0.2 is three of them.
+    assert ((np.asarray(found.theta[2:]) > 0.04) & (np.asarray(found.theta[2:]) < 0.2)).all()
+    sd = np.sqrt(np.diag(found.covariance))
+    assert (np.abs(np.asarray(found.theta[:2]) - [4.5e5, 0.9]) < 3.5 * sd[:2]).all()
+
+
+# --- bounds, modes -----------------------------------------------------------------------------------------------
+
+
+def test_a_map_beyond_the_prior_lies_on_its_bound_and_the_draws_do_not_care():
+    # The likelihood's peak, 1.2, is outside of the prior [0, 1]: the posterior is a truncated normal.
+    posterior = posterior_of(lambda t, c: (t[0] * c.inputs["x"][None], True), {"t": Prior("uniform", [0.0, 1.0])}, [0.3])
+    data = data_of(np.ones(4), np.full((4, 1), 1.2))
+    found = find(posterior, data)
+    assert float(found.theta[0]) == pytest.approx(1.0, abs=1e-3) and float(found.theta[0]) <= 1.0
+    assert all(np.isfinite(np.asarray(leaf)).all() for leaf in found)
+    truth = stats.truncnorm((0 - 1.2) / 0.15, (1 - 1.2) / 0.15, loc=1.2, scale=0.15)
+    chains = draw(posterior, data, found, Settings(4, 200, 1000))
+    judged = convergence(chains)
+    assert judged.divergences == 0 and judged.rhat[0] < 1.02
+    error = 4 / np.sqrt(judged.ess_bulk[0])
+    draws = np.asarray(chains.theta).ravel()
+    assert draws.mean() == pytest.approx(truth.mean(), abs=error * truth.std())
+    assert draws.std() == pytest.approx(truth.std(), rel=2 * error)
+
+
+def test_several_starts_find_the_better_of_two_modes():
+    # θ² has two solutions; the second output favours the negative one, which lies away from the prior's middle.
+    def respond(theta, conditions):
+        return jnp.stack([theta[0] ** 2, 0.3 * theta[0]]) * conditions.inputs["x"], True
+
+    posterior = posterior_of(respond, {"t": Prior("uniform", [-2.0, 3.0])}, [0.1, 0.2])
+    data = data_of(np.ones(3), np.tile([[1.0, -0.3]], (3, 1)))
+    assert float(find(posterior, data, starts=1).theta[0]) > 0.5  # the worse mode: one start is not enough
+    assert float(find(posterior, data, starts=8).theta[0]) == pytest.approx(-1.0, abs=1e-3)
+
+
+# --- whether to believe the draws --------------------------------------------------------------------------------
+
+
+def chains_of(theta, diverging=None) -> Chains:
+    shape = theta.shape[:2]
+    diverging = np.zeros(shape, bool) if diverging is None else diverging
+    return Chains(
+        jnp.asarray(theta), jnp.zeros(shape), jnp.asarray(diverging), jnp.ones(shape, int), jnp.asarray(0.5)
+    )
+
+
+def white(seed=0):
+    return np.random.default_rng(seed).standard_normal((4, 500, 2))
+
+
+def test_good_chains_give_no_warning():
+    judged = convergence(chains_of(white()))
+    assert judged.warning(("A", "beta")) is None
+    assert (judged.rhat < 1.01).all() and (judged.ess_bulk > 1000).all() and judged.divergences == 0
+
+
+def test_chains_that_disagree_are_named():
+    theta = white()
+    theta[0, :, 1] += 1.0
+    warning = convergence(chains_of(theta)).warning(("A", "beta"))
+    assert "R-hat of beta" in warning and "of A" not in warning
+
+
+def test_chains_that_crawl_are_named():
+    theta = white()
+    for t in range(1, 500):
+        theta[:, t, 0] = 0.99 * theta[:, t - 1, 0] + np.sqrt(1 - 0.99**2) * theta[:, t, 0]
+    assert "ESS of A" in convergence(chains_of(theta)).warning(("A", "beta"))
+
+
+def test_divergences_are_counted():
+    diverging = np.zeros((4, 500), bool)
+    diverging[1, 7] = diverging[3, 9] = True
+    assert "2 divergent transitions" in convergence(chains_of(white(), diverging)).warning(("A", "beta"))
+
+
+def test_chains_that_stand_still_are_not_believed():
+    theta = white()
+    theta[..., 0] = 1.0
+    assert "R-hat of A" in convergence(chains_of(theta)).warning(("A", "beta"))
+
+
+# --- priors ------------------------------------------------------------------------------------------------------
+
+SPELLINGS = {
+    "uniform": ("uniform", [2.0, 5.0], stats.uniform(2, 3)),
+    "Uniform": ("Uniform", {"low": 2.0, "high": 5.0}, stats.uniform(2, 3)),
+    "normal": ("normal", [5e5, 1e5], stats.norm(5e5, 1e5)),
+    "lognormal": ("lognormal", [1.0, 0.5], stats.lognorm(0.5, scale=np.e)),
+    "log_normal": ("log_normal", {"loc": 1.0, "scale": 0.5}, stats.lognorm(0.5, scale=np.e)),
+    "half_normal": ("half_normal", 2.0, stats.halfnorm(scale=2.0)),
+    "half_normal by name": ("half_normal", {"scale": 2.0}, stats.halfnorm(scale=2.0)),
+    "truncated_normal": (
+        "truncated_normal", {"loc": 1.0, "scale": 0.5, "low": 0.0, "high": 2.0}, stats.truncnorm(-2, 2, 1.0, 0.5)
+    ),
+    "LogUniform": ("LogUniform", {"low": 1e5, "high": 1e6}, stats.loguniform(1e5, 1e6)),
+    "Gamma": ("Gamma", {"concentration": 2.0, "rate": 4.0}, stats.gamma(2.0, scale=0.25)),
+    "student_t": ("student_t", {"df": 5, "loc": 0.0, "scale": 2.0}, stats.t(5, scale=2.0)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", SPELLINGS)
+def test_a_prior_has_scipys_density_and_quantiles(case):
+    name, arguments, truth = SPELLINGS[case]
+    prior = Prior(name, arguments)
+    shares = np.array([0.1, 0.5, 0.9])
+    values = truth.ppf(shares)
+    np.testing.assert_allclose(prior.log_density(jnp.asarray(values)), truth.logpdf(values), rtol=1e-9, atol=1e-9)
+    # Some quantiles come from 4096 samples.
+    sampled = case in ("Gamma", "student_t")
+    np.testing.assert_allclose(prior.quantile(shares), values, rtol=1e-7, atol=0.1 * truth.std() if sampled else 1e-9)
+
+
+@pytest.mark.parametrize("case", SPELLINGS)
+def test_unconstrained_coordinates_are_of_order_one_finite_at_the_bounds_and_inverted(case):
+    name, arguments, truth = SPELLINGS[case]
+    posterior = posterior_of(lambda t, c: (t, True), {"t": Prior(name, arguments)}, [1.0])
+    inside = jnp.asarray(truth.ppf([0.01, 0.3, 0.5, 0.99]))
+    u = jnp.stack([posterior.unconstrain(t[None]) for t in inside])
+    assert (jnp.abs(u) < 12).all()
+    np.testing.assert_allclose(jnp.stack([posterior.constrain(x) for x in u])[:, 0], inside, rtol=1e-9)
+    for bound in truth.support():
+        at_bound = posterior.unconstrain(jnp.array([bound]))
+        assert jnp.isfinite(at_bound).all() and jnp.isfinite(posterior.constrain(at_bound)).all()
+    slope = jax.vmap(jax.grad(lambda x: posterior.constrain(x[None])[0]))(jnp.array([-30.0, 0.0, 30.0]))
+    assert jnp.isfinite(slope).all() and (slope >= 0).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "words"),
+    [
+        ("unifrom", [0, 1], "uniform, normal, lognormal, half_normal, truncated_normal"),
+        ("poisson", 3.0, "scalar continuous"),
+        ("delta", 3.0, "plain number"),
+        ("uniform", [1.0], "low, high"),
+        ("uniform", [1.0, 2.0, 3.0], "low, high"),
+        ("uniform", {"low": 0.0, "hi": 1.0}, "low, high"),
+        ("uniform", ["a", 1.0], "low, high"),
+        ("uniform", None, "low, high"),
+        ("uniform", [5.0, 2.0], "lower bound 5 must lie below the upper bound 2"),
+        ("uniform", [0.0, float("inf")], "finite"),
+        ("normal", [0.0, -1.0], "scale"),
+        ("half_normal", [], "scale"),
+    ],
+)
+def test_a_wrong_prior_is_refused_with_what_is_allowed(name, arguments, words):
+    with pytest.raises(UserError, match=words):
+        Prior(name, arguments)

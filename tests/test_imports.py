@@ -1,0 +1,121 @@
+"""Imports go downwards only, nothing private of JAX is used, and no module grows beyond 400 lines."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / "hsed_jax"
+LEVELS = (
+    ("errors", "backend"),
+    ("physics",),
+    ("measurements",),
+    ("laboratories",),
+    ("inference",),
+    ("design",),
+    ("criticism",),
+    ("reporting",),
+    ("config",),
+    ("store",),
+    ("analysis",),
+    ("workflow",),
+    ("run", "sweep", "__main__"),
+)
+LEVEL = {room: level for level, rooms in enumerate(LEVELS) for room in rooms}
+MODULES = sorted(PACKAGE.rglob("*.py"))
+
+
+def imported(source: str, module: tuple[str, ...], is_package: bool = False) -> Iterator[tuple[int, str]]:
+    """(line, dotted name) of everything a module imports, wherever the import stands; relative ones resolved."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            above = node.level - is_package
+            base = module[: len(module) - above] if node.level else ()
+            stem = ".".join((*base, *([node.module] if node.module else [])))
+            yield from ((node.lineno, f"{stem}.{alias.name}") for alias in node.names)
+
+
+def upward_imports(source: str, module: tuple[str, ...], is_package: bool = False) -> list[str]:
+    """What a module imports that does not lie below it (or in its own room)."""
+    faults = []
+    if module[1:] == ():
+        return faults  # hsed_jax/__init__.py gathers the public names
+    own = LEVEL.get(module[1])
+    if own is None:
+        return [f"room {module[1]!r} has no level"]
+    for line, name in imported(source, module, is_package):
+        parts = name.split(".")
+        if parts[0] != "hsed_jax" or len(parts) == 1:
+            continue
+        other = LEVEL.get(parts[1])
+        if other is None:
+            faults.append(f"line {line}: {name} is imported from the top of the package")
+        elif other > own or (other == own and parts[1] != module[1] and own != len(LEVELS) - 1):
+            faults.append(f"line {line}: {module[1]} imports {name}")
+    return faults
+
+
+def private_imports(source: str) -> list[str]:
+    """Names below `jax._src` that a module imports or reaches by attributes."""
+    faults = [f"line {line}: {name}" for line, name in imported(source, ("m",)) if name.startswith("jax._src")]
+    nodes = (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Attribute))
+    return faults + [f"line {node.lineno}: ._src" for node in nodes if node.attr == "_src"]
+
+
+def dotted(path: Path) -> tuple[str, ...]:
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return parts[:-1] if parts[-1] == "__init__" else parts
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_module_imports_downwards_only_and_nothing_private_and_is_short(path):
+    source = path.read_text(encoding="utf-8")
+    assert upward_imports(source, dotted(path), path.name == "__init__.py") == []
+    assert private_imports(source) == []
+    assert len(source.splitlines()) <= 400
+
+
+@pytest.mark.parametrize(
+    ("source", "module"),
+    [
+        ("from hsed_jax.inference.nuts import sample", ("hsed_jax", "physics", "integrate")),
+        ("def f():\n    import hsed_jax.design.kriging", ("hsed_jax", "inference", "nuts")),
+        ("if True:\n    from hsed_jax import config", ("hsed_jax", "physics", "outputs")),
+        ("from ..criticism import locate", ("hsed_jax", "design", "space")),
+        ("from hsed_jax import backend as b", ("hsed_jax", "errors")),  # beside, not below
+        ("from hsed_jax.run import main", ("hsed_jax", "store")),
+        ("from hsed_jax import simulate", ("hsed_jax", "workflow")),
+        ("import numpy", ("hsed_jax", "newroom", "x")),
+    ],
+)
+def test_the_checker_catches_an_import_that_is_not_downwards(source, module):
+    assert upward_imports(source, module)
+
+
+@pytest.mark.parametrize(
+    ("source", "module"),
+    [
+        ("import hsed_jax\nimport numpy.linalg\nfrom jax import numpy", ("hsed_jax", "physics", "integrate")),
+        ("from hsed_jax.physics.outputs import output", ("hsed_jax", "physics", "integrate")),
+        ("from .outputs import output\nfrom ..errors import UserError", ("hsed_jax", "physics", "integrate")),
+        ("from hsed_jax.errors import UserError\nfrom hsed_jax import errors", ("hsed_jax", "measurements", "units")),
+        ("from hsed_jax import sweep", ("hsed_jax", "run")),
+        ("from hsed_jax.run import main", ("hsed_jax",)),
+    ],
+)
+def test_the_checker_passes_what_goes_downwards(source, module):
+    assert upward_imports(source, module) == []
+
+
+def test_the_checker_resolves_relative_imports_of_a_package():
+    names = [name for _, name in imported("from .base import A\nfrom ..x import B", ("hsed_jax", "physics"), True)]
+    assert names == ["hsed_jax.physics.base.A", "hsed_jax.x.B"]
+
+
+def test_the_checker_catches_private_jax():
+    assert private_imports("from jax._src.core import Tracer")
+    assert private_imports("import jax\nx = jax._src.core")
+    assert not private_imports("from jax.core import Tracer\nimport jax.numpy as jnp")
