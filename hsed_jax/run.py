@@ -64,6 +64,9 @@ def _guarded(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("stopped before there was anything to keep", file=sys.stderr)
+        return 3
 
 
 def _check(options: Any) -> int:
@@ -86,12 +89,12 @@ def _check(options: Any) -> int:
 def _run(options: Any) -> int:
     if options.check:
         return _check(options)
+    # A termination is an interruption like Ctrl-C: the run stops between two steps with all it has.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     from hsed_jax.config.load import load_study
     from hsed_jax.workflow import Interrupted, run
 
     study = load_study(options.study, options.overrides)
-    # A termination is an interruption like Ctrl-C: the run stops between two steps with all it has.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     output = Path(options.output) if options.output else Path("runs") / study.study
     try:
         done = run(study, output, resume=options.resume, force=options.force)

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -39,6 +40,7 @@ STEPS_PER_PERIOD = 24
 # A step of an imposed elongation is at most this share of the yield elongation.
 STEP_PER_YIELD = 0.2
 _MOST_STEPS_PER_SAMPLE = 20
+_MOST_STEPS = 1_000_000
 _VIRTUAL_SAMPLES = 400
 _IMPOSED = ("time", "ground_acceleration")
 
@@ -157,6 +159,11 @@ class Built:
         if step > duration:
             raise UserError(f"excitation.step: {step:g} s is longer than the duration, {duration:g} s")
         steps = math.ceil(duration / step - 1e-9)
+        if steps > _MOST_STEPS:
+            raise UserError(
+                f"excitation: {steps} steps of {step:.3g} s are too many (at most {_MOST_STEPS}); the shortest period of "
+                "structure and excitation sets the step, unless excitation.step is given"
+            )
         every = 1
         if self.study.observe == "histories":
             every = max(1, round(steps / _VIRTUAL_SAMPLES))
@@ -308,27 +315,46 @@ class Built:
         if self.study.experiments.virtual is not None or "design" in self.study.steps:
             if not self.study.inputs:
                 raise UserError(
-                    "inputs: a design needs at least one input, such as V_P: {uniform: [1.5, 3.0], unit: m/s}"
+                    f"{self._file}inputs: a design needs at least one input, such as V_P: {{uniform: [1.5, 3.0], unit: m/s}}"
                 )
             needed.append("laboratory")
             self._check_trend()
             self._check_candidates()
-        for part in needed:
-            getattr(self, part)
+        self._check_steps()
+        try:
+            for part in needed:
+                getattr(self, part)
+        except UserError as error:
+            raise UserError(f"{self._file}{error}") from None
+
+    @property
+    def _file(self) -> str:
+        """The study's file, to put in front of a message; nothing where the study was made in Python."""
+        return f"{self.study.file}: " if self.study.file is not None else ""
+
+    def _check_steps(self) -> None:
+        steps = self.study.steps
+        order = ["design", "calibrate", "compare", "diagnose", "improve"]
+        for before, step in pairwise(steps):
+            if order.index(before) >= order.index(step):
+                raise UserError(f"{self._file}steps: {before} stands before {step}; the order is {', '.join(order)}")
+        if "compare" in steps and "calibrate" not in steps:
+            raise UserError(f"{self._file}steps: compare needs a calibrated model; put calibrate before it")
 
     def _check_trend(self) -> None:
         entry, d = self.study.design, len(self.study.inputs)
         needed = {"constant": 1, "linear": 1 + d, "quadratic": (d + 1) * (d + 2) // 2}[entry.kriging.trend] + 1
         if "design" in self.study.steps and entry.initial < needed:
             raise UserError(
-                f"design.initial: a {entry.kriging.trend} trend in {d} inputs needs at least {needed} experiments, but it is {entry.initial}"
+                f"{self._file}design.initial: a {entry.kriging.trend} trend in {d} inputs needs at least {needed} "
+                f"experiments, but it is {entry.initial}"
             )
 
     def _check_candidates(self) -> None:
         entry = self.study.design
         if entry.candidates < entry.initial + entry.iterations:
             raise UserError(
-                f"design.candidates: {entry.candidates} are too few to choose {entry.iterations} experiments from"
+                f"{self._file}design.candidates: {entry.candidates} are too few to choose {entry.iterations} experiments from"
             )
 
     def _declared_error(self, name: str) -> ErrorEntry:
@@ -357,8 +383,7 @@ class Built:
         if pulse is not None:
             shortest = pulse.T_P
             if isinstance(shortest, str) and shortest in self.study.inputs:
-                place = self.space.names.index(shortest)
-                shortest = float(self.space.bounds()[place, 0]) * self.space.factors[shortest]
+                shortest = float(self.space.priors[shortest].quantile(1e-9)) * self.space.factors[shortest]
             if not isinstance(shortest, str):
                 periods.append(shortest)
         return min(periods)

@@ -70,7 +70,7 @@ def load_study(source: str | Path | dict[str, Any], overrides: Sequence[str] = (
     except ValidationError as error:
         raise UserError(f"{where}: {explain(error, Study)}") from None
     if not isinstance(source, dict):
-        study._folder = Path(source).parent
+        study._folder, study._file = Path(source).parent, str(source)
     return study
 
 

@@ -1,6 +1,6 @@
 """The parts of a study, built: priors, errors, structure, excitation, parameters; each fault names its key."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -52,17 +52,18 @@ def excitation(entry: ExcitationEntry | None, inputs: Mapping[str, Any], folder:
     if entry is None or (entry.near_fault_pulse is None and entry.recorded is None):
         return None
     if entry.near_fault_pulse is not None:
-        arguments: dict[str, Any] = entry.near_fault_pulse.model_dump()
-        constructor: Any = NearFaultPulse
+        made = Parametrised(NearFaultPulse, tuple(entry.near_fault_pulse.model_dump().items()))
     else:
         assert entry.recorded is not None
         time, acceleration = recorded_motion(entry, folder)
-        arguments = {"scale": entry.recorded.scale}
 
-        def constructor(scale):
+        def scaled(scale):
             return RecordedMotion(time, scale * acceleration)
 
+        made = Parametrised(scaled, (("scale", entry.recorded.scale),))
+
     where = f"excitation.{'recorded' if entry.near_fault_pulse is None else 'near_fault_pulse'}"
+    arguments: dict[str, Any] = dict(made.arguments)
     for name, value in arguments.items():
         if isinstance(value, str) and value not in inputs:
             known = ", ".join(inputs) or "none"
@@ -79,7 +80,7 @@ def excitation(entry: ExcitationEntry | None, inputs: Mapping[str, Any], folder:
         raise UserError(f"{where}.T_P: a period is positive, but it is {period:g}")
     if not isinstance(gamma, str) and (gamma <= 0 or gamma == 1):
         raise UserError(f"{where}.gamma: the number of oscillations is positive and not 1, but it is {gamma:g}")
-    return Parametrised(constructor, tuple(arguments.items()))
+    return made
 
 
 def recorded_motion(entry: ExcitationEntry, folder: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -145,7 +146,7 @@ def true_noise(entry: VirtualEntry, outputs: list[str]) -> dict[str, Noise]:
         if error.unknown:
             raise UserError(f"experiments.virtual.noise: the noise of {name} must be a number: relative or absolute")
         relative = error.relative is not None
-        noise[name] = Noise(float(error.relative if relative else error.absolute or 0.0), relative)
+        noise[name] = Noise(float(error.relative or error.absolute or 0.0), relative)
     return noise
 
 
@@ -216,7 +217,7 @@ def prior(where: str, entry: Mapping[str, Any]) -> Prior:
     return at(where, Prior, str(name), arguments)
 
 
-def at[T](where: str, make: Any, *arguments: Any) -> T:
+def at(where: str, make: Callable[..., Any], *arguments: Any) -> Any:
     """Call, and put the place in front of what is wrong."""
     try:
         return make(*arguments)

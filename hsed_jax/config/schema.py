@@ -281,11 +281,17 @@ class Study(Section):
         return names
 
     _folder: Path = PrivateAttr(default=Path())
+    _file: str | None = PrivateAttr(default=None)
 
     @property
     def folder(self) -> Path:
         """Where relative paths start from: the folder of the study's file."""
         return self._folder
+
+    @property
+    def file(self) -> str | None:
+        """The file that the study was read from, as the user named it."""
+        return self._file
 
     def written(self) -> dict[str, Any]:
         """The study with every default written out, ready for YAML; reading it again gives the same study."""

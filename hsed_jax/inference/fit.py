@@ -57,7 +57,7 @@ class Fit:
 
     def _rows(self) -> list[tuple[str, ...]]:
         head = ("parameter", "MAP", "mean", "sd", "5 %", "95 %", "ESS", "R-hat", "unit")
-        rows = [head]
+        rows: list[tuple[str, ...]] = [head]
         for name, s in self.summary().items():
             numbers = (self.map[name], s["mean"], s["sd"], s["q05"], s["q95"])
             rows.append(
@@ -118,7 +118,8 @@ def fit(
         if np.any(worth < 1):
             data = reweighted(data, worth, posterior.groups)
             maximum = find(data, posterior.starts(starts).at[0].set(maximum.u))
-    chains = jax.jit(lambda *arguments: sample(posterior, *arguments, settings))(data, maximum, jnp.asarray(0.8), key)
+    draw = jax.jit(lambda data, maximum, step, key: sample(posterior, data, maximum, step, key, settings))
+    chains = draw(data, maximum, jnp.asarray(0.8), key)
     return Fit(posterior, data, maximum, chains, convergence(chains), units)
 
 

@@ -73,7 +73,7 @@ def sample(
         return start(
             w,
             settings.warmup,
-            step_size=step_size,
+            step_size=step_size,  # pyright: ignore[reportArgumentType]  (annotated as a float, traced all the same)
             adapt_mass_matrix=False,
             target_accept_prob=settings.target_acceptance,
             max_tree_depth=7,
@@ -120,11 +120,13 @@ class Convergence(NamedTuple):
 
 def convergence(chains: Chains) -> Convergence:
     """R-hat, bulk ESS and divergences of the draws."""
-    from arviz_stats.base import array_stats
+    from arviz_stats.base.array import array_stats
 
     draws = np.moveaxis(np.asarray(chains.theta), -1, 0)
-    return Convergence(
-        np.asarray([array_stats.rhat(d, chain_axis=0, draw_axis=1) for d in draws], dtype=float),
-        np.asarray([array_stats.ess(d, chain_axis=0, draw_axis=1) for d in draws], dtype=float),
-        int(np.sum(np.asarray(chains.diverging))),
-    )
+    # Chains that stand still have no variance to divide by: their R-hat is not a number, which is no good one.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return Convergence(
+            np.asarray([array_stats.rhat(d, chain_axis=0, draw_axis=1) for d in draws], dtype=float),
+            np.asarray([array_stats.ess(d, chain_axis=0, draw_axis=1) for d in draws], dtype=float),
+            int(np.sum(np.asarray(chains.diverging))),
+        )

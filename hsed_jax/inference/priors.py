@@ -42,7 +42,7 @@ class Prior:
         self.bounds = _limits(self.distribution)
         self.to_support = _standardised(self.distribution, self.quantile)
 
-    def log_density(self, value: Float[Array, "..."]) -> Float[Array, "..."]:
+    def log_density(self, value: Float[Array, "..."]) -> Any:
         """Log of the density at a value within the support."""
         return self.distribution.log_prob(value)
 
@@ -100,7 +100,7 @@ def _build(name: str, arguments: Any) -> dist.Distribution:
     except ValueError as error:
         reason = re.sub(r"\s+", " ", str(error))
         raise UserError(f"{name}: {arguments!r} does not fit this distribution ({reason})") from None
-    if not isinstance(made, dist.Distribution) or made.batch_shape or made.event_shape or made.support.is_discrete:
+    if not isinstance(made, dist.Distribution) or made.batch_shape or made.event_shape or made.support is None or made.support.is_discrete:
         raise UserError(f"{name} is not a scalar continuous distribution")
     if isinstance(made, dist.Delta):
         raise UserError(f"{name}: a value that is known is written as a plain number")

@@ -158,7 +158,7 @@ class _RotatingPulse(AbstractForcing):
 
     def advance(self, carry: PyTree, index: ArrayLike) -> tuple[PyTree, PyTree]:
         carrier, envelope = (_rotate(*pair) for pair in zip(carry, self.rotations, strict=True))
-        inside = index * self.half_step <= self.pulse.duration
+        inside = jnp.asarray(index) * self.half_step <= self.pulse.duration
         return (carrier, envelope), jnp.where(inside, self.pulse._combine(carrier, envelope), 0.0)
 
 

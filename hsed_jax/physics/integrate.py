@@ -82,7 +82,8 @@ class RungeKutta4(diffrax.AbstractSolver):
         del made_jump
         system, _ = args
         number = jnp.asarray(t0, int)
-        h = self.step_length if jnp.ndim(self.step_length) == 0 else self.step_length[number]
+        lengths = jnp.asarray(self.step_length)
+        h = lengths if lengths.ndim == 0 else lengths[number]
         carry, first = solver_state
         carry, middle = self.forcing.advance(carry, 2 * number + 1)
         carry, last = self.forcing.advance(carry, 2 * number + 2)

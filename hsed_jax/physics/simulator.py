@@ -29,7 +29,7 @@ class Recorded(NamedTuple):
 class Conditions(NamedTuple):
     """What distinguishes one experiment from another: its inputs by name (SI), and its record where it has one."""
 
-    inputs: dict[str, Scalar]
+    inputs: Mapping[str, Scalar]
     recorded: Recorded | None = None
 
 

@@ -103,7 +103,7 @@ class ShakenStructure(AbstractSystem):
     def _accelerations(self, state: State, sample: Scalar) -> tuple[Scalar, ...]:
         elongation, rate = self.kinematics(state, sample)
         force = self.spring.force(elongation, rate, state.memory)
-        pushes = [0.0] * len(self.structure.masses)
+        pushes: list[Scalar] = [0.0] * len(self.structure.masses)
         for ends, value in (
             *((s.ends, s.stiffness * difference(state.displacement, s.ends)) for s in self.structure.springs),
             (self.structure.specimen, force),
