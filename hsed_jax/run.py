@@ -58,7 +58,12 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
 
 
 def _guarded(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> int:
-    options = parser.parse_intermixed_args(arguments) if parser.prog != "hsed" else parser.parse_args(arguments)
+    # argparse gives sub-commands no intermixed arguments: an override behind an option is left over.
+    options, rest = parser.parse_known_args(arguments)
+    if rest and (not hasattr(options, "overrides") or any(word.startswith("-") for word in rest)):
+        parser.error(f"unrecognized arguments: {' '.join(rest)}")
+    if rest:
+        options.overrides = [*options.overrides, *rest]
     try:
         return options.command(options)
     except UserError as error:

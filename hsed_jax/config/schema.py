@@ -297,4 +297,9 @@ class Study(Section):
         """The study with every default written out, ready for YAML; reading it again gives the same study."""
         plain = self.model_dump(mode="json", exclude_none=True)
         plain["inputs"] = {name: entry.written() for name, entry in self.inputs.items()}
+        # Written elsewhere, a relative path would lead elsewhere.
+        if self.experiments.campaign is not None:
+            plain["experiments"]["campaign"] = str((self.folder / self.experiments.campaign).absolute())
+        if self.excitation is not None and self.excitation.recorded is not None:
+            plain["excitation"]["recorded"]["file"] = str((self.folder / self.excitation.recorded.file).absolute())
         return plain

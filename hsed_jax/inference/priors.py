@@ -100,7 +100,8 @@ def _build(name: str, arguments: Any) -> dist.Distribution:
     except ValueError as error:
         reason = re.sub(r"\s+", " ", str(error))
         raise UserError(f"{name}: {arguments!r} does not fit this distribution ({reason})") from None
-    if not isinstance(made, dist.Distribution) or made.batch_shape or made.event_shape or made.support is None or made.support.is_discrete:
+    scalar = isinstance(made, dist.Distribution) and not made.batch_shape and not made.event_shape
+    if not scalar or made.support is None or made.support.is_discrete:
         raise UserError(f"{name} is not a scalar continuous distribution")
     if isinstance(made, dist.Delta):
         raise UserError(f"{name}: a value that is known is written as a plain number")

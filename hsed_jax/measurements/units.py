@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from hsed_jax.errors import UserError
+from hsed_jax.physics.outputs import CHANNELS, PER_MASS, QUANTITIES, channel
 
 
 @dataclass(frozen=True)
@@ -27,41 +28,31 @@ ACCELERATION = Dimension("acceleration", "m/s^2", "m/s^2, cm/s^2, Gal, g (standa
 FORCE = Dimension("force", "N", "N, kN, MN, lbf, kip")
 ENERGY = Dimension("energy", "J", "J, kJ, kN*mm, N*m, kip*inch")
 
-CHANNELS = {"time": TIME, "ground_acceleration": ACCELERATION, "elongation": LENGTH, "force": FORCE}
-"""Canonical channels of a record."""
-
-MASS_CHANNELS = {"displacement": LENGTH, "velocity": VELOCITY, "acceleration": ACCELERATION}
-"""Channels of mass i: ``displacement_1``, relative to the ground, or ``displacement_1_absolute``."""
-
-QUANTITIES = {"peak_force": FORCE, "peak_elongation": LENGTH, "dissipated_energy": ENERGY}
-"""Canonical scalar quantities of an experiment.  A new quantity is one line here."""
-
-_MASS_CHANNEL = re.compile(r"(displacement|velocity|acceleration)_([1-9]\d*)(_absolute)?")
+_BY_UNIT = {dimension.si: dimension for dimension in (TIME, LENGTH, VELOCITY, ACCELERATION, FORCE, ENERGY)}
 _DIMENSIONLESS = {"-", "–", "1"}
 
 
 def channel_dimension(name: str) -> Dimension:
-    """Return the dimension of a canonical channel.
+    """Return the dimension of a canonical channel (`hsed_jax.physics.outputs`).
 
     Raises:
         UserError: `name` is no canonical channel.
     """
-    if name in CHANNELS:
-        return CHANNELS[name]
-    if match := _MASS_CHANNEL.fullmatch(name):
-        return MASS_CHANNELS[match[1]]
-    mass = ", ".join(f"{stem}_<i>[_absolute]" for stem in MASS_CHANNELS)
-    raise UserError(f"unknown channel {name!r}; allowed: {', '.join(CHANNELS)}, and for mass i {mass}")
+    try:
+        return _BY_UNIT[channel(name).unit]
+    except KeyError:
+        mass = ", ".join(f"{stem}_<i>[_absolute]" for stem in PER_MASS)
+        raise UserError(f"unknown channel {name!r}; allowed: {', '.join(CHANNELS)}, and for mass i {mass}") from None
 
 
 def quantity_dimension(name: str) -> Dimension:
-    """Return the dimension of a canonical quantity.
+    """Return the dimension of a canonical quantity (`hsed_jax.physics.outputs`).
 
     Raises:
         UserError: `name` is no canonical quantity.
     """
     if name in QUANTITIES:
-        return QUANTITIES[name]
+        return _BY_UNIT[QUANTITIES[name].unit]
     raise UserError(f"unknown quantity {name!r}; allowed: {', '.join(QUANTITIES)}")
 
 

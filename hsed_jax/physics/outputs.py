@@ -18,14 +18,15 @@ QUANTITIES: dict[str, Output] = {
     "dissipated_energy": Output(r"e(t_{end})", "J", "work done on the specimen until the end"),
 }
 
-_CHANNELS: dict[str, Output] = {
+CHANNELS: dict[str, Output] = {
+    "time": Output("t", "s", "time"),
     "ground_acceleration": Output("a_g", "m/s^2", "acceleration of the ground"),
     "elongation": Output(r"\Delta u", "m", "elongation of the specimen"),
     "elongation_rate": Output(r"\Delta\dot u", "m/s", "rate of the elongation"),
     "force": Output("r", "N", "restoring force of the specimen"),
     "energy": Output("e", "J", "work done on the specimen so far"),
 }
-_PER_MASS: dict[str, Output] = {
+PER_MASS: dict[str, Output] = {
     "displacement": Output("u", "m", "displacement relative to the ground"),
     "velocity": Output(r"\dot u", "m/s", "velocity relative to the ground"),
     "acceleration": Output(r"\ddot u", "m/s^2", "acceleration relative to the ground"),
@@ -38,15 +39,22 @@ def output(name: str) -> Output:
     Raises:
         KeyError: there is no such channel or quantity.
     """
-    if name in QUANTITIES:
-        return QUANTITIES[name]
-    if name in _CHANNELS:
-        return _CHANNELS[name]
+    return QUANTITIES[name] if name in QUANTITIES else channel(name)
+
+
+def channel(name: str) -> Output:
+    """Symbol, unit and meaning of a channel.
+
+    Raises:
+        KeyError: there is no such channel.
+    """
+    if name in CHANNELS:
+        return CHANNELS[name]
     match = re.fullmatch(r"(displacement|velocity|acceleration)_([1-9]\d*)(_absolute)?", name)
     if match is None:
         raise KeyError(name)
     kind, mass, absolute = match.groups()
-    symbol, unit, meaning = _PER_MASS[kind]
+    symbol, unit, meaning = PER_MASS[kind]
     if absolute:
         meaning = meaning.replace("relative to the ground", "absolute")
     mark = r",abs" if absolute else ""

@@ -1,6 +1,239 @@
-"""Figures of the misfit between measured and predicted."""
+"""The figures of the misfit between measured and predicted: each experiment, all quantities, and a table."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from hsed_jax.criticism.compare import Comparison
+from hsed_jax.criticism.locate import Location
+from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.measurements import Campaign
+from hsed_jax.physics.outputs import output
+from hsed_jax.reporting import style
+from hsed_jax.reporting.misfit_maps import error_map, residual_coordinates, splits
+from hsed_jax.reporting.style import Picture
+
+_OVERLAYS = 6
+_ROWS = 25
+_90 = 1.6448536  # standard deviations on both sides hold 90 %
+_BAND = {"color": style.BLUE, "alpha": 0.2, "linewidth": 0, "label": "90 % predictive band", "zorder": 1}
+_COLUMNS = {
+    "nrmse": ("error", "{:.3f}"),
+    "noise_floor": ("noise", "{:.3f}"),
+    "bias": ("bias", "{:+.3f}"),
+    "peak_error": ("peak", "{:+.1%}"),
+    "energy_error": ("energy", "{:.1%}"),
+    "coverage_90": ("coverage of 90 %", "{:.0%}"),
+}
 
 
-def misfit_pictures(comparison, location, campaign):
-    """None yet."""
-    return iter(())
+def misfit_pictures(
+    comparison: Comparison, location: Location | None, campaign: Campaign
+) -> Iterator[tuple[str, Picture]]:
+    """Every figure of the misfit that there is material for, with the name of its file.
+
+    Arguments:
+        comparison: a calibrated model against its measurements.
+        location: where the misfit is.
+        campaign: the experiments compared.
+    """
+    for _, split, prediction in splits(comparison):
+        if prediction.groups.size == len(prediction.outputs):
+            continue
+        errors = split.per_experiment
+        worst = sorted(errors, key=lambda id: -max(_badness(values) for values in errors[id].values()))[:_OVERLAYS]
+        for row, experiment in enumerate(prediction.experiments):
+            if experiment.id in worst and experiment.record is not None:
+                yield f"overlay_{experiment.id}", overlay(prediction, row, errors[experiment.id], campaign)
+    if comparison.train_prediction.groups.size == len(comparison.train_prediction.outputs):
+        yield "measured_against_predicted", measured_against_predicted(comparison)
+    others = {
+        "residual_coordinates": None if location is None else residual_coordinates(location, campaign),
+        "error_map": error_map(comparison, campaign),
+        "error_table": error_table(comparison),
+    }
+    yield from ((name, picture) for name, picture in others.items() if picture is not None)
+
+
+@style.in_house_style
+def overlay(prediction: Prediction, row: int, errors: Mapping[str, Mapping[str, float]], campaign: Campaign) -> Picture:
+    """One experiment: every output over time, measured and predicted with its band, and the loop where it is known.
+
+    Arguments:
+        prediction: of histories.
+        row: of the experiment in it.
+        errors: of the experiment, by output.
+        campaign: whether it has a time, and whether the elongation was imposed.
+    """
+    experiment = prediction.experiments[row]
+    assert experiment.record is not None
+    count, loop = len(prediction.outputs), _loop(prediction, row, campaign)
+    figure = style.new_figure(max(1.7 * count, 2.4) + 0.5)
+    grid = figure.add_gridspec(count, 1 if loop is None else 2, width_ratios=None if loop is None else (1.7, 1))
+    panels = [figure.add_subplot(grid[index, 0]) for index in range(count)]
+    for panel, name in zip(panels, prediction.outputs, strict=True):
+        _history(panel, prediction, row, name)
+        panel.set_xlabel("Time [s]" if campaign.has_time else "Row")
+        if name in errors:
+            panel.set_title(f"error {errors[name]['nrmse']:.3f}", loc="right")
+    for panel in panels[:-1]:
+        panel.set_xlabel("")
+        panel.sharex(panels[-1])
+        panel.tick_params(labelbottom=False)
+    figure.align_ylabels(panels)
+    if loop is not None:
+        panels.append(figure.add_subplot(grid[:2, 1]))
+        _draw_loop(panels[-1], *loop)
+    failed = "" if prediction.converged[row] else ", simulation did not converge"
+    figure.suptitle(style.plain(f"{experiment.id} ({experiment.split}{failed})", 90), fontsize=10)
+    style.panel_titles(panels)
+    style.legend(figure, *panels)
+    said = "; ".join(f"{name}: error {style.amount(values['nrmse'])}" for name, values in errors.items())
+    which = experiment.id.replace("$", "")
+    return Picture(
+        figure,
+        f"Experiment {which} ({experiment.split}{failed}): measured (dashed) and predicted (continuous) with the 90 % "
+        "predictive band.  Shaded: the part of the record that is scored, where that is not all of it.",
+        f"Histories of {', '.join(prediction.outputs)}{'' if loop is None else ' and the hysteresis loop'}. {said}.",
+    )
+
+
+def _history(panel: Axes, prediction: Prediction, row: int, name: str) -> None:
+    record = prediction.experiments[row].record
+    assert record is not None
+    measured, predicted, mean, sd = prediction.histories(row, name)
+    used = prediction.used[row, prediction.columns(name)][: len(record)]
+    # What is not scored was measured all the same.
+    measured = record.channels.get(name, np.where(used, measured, np.nan))
+    divisor, unit = style.readable(output(name).unit, measured, predicted)
+    time = record.time
+    if used.any() and not used.all():
+        top = panel.get_xaxis_transform()
+        panel.fill_between(time, 0, 1, where=used, transform=top, color=style.GREY, alpha=0.18, linewidth=0,
+                           label="scored", zorder=0)  # fmt: skip
+    panel.fill_between(time, (mean - _90 * sd) / divisor, (mean + _90 * sd) / divisor, **_BAND)
+    panel.plot(time, measured / divisor, **{**style.MEASURED, "label": "measured"})
+    panel.plot(time, predicted / divisor, **{**style.PREDICTED, "label": "predicted"})
+    panel.margins(x=0.0)
+    panel.set_ylabel(style.channel_label(name, unit))
+
+
+def _loop(prediction: Prediction, row: int, campaign: Campaign) -> tuple[np.ndarray, ...] | None:
+    """Measured elongation and force, predicted elongation and force of an experiment; None where one is not known."""
+    record = prediction.experiments[row].record
+    assert record is not None
+    if "force" not in prediction.outputs:
+        return None
+    measured, predicted, _, _ = prediction.histories(row, "force")
+    force = record.channels.get("force", measured)
+    if "elongation" in prediction.outputs:
+        there, ours, _, _ = prediction.histories(row, "elongation")
+        return record.channels.get("elongation", there), force, ours, predicted
+    if campaign.protocol == "displacement" and "elongation" in record.channels:
+        return record["elongation"], force, record["elongation"], predicted
+    return None
+
+
+def _draw_loop(panel: Axes, there: np.ndarray, force: np.ndarray, ours: np.ndarray, predicted: np.ndarray) -> None:
+    x, x_unit = style.readable("m", there, ours)
+    y, y_unit = style.readable("N", force, predicted)
+    panel.plot(there / x, force / y, **{**style.MEASURED, "label": "measured", "linewidth": 0.8})
+    panel.plot(ours / x, predicted / y, **{**style.PREDICTED, "label": "predicted", "linewidth": 0.9})
+    panel.set(xlabel=style.channel_label("elongation", x_unit), ylabel=style.channel_label("force", y_unit))
+
+
+@style.in_house_style
+def measured_against_predicted(comparison: Comparison) -> Picture:
+    """A panel per quantity: predicted against measured with 90 % predictive bars, the line of equality between."""
+    names = comparison.train_prediction.outputs
+    figure, panels = style.panels(len(names), 3.0)
+    said = []
+    for panel, name in zip(panels, names, strict=True):
+        known = {}
+        for split, _, prediction in splits(comparison):
+            columns = prediction.columns(name)
+            used = prediction.used[:, columns][:, 0]
+            tables = (prediction.measured, prediction.predicted, prediction.mean, prediction.sd)
+            known[split] = [table[:, columns][:, 0][used] for table in tables]
+        divisor, unit = style.readable(output(name).unit, *(v for values in known.values() for v in values[:2]))
+        for split, values in known.items():
+            measured, predicted, mean, sd = (v / divisor for v in values)
+            fill = style.BLUE if split == "train" else "white"
+            panel.vlines(measured, mean - _90 * sd, mean + _90 * sd, color=style.BLUE, alpha=0.5, linewidth=0.9)
+            panel.plot(measured, predicted, "o", ms=4.5, mfc=fill, mec=style.BLUE, zorder=3, label=split)
+            said.append(f"{name}, {split}: {measured.size} experiments, largest {style.peak(measured, unit)}")
+        both = np.concatenate([v for values in known.values() for v in values[:2]]) / divisor
+        both = both[np.isfinite(both)]
+        ends = [float(both.min(initial=np.inf)), float(both.max(initial=-np.inf))] if both.size else [0.0, 1.0]
+        panel.plot(ends, ends, color=style.BLACK, linewidth=0.8, zorder=1, label="equal")
+        symbol = f"{name.replace('_', ' ').capitalize()} ${output(name).symbol}$"
+        panel.set(xlabel=f"{symbol}, measured [{style.unit_text(unit)}]", ylabel=f"predicted [{style.unit_text(unit)}]")
+    style.panel_titles(panels)
+    style.legend(figure, *panels)
+    return Picture(
+        figure,
+        f"Predicted against measured quantities with 90 % predictive bars: {style.lettered(names)}.  Filled: train; open: "
+        "test.",
+        f"Scatter plots beside the line of equality. {'; '.join(said)}.",
+    )
+
+
+@style.in_house_style
+def error_table(comparison: Comparison) -> Picture | None:
+    """The errors of each experiment and output, worst first; None where no experiment has errors of its own."""
+    found = [
+        (id, name, output, values)
+        for name, split, _ in splits(comparison)
+        for id, outputs in split.per_experiment.items()
+        for output, values in outputs.items()
+    ]
+    if not found:
+        return None
+    found.sort(key=lambda entry: -_badness(entry[3]))
+    shown = found[:_ROWS]
+    columns = {key: look for key, look in _COLUMNS.items() if any(key in values for *_, values in shown)}
+    cells = [
+        [
+            style.plain(id, 28),
+            split,
+            name.replace("_", " "),
+            *(_cell(values, key, look) for key, (_, look) in columns.items()),
+        ]
+        for id, split, name, values in shown
+    ]
+    heads = ["experiment", "split", "output", *(head for head, _ in columns.values())]
+    widths = np.asarray([max(len(row[i]) for row in [heads, *cells]) + 2 for i in range(len(heads))], dtype=float)
+    figure = style.new_figure(0.21 * (len(cells) + 1) + 0.15)
+    panel = figure.subplots()
+    panel.set_axis_off()
+    table = panel.table(cells, colLabels=heads, colWidths=list(widths / widths.sum()), cellLoc="right",
+                        bbox=(0, 0, 1, 1), edges="horizontal")  # fmt: skip
+    table.auto_set_font_size(False)
+    table.set_fontsize(8)
+    for (row, column), cell in table.get_celld().items():
+        cell.set_edgecolor("#d0d0d0")
+        cell.set_linewidth(0.5)
+        if column < 3:
+            cell.set_text_props(ha="left")
+        if row == 0:
+            cell.set_text_props(weight="bold")
+    rest = len(found) - len(shown)
+    return Picture(
+        figure,
+        "Errors of each experiment, worst first: RMS residual over RMS of what was measured, the same of the noise, mean "
+        "residual over that RMS, error of the peak and of the energy per cycle, coverage of the 90 % band."
+        + (f"  {rest} more are not shown." if rest else ""),
+        f"A table of {len(shown)} rows. Largest error {style.amount(shown[0][3]['nrmse'])} in "
+        f"{shown[0][0].replace('$', '')}.",
+    )
+
+
+def _cell(values: Mapping[str, float], key: str, look: str) -> str:
+    value = values.get(key, np.nan)
+    return look.format(value) if np.isfinite(value) else "–"
+
+
+def _badness(values: Mapping[str, float]) -> float:
+    """The error, largest where it is no number."""
+    return values["nrmse"] if np.isfinite(values["nrmse"]) else np.inf

@@ -111,11 +111,11 @@ def new_figure(height: float) -> Figure:
     return Figure(figsize=(WIDTH, height), layout="constrained")
 
 
-def panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
-    """A figure of `count` panels, two in a row, each `height` inches high."""
-    rows = -(-count // 2)
+def panels(count: int, height: float, across: int = 2) -> tuple[Figure, list[Axes]]:
+    """A figure of `count` panels, `across` in a row, each `height` inches high."""
+    rows = -(-count // across)
     figure = new_figure(height * rows + 0.2)
-    grid = list(figure.subplots(rows, min(count, 2), squeeze=False).flat)
+    grid = list(figure.subplots(rows, min(count, across), squeeze=False).flat)
     for surplus in grid[count:]:
         surplus.remove()
     return figure, grid[:count]
@@ -185,6 +185,11 @@ def symbol(name: str) -> str:
         stem, index = match.groups()
         return f"${stem}_{{{index}}}$" if index else f"${stem}$"
     return name.replace("_", " ").replace("$", r"\$")
+
+
+def plain(name: str, longest: int = 40) -> str:
+    """A name that somebody else chose, cut where it is too long, its dollars no mathematics."""
+    return (name if len(name) <= longest else name[: longest - 1] + "…").replace("$", r"\$")
 
 
 def unit_text(unit: str) -> str:

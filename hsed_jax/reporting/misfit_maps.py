@@ -1,0 +1,280 @@
+"""Where the misfit lies: over the coordinates of the samples, and over the inputs of the experiments."""
+
+from collections.abc import Iterator
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from hsed_jax.criticism.compare import Comparison, Split
+from hsed_jax.criticism.coordinates import UNITS, Samples
+from hsed_jax.criticism.locate import Location, Place
+from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.design.kriging import fit_kriging
+from hsed_jax.measurements import Campaign, Experiment
+from hsed_jax.reporting import style
+from hsed_jax.reporting.style import Picture
+
+_BINS = 10
+_WORDS = 8
+# Fewer experiments tell no map, and with more Kriging takes minutes.
+_FEWEST, _MOST = 5, 300
+_GRID = 61
+_NAMED = 3
+_AXES = {
+    "time": "Time",
+    "cycle": "Cycle",
+    "amplitude": r"Elongation $|\Delta u|$",
+    "energy": "Absorbed energy",
+    "speed": "Elongation rate",
+}
+_MARKERS = {"train": "o", "test": "s"}
+
+
+def splits(comparison: Comparison) -> Iterator[tuple[str, Split, Prediction]]:
+    """The splits that were compared: `train`, and `test` where there is one."""
+    yield "train", comparison.train, comparison.train_prediction
+    if comparison.test is not None and comparison.test_prediction is not None:
+        yield "test", comparison.test, comparison.test_prediction
+
+
+@style.in_house_style
+def residual_coordinates(location: Location, campaign: Campaign) -> Picture | None:
+    """Share of the squared error over each coordinate of the samples, beside the share of the samples.
+
+    A panel per coordinate that varies: time, cycle, amplitude, absorbed energy, speed and the inputs in tenths of the
+    samples; branch, sign of the force, output and experiment by word.
+
+    Arguments:
+        location: of histories; `places` are highlighted.
+        campaign: where the samples come from: whether it has a time, and the units of its inputs.
+
+    Returns:
+        The picture; None where no coordinate varies or only quantities were compared.
+    """
+    samples = location.samples
+    if samples is None:
+        return None
+    places = {place.coordinate: (rank, place) for rank, place in enumerate(location.places, start=1)}
+    numbers = {name: found for name, found in _numbers(samples, campaign).items() if np.ptp(found[0][found[1]]) > 0}
+    words = {name: values for name, values in samples.words.items() if np.unique(values).size > 1}
+    if not numbers and not words:
+        return None
+    figure, panels = style.panels(len(numbers) + len(words), 1.9, across=3)
+    for panel, (name, (values, known, label)) in zip(panels, numbers.items(), strict=False):
+        _tenths(panel, values[known], samples.share[known], places.get(name, (0, None))[1])
+        panel.set_xlabel(label)
+    for panel, (name, values) in zip(panels[len(numbers) :], words.items(), strict=True):
+        _bars_by_word(panel, values, samples.share, places.get(name, (0, None))[1])
+        panel.set_xlabel(f"Share by {name} [%]")
+    for index, (panel, name) in enumerate(zip(panels, [*numbers, *words], strict=True)):
+        if index % 3 == 0 and name in numbers:
+            panel.set_ylabel("Share [%]")
+        if name in places:
+            rank, place = places[name]
+            panel.set_title(f"no. {rank}: {100 * place.error_share:.0f} %", loc="right", color=style.RED)
+    panels[0].plot([], [], color=style.BLACK, linewidth=1.2, label="share of the samples")
+    for colour, text in ((style.BLUE, "share of the squared error"), (style.RED, "the part that holds most")):
+        panels[0].bar([], [], color=colour, alpha=0.8, label=text)
+    style.panel_titles(panels)
+    style.legend(figure, panels[0])
+    said = "; ".join(location.sentences) or "the misfit is nowhere in particular"
+    return Picture(
+        figure,
+        "Where the squared error of the training experiments lies: bars, by the coordinates of the samples, ordered "
+        "coordinates in tenths of the samples; black, the share that the samples themselves have.  Red: the part that "
+        "tells most, by rank, with its share of the error.",
+        f"Bar charts over {', '.join([*numbers, *words])}. Ranked: {said}.",
+    )
+
+
+def _numbers(samples: Samples, campaign: Campaign) -> dict[str, tuple[np.ndarray, np.ndarray, str]]:
+    """Values, which of them are known, and axis label of every ordered coordinate, the inputs among them."""
+    found = {}
+    for name, values in samples.numbers.items():
+        values = np.asarray(values, dtype=float)
+        divisor, unit = style.readable(UNITS[name], values) if name != "speed" else (1e-3, "mm/s")
+        label = f"{_AXES[name]} [{style.unit_text(unit)}]"
+        if name == "time" and not campaign.has_time:
+            label = "Row"
+        found[name] = (values / divisor, label if name != "cycle" else "Cycle")
+    ids, row = np.unique(samples.words["experiment"], return_inverse=True)
+    for name in campaign.inputs:
+        unit = campaign.unit(name)
+        values = np.asarray([unit.from_si(campaign[str(id)].inputs[name]) for id in ids])[row]
+        found[name] = (values, style.label(name, unit.text))
+    return {
+        name: (values, np.isfinite(values), label)
+        for name, (values, label) in found.items()
+        if np.isfinite(values).any()
+    }
+
+
+def _tenths(panel: Axes, values: np.ndarray, share: np.ndarray, place: Place | None) -> None:
+    """Share of the error in every tenth of the samples; where values repeat, a bin holds more than a tenth."""
+    edges = np.unique(np.quantile(values, np.linspace(0, 1, _BINS + 1), method="inverted_cdf"))
+    total = max(float(share.sum()), 1e-300)
+    error = 100 * np.histogram(values, edges, weights=share)[0] / total
+    size = 100 * np.histogram(values, edges)[0] / values.size
+    bins = np.arange(error.size)
+    inside = np.zeros(bins.size, dtype=bool)
+    if place is not None and place.limit is not None:
+        # The axis counts samples in a unit of its own: the limit stands where as many of them lie before it.
+        before = 100 * (1 - place.sample_share if place.part == "above" else place.sample_share)
+        at = float(np.interp(before, np.append(0.0, np.cumsum(size)), np.arange(bins.size + 1)))
+        inside = (bins + 0.5 > at) if place.part == "above" else (bins + 0.5 < at)
+        panel.axvspan(*((at, bins.size) if place.part == "above" else (0, at)), color=style.RED, alpha=0.1, linewidth=0)
+    panel.bar(bins + 0.5, error, 0.85, color=np.where(inside, style.RED, style.BLUE), alpha=0.8)
+    panel.stairs(size, np.arange(bins.size + 1), color=style.BLACK, linewidth=1.2, baseline=None, zorder=3)
+    ticks = np.unique(np.round(np.linspace(0, bins.size, 5)).astype(int))
+    panel.set_xticks(ticks, [f"{edges[tick]:.3g}" for tick in ticks])
+    panel.set_xlim(0, bins.size)
+    panel.grid(False, axis="x")
+
+
+def _bars_by_word(panel: Axes, words: np.ndarray, share: np.ndarray, place: Place | None) -> None:
+    """Share of the error of every word, the largest on top; more words than fit are one bar."""
+    names, which = np.unique(words, return_inverse=True)
+    error = 100 * np.bincount(which, weights=share, minlength=names.size)
+    size = 100 * np.bincount(which, minlength=names.size) / words.size
+    part = "" if place is None else place.part
+    order = sorted(range(names.size), key=lambda i: (names[i] != part, -error[i]))
+    order, rest = (order[: _WORDS - 1], order[_WORDS - 1 :]) if names.size > _WORDS else (order, [])
+    order.sort(key=lambda i: -error[i])
+    labels = [style.plain(str(names[i]), 16) for i in order] + ([f"{len(rest)} others"] if rest else [])
+    error, size = (np.append(x[order], [x[rest].sum()] if rest else []) for x in (error, size))
+    colours = [style.RED if names[i] == part else style.BLUE for i in order] + ([style.BLUE] if rest else [])
+    at = np.arange(len(labels))
+    panel.barh(at, error, 0.75, color=colours, alpha=0.8)
+    panel.vlines(size, at - 0.45, at + 0.45, color=style.BLACK, linewidth=1.2, zorder=3)
+    panel.set_yticks(at, labels)
+    panel.invert_yaxis()
+    panel.grid(False, axis="y")
+
+
+@style.in_house_style
+def error_map(comparison: Comparison, campaign: Campaign) -> Picture | None:
+    """Squared error of each experiment over the inputs, and what Kriging makes of it in between.
+
+    Arguments:
+        comparison: of at least two experiments.
+        campaign: the units of its inputs.
+
+    Returns:
+        The picture; None unless one or two inputs vary.
+    """
+    found = list(_squared_errors(comparison))
+    inputs = {n: np.asarray([campaign.unit(n).from_si(e.inputs[n]) for e, _, _ in found]) for n in campaign.inputs}
+    inputs = {name: values for name, values in inputs.items() if values.size and np.ptp(values) > 0}
+    if len(inputs) not in (1, 2):
+        return None
+    points = np.stack(list(inputs.values()), axis=1)
+    errors = np.asarray([error for _, _, error in found])
+    sets = np.asarray([split for _, split, _ in found])
+    labels = [style.label(name, campaign.unit(name).text) for name in inputs]
+    figure = style.new_figure(4.2 if len(inputs) == 2 else 3.0)
+    panel = figure.subplots()
+    (_errors_over_a_plane if len(inputs) == 2 else _errors_along_a_line)(figure, panel, points, errors, sets)
+    panel.set_xlabel(labels[0])
+    panel.set_ylabel(labels[1] if len(inputs) == 2 else "Squared error [–]")
+    largest = np.argsort(-errors)[:_NAMED]
+    heights = points[:, 1] if len(inputs) == 2 else errors
+    for i in largest:
+        left = points[i, 0] > points[:, 0].mean()  # the name goes inwards, where there is room
+        panel.annotate(
+            style.plain(found[i][0].id, 24), (points[i, 0], heights[i]), (-8 if left else 8, 0), fontsize=7, zorder=5,
+            textcoords="offset points", ha="right" if left else "left", va="center_baseline",
+            bbox={"facecolor": "white", "alpha": 0.6, "linewidth": 0, "pad": 0.6},
+        )  # fmt: skip
+    style.legend(figure, panel)
+    told = len(found) >= _FEWEST
+    return Picture(
+        figure,
+        "Squared error of each experiment, relative to the variance of what was measured, over the inputs; the largest "
+        "are named."
+        + ("  Between the experiments, the mean and the standard deviation of a Kriging model." if told else ""),
+        f"{len(found)} experiments over {', '.join(inputs)}; squared error between {style.amount(float(errors.min()))} "
+        f"and {style.amount(float(errors.max()))}, the largest in {found[largest[0]][0].id.replace('$', '')}.",
+    )
+
+
+def _squared_errors(comparison: Comparison) -> Iterator[tuple[Experiment, str, float]]:
+    """Every experiment, its split and its squared error, averaged over the outputs; where there is one."""
+    reference = comparison.train.per_output
+    for name, split, prediction in splits(comparison):
+        histories = prediction.groups.size > len(prediction.outputs)
+        for experiment in prediction.experiments:
+            squares = []
+            for output, values in split.per_experiment.get(experiment.id, {}).items():
+                # A history is relative to itself; a quantity to its spread over the training experiments, in both splits.
+                scale = values["scale"] if histories else reference.get(output, values)["scale"]
+                squares.append((values["nrmse"] * values["scale"] / scale) ** 2)
+            if squares and np.isfinite(squares).all():
+                yield experiment, name, float(np.mean(squares))
+
+
+def _kriged(points: np.ndarray, errors: np.ndarray, grid: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:
+    """Kriging mean and sd of the squared errors on a grid of the inputs; None where experiments are too few or many."""
+    if not _FEWEST <= errors.size <= _MOST:
+        return None
+    low, span = points.min(axis=0), np.ptp(points, axis=0)
+    mesh = np.stack(np.meshgrid(*grid, indexing="ij"), axis=-1)
+    key, known = jax.random.key(0), jnp.ones(errors.size, dtype=bool)
+    model = fit_kriging(jnp.asarray((points - low) / span), jnp.asarray(errors), known, key=key)
+    mean, variance = model.predict(jnp.asarray((mesh.reshape(-1, low.size) - low) / span))
+    # A squared error is not negative, a Gaussian process does not know.
+    mean, sd = np.maximum(np.asarray(mean), 0.0), np.sqrt(np.asarray(variance))
+    return mean.reshape(mesh.shape[:-1]), sd.reshape(mesh.shape[:-1])
+
+
+def _grid_of(points: np.ndarray) -> list[np.ndarray]:
+    """A grid a little larger than the range of the experiments, along each input."""
+    low, span = points.min(axis=0), np.ptp(points, axis=0)
+    return [np.linspace(a - 0.06 * s, a + 1.06 * s, _GRID) for a, s in zip(low, span, strict=True)]
+
+
+def _errors_over_a_plane(figure: Figure, panel: Axes, points: np.ndarray, errors: np.ndarray, sets: np.ndarray) -> None:
+    grid = _grid_of(points)
+    kriged = _kriged(points, errors, grid)
+    everything = errors if kriged is None else np.append(errors, kriged[0])
+    levels = style.levels(np.ma.asarray(everything))
+    shades = {"vmin": levels[0], "vmax": levels[-1], "cmap": style.COLOUR_MAP}
+    if kriged is not None:
+        mean, sd = kriged
+        panel.contourf(*grid, mean.T, levels, alpha=0.75, **shades)
+        if np.ptp(sd) > 1e-6 * float(errors.max(initial=0.0)):
+            lines = panel.contour(*grid, sd.T, 4, colors="white", linewidths=0.6, linestyles="-")
+            panel.clabel(lines, fontsize=6, fmt="%.2g")
+            panel.plot([], [], color=style.GREY, linewidth=0.6, label="standard deviation of the map")
+    sizes = 20 + 130 * np.sqrt(errors / max(float(errors.max()), 1e-300))
+    for split, marker in _MARKERS.items():
+        one = sets == split
+        if one.any():
+            drawn = panel.scatter(
+                *points[one].T, s=sizes[one], c=errors[one], marker=marker, edgecolors=style.BLACK, linewidths=0.9,
+                zorder=3, **shades,
+            )  # fmt: skip
+            panel.plot([], [], marker, ms=6, mfc="white", mec=style.BLACK, mew=0.9, label=split)
+            mappable = drawn
+    panel.set(xlim=grid[0][[0, -1]], ylim=grid[1][[0, -1]])
+    panel.grid(False)
+    figure.colorbar(mappable, ax=panel, label="Squared error [–]")
+
+
+def _errors_along_a_line(figure: Figure, panel: Axes, points: np.ndarray, errors: np.ndarray, sets: np.ndarray) -> None:
+    grid = _grid_of(points)
+    kriged = _kriged(points, errors, grid)
+    if kriged is not None:
+        mean, sd = kriged
+        band = np.maximum(mean - 1.645 * sd, 0.0), mean + 1.645 * sd
+        panel.fill_between(grid[0], *band, color=style.BLUE, alpha=0.2, linewidth=0, label="90 % band")
+        panel.plot(grid[0], mean, color=style.BLUE, linewidth=1.3, label="Kriging mean")
+    for split, marker in _MARKERS.items():
+        one = sets == split
+        if one.any():
+            fill = style.BLACK if split == "train" else "white"
+            panel.plot(points[one, 0], errors[one], marker, ms=5, mfc=fill, mec=style.BLACK, zorder=3, label=split)
+    panel.set_xlim(*grid[0][[0, -1]])
+    panel.set_ylim(bottom=0.0)
