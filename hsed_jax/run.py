@@ -43,6 +43,14 @@ def _parser() -> argparse.ArgumentParser:
     init.add_argument("--output", metavar="STUDY.yaml", help="where to (default: CAMPAIGN/study.yaml)")
     init.add_argument("--force", action="store_true", help="replace a study that is there")
     init.set_defaults(command=_init)
+    text = "calibrate and compare with the measurements, without a design"
+    comparison = commands.add_parser("compare", help=text, description=text.capitalize() + ".")
+    _add_run(comparison)
+    comparison.set_defaults(steps=["calibrate", "compare"])
+    text = "the catalogue of physical effects"
+    effects = commands.add_parser("effects", help=text, description=text.capitalize() + ".")
+    effects.add_argument("name", nargs="?", metavar="NAME", help="show one effect: equation, parameters, reference")
+    effects.set_defaults(command=_effects)
     return parser
 
 
@@ -72,6 +80,13 @@ def _guarded(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -
     except KeyboardInterrupt:
         print("stopped before there was anything to keep", file=sys.stderr)
         return 3
+
+
+def _effects(options: Any) -> int:
+    from hsed_jax.reporting.catalogue import catalogue, entry
+
+    print(entry(options.name) if options.name else catalogue())
+    return 0
 
 
 def _check(options: Any) -> int:

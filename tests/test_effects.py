@@ -25,8 +25,10 @@ def points(count: int = 200) -> SpringPoint:
     draw = np.random.default_rng(3)
     z, du, rate = draw.normal(size=(3, count)) * [[1e5], [0.3], [1.5]]
     energy = draw.exponential(2e4, count)
-    z[:2] = du[:2] = energy[:2] = rate[0] = 0.0
-    return SpringPoint(du, rate, z, {"hysteretic": z, "energy": energy}, Scales(*(np.full(count, s) for s in SCALES)))
+    travel = draw.exponential(2.0, count)
+    z[:2] = du[:2] = energy[:2] = travel[:2] = rate[0] = 0.0
+    memory = {"hysteretic": z, "energy": energy, "largest_elongation": 1.5 * np.abs(du), "travel": travel}
+    return SpringPoint(du, rate, z, memory, Scales(*(np.full(count, s) for s in SCALES)), np.full(count, 1e5))
 
 
 def at_neutral(name: str):

@@ -12,6 +12,7 @@ from scipy import stats
 
 from hsed_jax.criticism.cycles import absorbed_energy, cycle_numbers, energy_per_cycle
 from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.errors import UserError
 from hsed_jax.inference.correlation import autocorrelation_time
 from hsed_jax.measurements import noise_estimate
 
@@ -103,8 +104,18 @@ def compare(
         parameters: how many parameters were fitted.
         notes: sentences to carry along.
     """
-    splits = [_split(p, declared) if p is not None else None for p in (train, test)]
-    assert splits[0] is not None
+    splits = [_split(p, declared) if p is not None and p.used.any() else None for p in (train, test)]
+    if splits[0] is None:
+        raise UserError("nothing that is observed was measured in the training experiments; there is nothing to compare")
+    diverged = [
+        experiment.id
+        for prediction in (train, test)
+        if prediction is not None
+        for experiment, converged in zip(prediction.experiments, prediction.converged, strict=True)
+        if not converged
+    ]
+    if diverged:
+        notes = [*notes, f"the simulation of {', '.join(diverged)} diverged at the MAP: its errors mean nothing"]
     worst = sorted(
         (
             {"experiment": experiment, "output": output, "error": values["nrmse"]}
@@ -123,8 +134,9 @@ def compare(
 def discrepancy_p_value(prediction: Prediction, declared: np.ndarray, parameters: int) -> float | None:
     r"""Probability that the noise alone leaves such a residual.
 
-    The smallest of up to two tests per output, times their number (Bonferroni): the size of the residual against declared
-    noise, $\sum (r/\sigma)^2 \sim \chi^2_{N-p}$; and, for histories, its whiteness (Ljung & Box 1978 over ten lags).
+    Two kinds of tests: the size of the residual against declared noise, $\sum (r/\sigma)^2 \sim \chi^2_{N-p}$; and, for
+    each output that is a history, its whiteness (Ljung & Box 1978 over ten lags).  Of k such tests, which are nearly
+    independent of one another, the smallest p counts: $1-(1-p)^k$ (Šidák 1967), uniform where the noise is as declared.
     """
     values = []
     z = prediction.residual / np.where(prediction.used, prediction.sigma, 1.0)
@@ -144,7 +156,10 @@ def discrepancy_p_value(prediction: Prediction, declared: np.ndarray, parameters
                 lags += 10
         if lags:
             values.append(float(stats.chi2.sf(statistic, lags)))
-    return min(1.0, min(values) * len(values)) if values else None
+    if not values:
+        return None
+    smallest = min(values)
+    return 1.0 if smallest >= 1 else float(-np.expm1(len(values) * np.log1p(-smallest)))
 
 
 def _ljung_box(residual: np.ndarray) -> float:
@@ -163,11 +178,9 @@ def _split(prediction: Prediction, declared: np.ndarray) -> Split:
         used = prediction.used[:, columns]
         if not used.any():
             continue
-        noise = _noise(prediction, output, bool(declared[number]))
-        every = tuple(
-            np.where(used, table[:, columns], np.nan)
-            for table in (prediction.measured, prediction.predicted, prediction.mean, prediction.sd, noise)
-        )
+        tables = (prediction.measured, prediction.predicted, prediction.mean, prediction.sd)
+        noise = noise_of(prediction, output, bool(declared[number]))
+        every = tuple(np.where(used, table, np.nan) for table in (*(t[:, columns] for t in tables), noise))
         per_output[output] = _errors(*every)
         for row, experiment in enumerate(prediction.experiments):
             if used[row].any() and (columns.sum() > 1 or len(prediction.experiments) > 1):
@@ -200,7 +213,7 @@ def _errors(measured, predicted, mean, sd, noise, scale: float | None = None) ->
     }
 
 
-def _noise(prediction: Prediction, output: str, declared: bool) -> np.ndarray:
+def noise_of(prediction: Prediction, output: str, declared: bool) -> np.ndarray:
     """Sd of the noise of an output, (n, J): declared, or for histories estimated from what no smooth signal explains."""
     columns = prediction.columns(output)
     sigma = prediction.sigma[:, columns].copy()

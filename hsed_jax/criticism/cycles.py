@@ -4,17 +4,23 @@ import numpy as np
 
 
 def cycle_numbers(elongation: np.ndarray) -> np.ndarray:
-    """Number of the cycle that each sample belongs to, from 0: cycles end where the elongation crosses its mean upwards.
+    """Number of the cycle that each sample belongs to, from 0.
 
-    A small hysteresis (5 % of the range) keeps noise from ending cycles.
+    A cycle is an excursion to the side of the first one and the return from the other side: it ends where the elongation
+    crosses zero (or the middle of its range, where it keeps to one side) in the direction of the first excursion.  A small
+    hysteresis (5 % of the largest) keeps noise from ending cycles.
     """
     swing = elongation - 0.5 * (elongation.max() + elongation.min())
     if np.abs(elongation).max() > 0 and elongation.min() < 0 < elongation.max():
         swing = elongation
     dead = 0.05 * np.abs(swing).max()
     state = np.where(swing > dead, 1, np.where(swing < -dead, -1, 0))
-    known = np.maximum.accumulate(np.where(state != 0, np.arange(state.size), 0))
-    settled = state[known]
+    excursions = np.flatnonzero(state)
+    if not excursions.size:
+        return np.zeros(state.size, dtype=int)
+    # What comes before the first excursion belongs to it.
+    known = np.maximum.accumulate(np.where(state != 0, np.arange(state.size), excursions[0]))
+    settled = state[known] * state[excursions[0]]
     return np.cumsum(np.diff(settled, prepend=settled[:1]) > 0)
 
 

@@ -3,10 +3,12 @@ r"""The hysteretic spring: Bouc–Wen with named slots that effects write to.
 $$\dot z = h\,\frac{a A - \nu\,(\beta\,\mathrm{sign}(\Delta\dot u\,z)+\gamma)\,|z|^n}{\eta}\,\Delta\dot u,\qquad
   r = z + \sum \text{force},\qquad \dot e = r\,\Delta\dot u$$
 
+An element in series with compliance c turns the slope $dz/d\Delta u = g$ into $g/(1+cg)$; inside a slack there is no force.
 With nothing in the slots (a = ν = η = h = 1) it is Eq. 15 of Abbiati & Marelli without the degradation, i.e. Bouc 1967,
 Wen 1976.  The force z is in newtons, so A is a stiffness [N/m].
 """
 
+from collections.abc import Callable
 from typing import final
 
 import equinox as eqx
@@ -38,31 +40,61 @@ class BoucWen(eqx.Module):
 
     def start(self) -> Memory:
         """The states of a virgin spring: hysteretic force z [N] and absorbed energy e [J]."""
-        return {"hysteretic": jnp.zeros(()), "energy": jnp.zeros(())}
+        names = ("hysteretic", "energy", *sorted({state for effect in self.effects for state in effect.needs}))
+        return {name: jnp.zeros(()) for name in names}
 
     def force(self, elongation: Scalar, rate: Scalar, memory: Memory) -> Scalar:
         """Restoring force r [N] at elongation Δu [m] and its rate [m/s]."""
-        return memory["hysteretic"] + self._slots(elongation, rate, memory)("force")
+        slots = self._slots(elongation, rate, memory)
+        return self._carried(elongation, memory, slots) + slots("force")
 
     def rates(self, elongation: Scalar, rate: Scalar, memory: Memory) -> Memory:
         """Time derivatives of the states."""
         slots = self._slots(elongation, rate, memory)
         z = memory["hysteretic"]
         magnitude = jnp.abs(z)
+        n, share = self.n + slots("n"), slots("gamma")
+        gamma = self.gamma if _is_zero(share) else self.gamma + share * self.beta
         # β sign(Δu̇ z)|z|ⁿ Δu̇ = β |Δu̇| z |z|ⁿ⁻¹: no sign, hence no jump where z passes zero.
-        softening = self.beta * jnp.abs(rate) * z * _power(magnitude, self.n, -1)
-        if not (isinstance(self.gamma, int | float) and self.gamma == 0):
-            softening = softening + self.gamma * rate * _power(magnitude, self.n, 0)
+        softening = self.beta * jnp.abs(rate) * z * _power(magnitude, n, -1)
+        if not _is_zero(gamma):
+            softening = softening + gamma * rate * _power(magnitude, n, 0)
         flow = slots("h") * (slots("a") * self.A * rate - slots("nu") * softening) / slots("eta")
-        return {"hysteretic": flow, "energy": (z + slots("force")) * rate}
+        if not _is_zero(compliance := slots("compliance")):
+            moving = jnp.where(rate == 0, 1.0, rate)
+            flow = flow / (1 + compliance * flow / moving)
+        if not _is_zero(slack := slots("slack")):
+            flow = jnp.where(jnp.abs(elongation) >= slack, flow, 0.0)
+        force = self._carried(elongation, memory, slots) + slots("force")
+        rates = {name: jnp.zeros_like(value) for name, value in memory.items()}
+        rates |= {"hysteretic": flow, "energy": force * rate}
+        if "travel" in memory:
+            rates["travel"] = jnp.abs(rate)
+        return rates
 
-    def tangent(self, rate: Scalar, elongation: Scalar, memory: Memory) -> Scalar:
-        """dz/dΔu [N/m] on the branch that `rate` is on; `rate` must not be zero."""
-        return self.rates(elongation, rate, memory)["hysteretic"] / rate
+    def settle(self, elongation: Scalar, memory: Memory) -> Memory:
+        """The states after a step that reached this elongation [m]: the largest one is kept here, not integrated."""
+        if "largest_elongation" not in memory:
+            return memory
+        return {**memory, "largest_elongation": jnp.maximum(memory["largest_elongation"], jnp.abs(elongation))}
 
-    def _slots(self, elongation: Scalar, rate: Scalar, memory: Memory):
-        point = SpringPoint(elongation, rate, memory["hysteretic"], memory, self.scales)
+    def _carried(self, elongation: Scalar, memory: Memory, slots: Callable[[str], Scalar]) -> Scalar:
+        """The force of the hysteretic element, none inside a slack."""
+        slack = slots("slack")
+        z = memory["hysteretic"]
+        return z if _is_zero(slack) else jnp.where(jnp.abs(elongation) >= slack, z, 0.0)
+
+    def _slots(self, elongation: Scalar, rate: Scalar, memory: Memory) -> Callable[[str], Scalar]:
+        strength = self.A / jnp.maximum(self.beta + self.gamma, 1e-12)
+        if not (isinstance(self.n, int | float) and self.n == 1):
+            strength = strength ** (1 / self.n)
+        point = SpringPoint(elongation, rate, memory["hysteretic"], memory, self.scales, strength)
         return combine([effect.contribute(point) for effect in self.effects])
+
+
+def _is_zero(value: Scalar) -> bool:
+    """Whether a value is the number zero, known while the program is compiled."""
+    return isinstance(value, int | float) and value == 0
 
 
 def _power(magnitude: Scalar, n: Scalar, offset: int) -> Scalar:

@@ -140,7 +140,7 @@ def _mended(
     exact = 0.5 * v0 * theta
     simpson = (v0 + jnp.where(theta > 0.5, 2 * (v0 + v1), 0.0)) / 6
     shift = jnp.where(turns, h * (loading - unloading) * (exact - simpson), 0.0)
-    mended = {**memory, "hysteretic": memory["hysteretic"] + shift}
+    mended = spring.settle(elongation, {**memory, "hysteretic": memory["hysteretic"] + shift})
     force = spring.force(
         elongation,
         jnp.where(turns, 0.0, v1),

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.transforms import Bbox
 
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.locate import Location
@@ -18,13 +19,13 @@ _OVERLAYS = 6
 _ROWS = 25
 _90 = 1.6448536  # standard deviations on both sides hold 90 %
 _BAND = {"color": style.BLUE, "alpha": 0.2, "linewidth": 0, "label": "90 % predictive band", "zorder": 1}
-_COLUMNS = {
-    "nrmse": ("error", "{:.3f}"),
-    "noise_floor": ("noise", "{:.3f}"),
-    "bias": ("bias", "{:+.3f}"),
-    "peak_error": ("peak", "{:+.1%}"),
-    "energy_error": ("energy", "{:.1%}"),
-    "coverage_90": ("coverage of 90 %", "{:.0%}"),
+_COLUMNS: dict[str, tuple[str, float, str]] = {
+    "nrmse": ("error", 1, "{:.3f}"),
+    "noise_floor": ("noise", 1, "{:.3f}"),
+    "bias": ("bias", 1, "{:+.3f}"),
+    "peak_error": ("peak", 100, "{:+.1f} %"),
+    "energy_error": ("energy", 100, "{:.1f} %"),
+    "coverage_90": ("coverage", 100, "{:.0f} %"),
 }
 
 
@@ -86,9 +87,9 @@ def overlay(prediction: Prediction, row: int, errors: Mapping[str, Mapping[str, 
         panels.append(figure.add_subplot(grid[:2, 1]))
         _draw_loop(panels[-1], *loop)
     failed = "" if prediction.converged[row] else ", simulation did not converge"
-    figure.suptitle(style.plain(f"{experiment.id} ({experiment.split}{failed})", 90), fontsize=10)
     style.panel_titles(panels)
     style.legend(figure, *panels)
+    figure.legends[0].set_title(style.plain(f"{experiment.id} ({experiment.split}{failed})", 90))
     said = "; ".join(f"{name}: error {style.amount(values['nrmse'])}" for name, values in errors.items())
     which = experiment.id.replace("$", "")
     return Picture(
@@ -120,19 +121,20 @@ def _history(panel: Axes, prediction: Prediction, row: int, name: str) -> None:
 
 
 def _loop(prediction: Prediction, row: int, campaign: Campaign) -> tuple[np.ndarray, ...] | None:
-    """Measured elongation and force, predicted elongation and force of an experiment; None where one is not known."""
+    """Measured elongation and force, then predicted, where scored; None where one of them is not known."""
     record = prediction.experiments[row].record
     assert record is not None
     if "force" not in prediction.outputs:
         return None
-    measured, predicted, _, _ = prediction.histories(row, "force")
-    force = record.channels.get("force", measured)
+    force, predicted, _, _ = prediction.histories(row, "force")
     if "elongation" in prediction.outputs:
         there, ours, _, _ = prediction.histories(row, "elongation")
-        return record.channels.get("elongation", there), force, ours, predicted
-    if campaign.protocol == "displacement" and "elongation" in record.channels:
-        return record["elongation"], force, record["elongation"], predicted
-    return None
+    elif campaign.protocol == "displacement" and "elongation" in record.channels:
+        there = ours = record["elongation"]
+    else:
+        return None
+    scored = prediction.used[row, prediction.columns("force")][: len(record)]
+    return tuple(np.where(scored, channel, np.nan) for channel in (there, force, ours, predicted))
 
 
 def _draw_loop(panel: Axes, there: np.ndarray, force: np.ndarray, ours: np.ndarray, predicted: np.ndarray) -> None:
@@ -198,17 +200,18 @@ def error_table(comparison: Comparison) -> Picture | None:
             style.plain(id, 28),
             split,
             name.replace("_", " "),
-            *(_cell(values, key, look) for key, (_, look) in columns.items()),
+            *(_cell(values.get(key, np.nan), factor, look) for key, (_, factor, look) in columns.items()),
         ]
         for id, split, name, values in shown
     ]
-    heads = ["experiment", "split", "output", *(head for head, _ in columns.values())]
+    heads = ["experiment", "split", "output", *(head for head, *_ in columns.values())]
     widths = np.asarray([max(len(row[i]) for row in [heads, *cells]) + 2 for i in range(len(heads))], dtype=float)
     figure = style.new_figure(0.21 * (len(cells) + 1) + 0.15)
     panel = figure.subplots()
     panel.set_axis_off()
     table = panel.table(cells, colLabels=heads, colWidths=list(widths / widths.sum()), cellLoc="right",
-                        bbox=(0, 0, 1, 1), edges="horizontal")  # fmt: skip
+        colLoc="right",
+                        bbox=Bbox.unit(), edges="horizontal")  # fmt: skip
     table.auto_set_font_size(False)
     table.set_fontsize(8)
     for (row, column), cell in table.get_celld().items():
@@ -229,9 +232,8 @@ def error_table(comparison: Comparison) -> Picture | None:
     )
 
 
-def _cell(values: Mapping[str, float], key: str, look: str) -> str:
-    value = values.get(key, np.nan)
-    return look.format(value) if np.isfinite(value) else "–"
+def _cell(value: float, factor: float, look: str) -> str:
+    return look.format(factor * value).replace("-", "−") if np.isfinite(value) else "–"
 
 
 def _badness(values: Mapping[str, float]) -> float:

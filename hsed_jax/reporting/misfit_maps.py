@@ -23,6 +23,8 @@ _WORDS = 8
 _FEWEST, _MOST = 5, 300
 _GRID = 61
 _NAMED = 3
+_ALPHA = 0.6
+_LABEL = {"facecolor": "white", "alpha": 0.6, "linewidth": 0, "pad": 0.6}
 _AXES = {
     "time": "Time",
     "cycle": "Cycle",
@@ -68,7 +70,7 @@ def residual_coordinates(location: Location, campaign: Campaign) -> Picture | No
         panel.set_xlabel(label)
     for panel, (name, values) in zip(panels[len(numbers) :], words.items(), strict=True):
         _bars_by_word(panel, values, samples.share, places.get(name, (0, None))[1])
-        panel.set_xlabel(f"Share by {name} [%]")
+        panel.set_xlabel(f"{name.capitalize()}: share [%]")
     for index, (panel, name) in enumerate(zip(panels, [*numbers, *words], strict=True)):
         if index % 3 == 0 and name in numbers:
             panel.set_ylabel("Share [%]")
@@ -77,7 +79,7 @@ def residual_coordinates(location: Location, campaign: Campaign) -> Picture | No
             panel.set_title(f"no. {rank}: {100 * place.error_share:.0f} %", loc="right", color=style.RED)
     panels[0].plot([], [], color=style.BLACK, linewidth=1.2, label="share of the samples")
     for colour, text in ((style.BLUE, "share of the squared error"), (style.RED, "the part that holds most")):
-        panels[0].bar([], [], color=colour, alpha=0.8, label=text)
+        panels[0].plot([], [], "s", color=colour, alpha=_ALPHA, ms=8, label=text)
     style.panel_titles(panels)
     style.legend(figure, panels[0])
     said = "; ".join(location.sentences) or "the misfit is nowhere in particular"
@@ -114,10 +116,14 @@ def _numbers(samples: Samples, campaign: Campaign) -> dict[str, tuple[np.ndarray
 
 def _tenths(panel: Axes, values: np.ndarray, share: np.ndarray, place: Place | None) -> None:
     """Share of the error in every tenth of the samples; where values repeat, a bin holds more than a tenth."""
-    edges = np.unique(np.quantile(values, np.linspace(0, 1, _BINS + 1), method="inverted_cdf"))
-    total = max(float(share.sum()), 1e-300)
-    error = 100 * np.histogram(values, edges, weights=share)[0] / total
-    size = 100 * np.histogram(values, edges)[0] / values.size
+    edges = np.unique(values)
+    few = edges.size <= _BINS  # a bin per value
+    if not few:
+        edges = np.unique(np.quantile(values, np.linspace(0, 1, _BINS + 1), method="inverted_cdf"))
+    count = edges.size if few else edges.size - 1
+    which = np.minimum(np.searchsorted(edges, values, side="right") - 1, count - 1)
+    error = 100 * np.bincount(which, share, count) / max(float(share.sum()), 1e-300)
+    size = 100 * np.bincount(which, minlength=count) / values.size
     bins = np.arange(error.size)
     inside = np.zeros(bins.size, dtype=bool)
     if place is not None and place.limit is not None:
@@ -126,10 +132,12 @@ def _tenths(panel: Axes, values: np.ndarray, share: np.ndarray, place: Place | N
         at = float(np.interp(before, np.append(0.0, np.cumsum(size)), np.arange(bins.size + 1)))
         inside = (bins + 0.5 > at) if place.part == "above" else (bins + 0.5 < at)
         panel.axvspan(*((at, bins.size) if place.part == "above" else (0, at)), color=style.RED, alpha=0.1, linewidth=0)
-    panel.bar(bins + 0.5, error, 0.85, color=np.where(inside, style.RED, style.BLUE), alpha=0.8)
+    panel.bar(bins + 0.5, error, 0.85, color=np.where(inside, style.RED, style.BLUE), alpha=_ALPHA)
     panel.stairs(size, np.arange(bins.size + 1), color=style.BLACK, linewidth=1.2, baseline=None, zorder=3)
-    ticks = np.unique(np.round(np.linspace(0, bins.size, 5)).astype(int))
-    panel.set_xticks(ticks, [f"{edges[tick]:.3g}" for tick in ticks])
+    ticks = np.unique(np.round(np.linspace(0, edges.size - 1, 5)).astype(int))
+    # What is small beside the largest is zero to a reader.
+    decimals = 3 - int(np.floor(np.log10(np.abs(edges).max())))
+    panel.set_xticks(ticks + 0.5 * few, [f"{np.round(edges[tick], decimals) + 0.0:.3g}" for tick in ticks])
     panel.set_xlim(0, bins.size)
     panel.grid(False, axis="x")
 
@@ -143,13 +151,16 @@ def _bars_by_word(panel: Axes, words: np.ndarray, share: np.ndarray, place: Plac
     order = sorted(range(names.size), key=lambda i: (names[i] != part, -error[i]))
     order, rest = (order[: _WORDS - 1], order[_WORDS - 1 :]) if names.size > _WORDS else (order, [])
     order.sort(key=lambda i: -error[i])
-    labels = [style.plain(str(names[i]), 16) for i in order] + ([f"{len(rest)} others"] if rest else [])
+    labels = [style.plain(str(names[i]), 24) for i in order] + ([f"{len(rest)} others"] if rest else [])
     error, size = (np.append(x[order], [x[rest].sum()] if rest else []) for x in (error, size))
     colours = [style.RED if names[i] == part else style.BLUE for i in order] + ([style.BLUE] if rest else [])
     at = np.arange(len(labels))
-    panel.barh(at, error, 0.75, color=colours, alpha=0.8)
+    panel.barh(at, error, 0.75, color=colours, alpha=_ALPHA)
     panel.vlines(size, at - 0.45, at + 0.45, color=style.BLACK, linewidth=1.2, zorder=3)
-    panel.set_yticks(at, labels)
+    for height, text in enumerate(labels):  # inside: beside the panel, long words would squeeze its column
+        panel.text(0.025, height, text, transform=panel.get_yaxis_transform(), va="center_baseline", fontsize=8,
+                   bbox=_LABEL, zorder=4)  # fmt: skip
+    panel.set_yticks([])
     panel.invert_yaxis()
     panel.grid(False, axis="y")
 
@@ -186,7 +197,7 @@ def error_map(comparison: Comparison, campaign: Campaign) -> Picture | None:
         panel.annotate(
             style.plain(found[i][0].id, 24), (points[i, 0], heights[i]), (-8 if left else 8, 0), fontsize=7, zorder=5,
             textcoords="offset points", ha="right" if left else "left", va="center_baseline",
-            bbox={"facecolor": "white", "alpha": 0.6, "linewidth": 0, "pad": 0.6},
+            bbox=_LABEL,
         )  # fmt: skip
     style.legend(figure, panel)
     told = len(found) >= _FEWEST

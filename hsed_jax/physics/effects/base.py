@@ -12,11 +12,11 @@ from hsed_jax.physics.scales import Scales
 Scalar = Float[Array, ""] | float
 
 MULTIPLIED = ("a", "nu", "eta", "h")
-ADDED = ("force",)
+ADDED = ("force", "n", "gamma", "compliance", "slack")
 
 
 class SpringPoint(NamedTuple):
-    """What an effect may look at: the spring at one instant.
+    r"""What an effect may look at: the spring at one instant.
 
     Attributes:
         elongation: Δu [m].
@@ -24,6 +24,7 @@ class SpringPoint(NamedTuple):
         hysteretic: z [N], the force of the Bouc–Wen element.
         memory: further states by name, among them `energy` e [J].
         scales: characteristic values.
+        strength: ultimate force of the virgin element, $[A/(\beta+\gamma)]^{1/n}$ [N].
     """
 
     elongation: Scalar
@@ -31,20 +32,30 @@ class SpringPoint(NamedTuple):
     hysteretic: Scalar
     memory: dict[str, Scalar]
     scales: Scales
+    strength: Scalar
 
 
 class AbstractEffect(eqx.Module):
     """A physical effect of the spring.
 
     A subclass is final, declares its parameters as fields (`hsed_jax.physics.parameters.parameter`) and returns its
-    contributions to the slots of the law (`hsed_jax.physics.bouc_wen`): factors on `a`, `nu`, `eta`, `h`, an addend to
-    `force`.  Contributions of several effects to one slot multiply (or add), so effects commute.  At the neutral value of
-    its parameters an effect contributes exactly nothing.
+    contributions to the slots of the law (`hsed_jax.physics.bouc_wen`): factors on `a`, `nu`, `eta`, `h`; addends to `force`
+    [N], to `n`, to `gamma` (in units of β), to `compliance` (of what is in series with the element [m/N]) and to `slack` (the
+    elongation without force to either side [m]).  Contributions of several effects to one slot multiply (or add), so effects
+    commute.  At the neutral value of its parameters an effect contributes exactly nothing.
+
+    Attributes:
+        name: as it stands in studies and reports.
+        family: the kind of physics.
+        reference: where it comes from.
+        needs: states of the spring that it looks at besides force and energy: `largest_elongation` [m], `travel` [m] (the
+            length of the path of Δu); two effects that need one state share it.
     """
 
     name: ClassVar[str]
     family: ClassVar[str]
     reference: ClassVar[str]
+    needs: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:

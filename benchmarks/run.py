@@ -1,0 +1,115 @@
+"""Measure the package against its peers, on this machine, in this run: `python benchmarks/run.py`.
+
+Every figure is a cost, so lower is better; every ratio is our cost in units of a peer's.
+"""
+
+import argparse
+import datetime
+import importlib
+import importlib.metadata
+import json
+import os
+import platform
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+# Rows that are measured on one core, and the others.
+ONE_CORE = ("simulate", "kriging", "posterior")
+ROWS = (*ONE_CORE, "campaign")
+_PACKAGES = ("hsed_jax", "jax", "jaxlib", "diffrax", "equinox", "numpyro", "numpy", "scipy", "numba", "scikit-learn", "emcee")
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("rows", nargs="*", metavar="ROW", help=f"what to measure, of {', '.join(ROWS)} (default: all)")
+    parser.add_argument("--output", type=Path, default=Path(__file__).with_name("results.json"), metavar="FILE")
+    parser.add_argument("--quick", action="store_true", help="small sizes: to see that it runs, not to quote")
+    parser.add_argument("--markdown", action="store_true", help="print the table of the last results, measure nothing")
+    options = parser.parse_args()
+    if unknown := [row for row in options.rows if row not in ROWS]:
+        parser.error(f"there is no row {unknown[0]!r}; the rows are {', '.join(ROWS)}")
+    if not options.markdown:
+        lines = []
+        for row in options.rows or ROWS:
+            print(f"measuring {row} …", file=sys.stderr, flush=True)
+            lines += measured(row, options.quick)
+        results = {"machine": machine(), "quick": options.quick, "lines": lines}
+        options.output.write_text(json.dumps(results, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    print(table(json.loads(options.output.read_text(encoding="utf-8"))))
+
+
+def measured(row: str, quick: bool) -> list[dict[str, Any]]:
+    """The lines of one row, from a process of its own: threads are counted before anything is imported."""
+    with ProcessPoolExecutor(1, get_context("spawn"), _prepare, (row in ONE_CORE,)) as process:
+        return process.submit(_measure, row, quick).result()
+
+
+def _prepare(one_core: bool) -> None:
+    if one_core:
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+        for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+            os.environ[variable] = "1"
+
+
+def _measure(row: str, quick: bool) -> list[dict[str, Any]]:
+    return importlib.import_module(f"rows.{row}").measure(quick)
+
+
+def machine() -> dict[str, Any]:
+    """Where and with what it was measured."""
+    cpu = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    models = [entry.split(":")[1].strip() for entry in cpu if entry.startswith("model name")]
+    versions = {}
+    for package in _PACKAGES:
+        try:
+            versions[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            versions[package] = "not installed"
+    return {
+        "cpu": models[0] if models else platform.machine(),
+        "cores": len(os.sched_getaffinity(0)),
+        "load": os.getloadavg()[0],
+        "python": platform.python_version(),
+        "versions": versions,
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+    }
+
+
+def table(results: dict[str, Any]) -> str:
+    """The results as a Markdown table, and what must be said with it."""
+    head = ("row", "work", "our cost / peer's", "ours", "peers", "accuracy")
+    rows = [head, ("---",) * len(head)]
+    for entry in results["lines"]:
+        accuracy = (
+            f"{who}: " + ", ".join(f"{name} {_short(value)}" for name, value in figures.items())
+            for who, figures in entry["accuracy"].items()
+        )
+        rows.append(
+            (
+                entry["row"],
+                entry["work"],
+                "; ".join(f"**{ratio:.2f}** {name}" for name, ratio in entry["ratios"].items()),
+                f"{_short(entry['ours'])} {entry['unit']}",
+                "; ".join(f"{name} {_short(cost)}" for name, cost in entry["peers"].items()),
+                "; ".join(accuracy),
+            )
+        )
+    m = results["machine"]
+    versions = ", ".join(f"{name} {version}" for name, version in m["versions"].items())
+    notes = dict.fromkeys(note for entry in results["lines"] for note in entry["notes"])
+    said = [f"{m['cpu']}, {m['cores']} cores (load {m['load']:.1f} at the end), {m['date']}; Python {m['python']}, {versions}."]
+    if results["quick"]:
+        said.append("Measured with --quick: sizes too small to quote.")
+    return "\n".join(["| " + " | ".join(row) + " |" for row in rows] + ["", *said, *(f"Note: {n}." for n in notes)])
+
+
+def _short(value: float) -> str:
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,55 @@
+"""What lies between the specimen and the structure: slack, and flexibility."""
+
+from typing import ClassVar, final
+
+from hsed_jax.physics.effects.base import AbstractEffect, Scalar, SpringPoint, register
+from hsed_jax.physics.parameters import PhysicalForm, parameter
+
+
+@register
+@final
+class Gap(AbstractEffect):
+    r"""No force inside a slack of width $\delta u_c$ to either side of the origin."""
+
+    name: ClassVar[str] = "gap"
+    family: ClassVar[str] = "contact"
+    reference: ClassVar[str] = "Ibrahim 2009, section 2.4"
+
+    delta: Scalar = parameter(
+        r"\delta_g",
+        "1",
+        "slack over characteristic elongation",
+        neutral=0.0,
+        lower=0.0,
+        upper=1.0,
+        prior={"half_normal": 0.2},
+        physical=PhysicalForm("width", "m", lambda scales: scales.elongation),
+    )
+
+    def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
+        """An addend to `slack`."""
+        return {"slack": self.delta * point.scales.elongation}
+
+
+@register
+@final
+class SupportFlexibility(AbstractEffect):
+    r"""A linear spring in series with the specimen, of compliance $\delta u_c/F_c$."""
+
+    name: ClassVar[str] = "support_flexibility"
+    family: ClassVar[str] = "structure"
+    reference: ClassVar[str] = "Clough & Penzien 2003, section 2-2"
+
+    delta: Scalar = parameter(
+        r"\delta_s",
+        "1",
+        "elongation of the support at the characteristic force over the characteristic elongation",
+        neutral=0.0,
+        lower=0.0,
+        prior={"half_normal": 0.3},
+        physical=PhysicalForm("compliance", "m/N", lambda scales: scales.elongation / scales.force),
+    )
+
+    def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
+        """An addend to `compliance`."""
+        return {"compliance": self.delta * (point.scales.elongation / point.scales.force)}

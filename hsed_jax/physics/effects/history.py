@@ -1,0 +1,103 @@
+"""Effects that remember more than absorbed energy: the largest elongation, or the length of the path."""
+
+from typing import ClassVar, final
+
+import jax
+import jax.numpy as jnp
+
+from hsed_jax.physics.effects.base import AbstractEffect, Scalar, SpringPoint, register
+from hsed_jax.physics.parameters import PhysicalForm, parameter
+
+
+@register
+@final
+class PeakSoftening(AbstractEffect):
+    r"""Stiffness falls with the largest elongation reached: $a = 1/(1+\delta\max|\Delta u|/u_c)$."""
+
+    name: ClassVar[str] = "peak_softening"
+    family: ClassVar[str] = "stiffness"
+    reference: ClassVar[str] = "Park & Ang 1985"
+    needs: ClassVar[tuple[str, ...]] = ("largest_elongation",)
+
+    delta: Scalar = parameter(
+        r"\delta_p",
+        "1",
+        "relative loss of stiffness at the characteristic elongation",
+        neutral=0.0,
+        lower=0.0,
+        prior={"half_normal": 1.0},
+        physical=PhysicalForm("softening", "1/m", lambda scales: 1 / scales.elongation),
+    )
+
+    def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
+        """A factor on `a`."""
+        return {"a": 1 / (1 + self.delta * point.memory["largest_elongation"] / point.scales.elongation)}
+
+
+@register
+@final
+class Slip(AbstractEffect):
+    r"""A slip-lock element in series, which opens with the largest elongation.
+
+    Its compliance is $c(z) = \sqrt{2/\pi}\,\frac{\delta\max|\Delta u|}{\sigma}e^{-z^2/2\sigma^2}$ with $\sigma = w z_u$, $z_u$ the
+    strength of the element: δ max|Δu| is the length of slip near zero force.
+    """
+
+    name: ClassVar[str] = "slip"
+    family: ClassVar[str] = "pinching"
+    reference: ClassVar[str] = "Baber & Noori 1985; Madan, Reinhorn, Mander & Valles 1997"
+    needs: ClassVar[tuple[str, ...]] = ("largest_elongation",)
+
+    delta: Scalar = parameter(
+        r"\delta_{sl}",
+        "1",
+        "length of slip over the largest elongation reached",
+        neutral=0.0,
+        lower=0.0,
+        upper=1.0,
+        prior={"uniform": [0.0, 1.0]},
+    )
+    width: Scalar = parameter(
+        "w", "1", "force that locks, over strength", neutral=0.1, lower=0.01, prior={"lognormal": [-2.3, 0.7]}
+    )
+
+    def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
+        """An addend to `compliance`."""
+        sigma = self.width * point.strength
+        shape = jnp.sqrt(2 / jnp.pi) * jnp.exp(-0.5 * (point.hysteretic / sigma) ** 2) / sigma
+        return {"compliance": self.delta * point.memory["largest_elongation"] * shape}
+
+
+@register
+@final
+class Fracture(AbstractEffect):
+    r"""Part of the element is lost at a critical length: $-\delta z\,\mathrm{logistic}((s-s_c)/0.02 s_c)$."""
+
+    name: ClassVar[str] = "fracture"
+    family: ClassVar[str] = "strength"
+    reference: ClassVar[str] = "Manson 1953; Coffin 1954; Miner 1945 (exponent one)"
+    needs: ClassVar[tuple[str, ...]] = ("travel",)
+
+    delta: Scalar = parameter(
+        r"\delta_b",
+        "1",
+        "share of the element that is lost",
+        neutral=0.0,
+        lower=0.0,
+        upper=1.0,
+        prior={"uniform": [0.0, 1.0]},
+    )
+    life: Scalar = parameter(
+        "s_c",
+        "1",
+        "path to fracture over characteristic elongation",
+        neutral=10.0,
+        lower=0.1,
+        prior={"lognormal": [2.3, 1.0]},
+        physical=PhysicalForm("path", "m", lambda scales: scales.elongation),
+    )
+
+    def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
+        """An addend to `force`."""
+        used = point.memory["travel"] / (self.life * point.scales.elongation)
+        return {"force": -self.delta * point.hysteretic * jax.nn.sigmoid((used - 1) / 0.02)}

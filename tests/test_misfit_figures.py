@@ -1,0 +1,266 @@
+"""The figures of the misfit are drawn from any comparison, also a very small or broken one, without a warning."""
+
+import functools
+from dataclasses import replace
+
+import matplotlib.text
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from hsed_jax.criticism.compare import compare
+from hsed_jax.criticism.locate import Location, locate
+from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.measurements import Campaign, Channel, Experiment, Record
+from hsed_jax.reporting import misfit_figures
+from hsed_jax.reporting.misfit_figures import misfit_pictures
+
+INPUTS = {"V_P": "cm/s", "T_P": "s", "scale": "-"}
+
+
+def prediction(outputs, groups, experiments, measured, used=None):
+    """One that is a little too strong, with noise of 5 % of the largest value."""
+    used = np.ones(measured.shape, dtype=bool) if used is None else used
+    sd = np.full(measured.shape, 0.05 * max(np.nanmax(np.abs(measured)), 1e-9))
+    known = np.where(used, measured, 0.0)
+    tables = 1.1 * np.nan_to_num(measured), 1.08 * np.nan_to_num(measured), 1.2 * sd, sd
+    return Prediction(outputs, groups, tuple(experiments), known, used, *tables, np.ones(len(experiments), dtype=bool))
+
+
+def histories(train=2, test=1, m=120, outputs=("force", "elongation"), protocol="ground_motion", inputs=0, time=True,
+              window=False, change=None, id="E{}"):  # fmt: skip
+    """Campaign, comparison and location of `train + test` experiments of up to `m` samples."""
+    names = list(INPUTS)[:inputs]
+    experiments = []
+    for i in range(train + test):
+        at = np.linspace(0, 8, m - i) if time else np.arange(m - i, dtype=float)
+        phase = at * (2.0 if time else 0.2)
+        elongation = (0.01 + 0.002 * i) * np.sin(phase) * (0.2 + phase / 20)
+        channels = {"elongation": elongation, "force": 4e6 * elongation + 2e4 * np.cos(phase)}
+        channels = {
+            k: v for k, v in channels.items() if k in outputs or (k, protocol) == ("elongation", "displacement")
+        }
+        channels |= {k: 0.1 * np.cos(3 * phase) for k in outputs if k not in ("force", "elongation")}
+        change and change(channels)
+        at_inputs = {name: 0.3 + np.cos((3 + k) * i) for k, name in enumerate(names)}
+        scored = (float(at[3]), float(at[len(at) // 2])) if window else None
+        experiments.append(Experiment(id.format(i + 1), at_inputs, record=Record(at, channels), window=scored,
+                                      split="train" if i < train else "test"))  # fmt: skip
+    units = {"time": "s", "force": "kN", "elongation": "mm", "velocity_1": "m/s"}
+    declared = {
+        name: Channel(name, units[name]) for name in (*(("time",) if time else ()), *experiments[0].record.channels)
+    }
+    campaign = Campaign("synthetic", protocol, {n: INPUTS[n] for n in names}, declared,
+                        experiments=tuple(experiments))  # fmt: skip
+    return campaign, *compared(campaign, outputs, np.repeat(np.arange(len(outputs)), m), m)
+
+
+def quantities(train=9, test=3, outputs=("peak_force", "dissipated_energy"), inputs=2, scale=None):
+    """Campaign, comparison and location of experiments with quantities alone."""
+    names, rng = list(INPUTS)[:inputs], np.random.default_rng(1)
+    experiments = []
+    for i in range(train + test):
+        at = {name: float(x) for name, x in zip(names, rng.random(inputs), strict=True)}
+        size = 1 + sum(at.values()) ** 2 if scale is None else scale
+        values = {name: size * (2e5 if name == "peak_force" else 3e4) for name in outputs}
+        experiments.append(Experiment(f"E{i + 1}", at, quantities=values, split="train" if i < train else "test"))
+    declared = {"peak_force": Channel("peak_force", "kN"), "dissipated_energy": Channel("dissipated_energy", "kJ")}
+    campaign = Campaign("synthetic", "ground_motion", {n: INPUTS[n] for n in names},
+                        quantities={name: declared[name] for name in outputs}, experiments=tuple(experiments))  # fmt: skip
+    return campaign, *compared(campaign, outputs, np.arange(len(outputs)), 1)
+
+
+def compared(campaign, outputs, groups, m):
+    """As `analysis.compare` and `analysis.locate` do, without a model."""
+
+    def of(experiments):
+        if not len(experiments):
+            return None
+        measured = np.full((len(experiments), groups.size), np.nan)
+        for row, e in zip(measured, experiments, strict=True):
+            for i, name in enumerate(outputs):
+                values = (
+                    [e.quantities.get(name, np.nan)]
+                    if e.record is None
+                    else np.where(e.in_window, e.record[name], np.nan)
+                )
+                row[i * m : i * m + len(values)] = values
+        return prediction(outputs, groups, experiments, measured, np.isfinite(measured))
+
+    train, test = of(campaign.train.experiments), of(campaign.test.experiments)
+    return compare(train, test, np.ones(len(outputs), dtype=bool), 2, []), locate(train, campaign)
+
+
+def still(channels):
+    channels.update({name: np.zeros_like(values) for name, values in channels.items()})
+
+
+def gaps(channels):
+    force = channels["force"].copy()
+    force[5:9] = force[-1] = np.nan
+    channels["force"] = force
+
+
+CASES = {
+    "two outputs": lambda: histories(),
+    "imposed, rows": lambda: histories(outputs=("force",), protocol="displacement", time=False, window=True),
+    "imposed, time": lambda: histories(outputs=("force",), protocol="displacement", inputs=1),
+    "three outputs, two inputs": lambda: histories(2, 2, 60, outputs=("force", "elongation", "velocity_1"), inputs=2),
+    "three inputs": lambda: histories(3, 2, outputs=("force",), inputs=3),
+    "no force": lambda: histories(outputs=("velocity_1",)),
+    "many": lambda: histories(7, 7, 40, outputs=("force", "elongation")),
+    "one": lambda: histories(1, 0, outputs=("force",), inputs=2),
+    "few samples": lambda: histories(1, 1, 6),
+    "at rest": lambda: histories(change=still, inputs=2),
+    "gaps": lambda: histories(change=gaps),
+    "strange names": lambda: histories(1, 1, id="a $long$ 100 % name_" + 60 * "x" + "{}"),
+    "quantities": lambda: quantities(),
+    "quantities, one": lambda: quantities(1, 0),
+    "quantities, two": lambda: quantities(2, 0),
+    "quantities, one input": lambda: quantities(inputs=1),
+    "quantities, no inputs": lambda: quantities(inputs=0),
+    "quantities, three inputs": lambda: quantities(inputs=3, outputs=("peak_force",)),
+    "quantities, the same": lambda: quantities(scale=2.0),
+    "quantities, nothing": lambda: quantities(scale=0.0),
+}
+
+
+@functools.cache
+def case(name):
+    return CASES[name]()
+
+
+@functools.cache
+def drawn(name):
+    campaign, comparison, location = case(name)
+    return dict(misfit_pictures(comparison, location, campaign))
+
+
+def texts(picture):
+    found = picture.figure.findobj(matplotlib.text.Text)
+    for panel in picture.figure.axes:  # a table keeps its own
+        found += [cell.get_text() for table in panel.tables for cell in table.get_celld().values()]
+    return [text.get_text() for text in found if text.get_text()]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_picture_is_drawn_without_a_warning_and_says_what_it_shows(name):
+    pictures = drawn(name)
+    assert pictures
+    for picture in pictures.values():
+        assert picture.caption.endswith(".") and len(picture.alt) > 20
+        assert "nan" not in picture.alt and "$" not in picture.alt + picture.caption
+        for panel in picture.figure.axes:
+            assert np.isfinite([*panel.get_xlim(), *panel.get_ylim()]).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("two outputs", {"overlay_E1", "overlay_E2", "overlay_E3", "residual_coordinates", "error_table"}),
+        (
+            "imposed, time",
+            {"overlay_E1", "overlay_E2", "overlay_E3", "residual_coordinates", "error_map", "error_table"},
+        ),
+        ("quantities", {"measured_against_predicted", "error_map", "error_table"}),
+        ("quantities, three inputs", {"measured_against_predicted", "error_table"}),
+        ("quantities, one", {"measured_against_predicted"}),
+    ],
+)
+def test_the_pictures_that_there_is_material_for(name, expected):
+    assert drawn(name).keys() == expected
+
+
+def test_of_many_experiments_the_worst_are_overlaid():
+    overlays = [name.removeprefix("overlay_") for name in drawn("many") if name.startswith("overlay_")]
+    assert len(overlays) == 12
+    comparison = case("many")[1]
+    errors = {id: max(v["nrmse"] for v in values.values()) for id, values in comparison.train.per_experiment.items()}
+    assert sorted(errors, key=errors.__getitem__)[-6:] == sorted(overlays[:6], key=errors.__getitem__)
+    assert len(drawn("many")["error_table"].figure.axes[0].tables[0].get_celld()) == 26 * 9
+
+
+@pytest.mark.parametrize(
+    ("name", "picture", "panels", "labels"),
+    [
+        ("two outputs", "overlay_E1", 3, {"Time [s]", "Force $r$ [kN]", r"Elongation $\Delta u$ [mm]", "E1 (train)"}),
+        ("imposed, rows", "overlay_E3", 2, {"Row", "Force $r$ [kN]", r"Elongation $\Delta u$ [mm]", "scored"}),
+        ("no force", "overlay_E1", 1, {"Time [s]", r"Velocity 1 $\dot u_{1}$ [m/s]"}),
+        ("three outputs, two inputs", "residual_coordinates", 11,
+         {"Time [s]", "Cycle", r"Elongation $|\Delta u|$ [mm]", "Absorbed energy [kJ]", "Elongation rate [mm/s]",
+          "$V_{P}$ [cm/s]", "$T_{P}$ [s]", "Branch: share [%]", "Experiment: share [%]"}),
+        ("imposed, rows", "residual_coordinates", 7, {"Row", "Cycle", "Share [%]", "Sign of the force: share [%]"}),
+        ("three outputs, two inputs", "error_map", 2, {"$V_{P}$ [cm/s]", "$T_{P}$ [s]", "Squared error [–]", "test"}),
+        ("quantities, one input", "error_map", 1, {"$V_{P}$ [cm/s]", "Squared error [–]", "Kriging mean", "90 % band"}),
+        ("quantities", "measured_against_predicted", 2,
+         {r"Peak force $\max|r|$, measured [kN]", "predicted [kN]", "predicted [kJ]", "train", "test"}),
+        ("two outputs", "error_table", 1, {"experiment", "E1", "train", "energy", "coverage"}),
+    ],
+)  # fmt: skip
+def test_panels_and_labels_with_units(name, picture, panels, labels):
+    found = drawn(name)[picture]
+    assert len(found.figure.axes) == panels
+    assert labels <= set(texts(found))
+
+
+def test_an_overlay_shows_measured_and_predicted_in_the_unit_of_its_axis():
+    campaign, comparison, _ = case("imposed, rows")
+    history, loop = drawn("imposed, rows")["overlay_E1"].figure.axes
+    measured, predicted = history.get_lines()
+    record = campaign["E1"].record
+    assert (measured.get_linestyle(), predicted.get_linestyle()) == ("--", "-")
+    assert_allclose(measured.get_ydata(), 1e-3 * record["force"])  # all of it, not only what is scored
+    assert_allclose(predicted.get_ydata(), 1e-3 * comparison.train_prediction.predicted[0, : len(record)])
+    inside = campaign["E1"].in_window
+    assert_allclose(loop.get_lines()[1].get_xdata()[inside], 1e3 * record["elongation"][inside])
+    assert np.isnan(loop.get_lines()[1].get_xdata()[~inside]).all()
+
+
+def test_the_bars_of_a_coordinate_are_shares_and_the_ranked_part_is_marked():
+    location = case("three outputs, two inputs")[2]
+    picture = drawn("three outputs, two inputs")["residual_coordinates"]
+    marked = [text for text in texts(picture) if text.startswith("no. ")]
+    assert sorted(marked) == sorted(f"no. {i}: {100 * p.error_share:.0f} %" for i, p in enumerate(location.places, 1))
+    for panel in picture.figure.axes:
+        bars = [bar for container in panel.containers for bar in container]
+        along = "get_height" if "share" not in panel.get_xlabel() else "get_width"
+        assert_allclose(sum(getattr(bar, along)() for bar in bars), 100, rtol=1e-9)
+
+
+def test_what_a_bar_shows_is_the_share_of_its_tenth():
+    samples = case("imposed, time")[2].samples
+    panel = drawn("imposed, time")["residual_coordinates"].figure.axes[0]
+    assert panel.get_xlabel() == "Time [s]"
+    heights = [bar.get_height() for bar in panel.containers[0]]
+    first = samples.numbers["time"] < np.quantile(samples.numbers["time"], 0.1, method="inverted_cdf")
+    assert_allclose(heights[0], 100 * samples.share[first].sum())
+
+
+def test_an_even_misfit_and_one_without_a_location_are_drawn():
+    campaign, comparison, location = case("two outputs")
+    even = Location([], replace(location.samples, share=np.full(location.samples.share.size, 1e-3)))
+    pictures = dict(misfit_pictures(comparison, even, campaign))
+    assert not [text for text in texts(pictures["residual_coordinates"]) if text.startswith("no. ")]
+    assert "residual_coordinates" not in dict(misfit_pictures(comparison, None, campaign))
+
+
+def test_a_diverged_simulation_is_said_and_drawn():
+    campaign, comparison, _ = case("two outputs")
+    train = comparison.train_prediction
+    nothing = np.full_like(train.predicted, np.nan)
+    failed = replace(train, predicted=nothing, mean=nothing, sd=nothing, converged=np.zeros(2, dtype=bool))
+    picture = misfit_figures.overlay(failed, 0, {}, campaign)
+    assert "E1 (train, simulation did not converge)" in texts(picture)
+
+
+def test_the_table_has_the_worst_first_and_dashes_for_what_is_not_known():
+    table = drawn("quantities")["error_table"].figure.axes[0].tables[0]
+    errors = [float(table[row, 3].get_text().get_text()) for row in range(1, 25)]
+    assert errors == sorted(errors, reverse=True)
+    campaign, comparison, location = case("quantities, two")
+    broken = {
+        id: {o: {**v, "nrmse": np.nan} for o, v in x.items()} for id, x in comparison.train.per_experiment.items()
+    }
+    comparison = replace(comparison, train=replace(comparison.train, per_experiment=broken))
+    pictures = dict(misfit_pictures(comparison, location, campaign))
+    assert "–" in texts(pictures["error_table"]) and "error_map" not in pictures

@@ -1,0 +1,420 @@
+"""The command line and the run folder: what is left behind, and that nothing is lost when a run is stopped or killed."""
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import xarray as xr
+import yaml
+
+from hsed_jax.config.build import Built
+from hsed_jax.config.load import load_study
+from hsed_jax.errors import UserError
+from hsed_jax.laboratories.base import ExperimentFailed
+from hsed_jax.laboratories.virtual import VirtualLaboratory
+from hsed_jax.measurements import read_campaign
+from hsed_jax.run import run_main
+from hsed_jax.store import RunFolder
+from hsed_jax.workflow import run
+
+SMALL = """
+study: small
+seed: 3
+structure:
+  masses: [8.0e3, 9.0e3]
+  springs: [{between: [ground, 1], stiffness: 4.0e5}, {between: [2, ground], stiffness: 1.0e6}]
+  specimen: {between: [1, 2]}
+  damping: {modal: 0.05, specimen_stiffness: 5.0e5}
+excitation:
+  near_fault_pulse: {V_P: V_P, T_P: T_P}
+  duration: 10.0
+inputs:
+  V_P: {uniform: [150.0, 300.0], unit: cm/s}
+  T_P: {uniform: [0.5, 1.5], unit: s}
+model:
+  parameters: {A: {uniform: [2.0e5, 9.0e5]}, beta: {uniform: [0.5, 2.0]}, gamma: 0.0, n: 1.0}
+experiments:
+  virtual:
+    parameters: {A: 5.0e5, beta: 1.0, gamma: 0.0, n: 1.0}
+    effects: {stiffness_degradation: {eta: 2.0e-5}}
+    noise: {relative: 0.01}
+error: {relative: 0.05}
+steps: [design, calibrate]
+design: {initial: 3, iterations: 3, candidates: 256}
+calibration: {chains: 2, warmup: 20, draws: 40, step_warmup: 10, step_draws: 10}
+"""
+QUANTITIES = ("peak_force", "peak_elongation", "dissipated_energy")
+# A run compiles for a minute on a cold cache and a slow machine.
+PATIENCE = 400
+
+
+def command(*words):
+    return [sys.executable, "-m", "hsed_jax.run", *map(str, words)]
+
+
+def finish(*words):
+    """Run the command line to its end."""
+    return subprocess.run(command(*words), capture_output=True, text=True, timeout=PATIENCE, env=environment())
+
+
+def begin(*words):
+    return subprocess.Popen(
+        command(*words), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment()
+    )
+
+
+def environment():
+    return {**os.environ, "MPLBACKEND": "Agg"}
+
+
+def journal(folder):
+    """Events of the journal so far, a line that is being written left out."""
+    path = folder / "journal.jsonl"
+    text = path.read_text() if path.exists() else ""
+    return [json.loads(line) for line in text.rpartition("\n")[0].splitlines()]
+
+
+def wait_for(condition, process):
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def summary_text(folder):
+    return (folder / "summary.json").read_text()
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    path = tmp_path_factory.mktemp("study") / "small.yaml"
+    path.write_text(SMALL)
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole(study, tmp_path_factory):
+    """The folder of a run that nobody disturbed."""
+    folder = tmp_path_factory.mktemp("runs") / "whole"
+    done = finish(study, "--output", folder)
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr and f"results in {folder}" in done.stdout
+    return folder
+
+
+# --- what a run leaves -------------------------------------------------------------------------------------------
+
+
+def test_a_run_leaves_the_files_of_its_contract(whole):
+    for name in ("study.yaml", "provenance.json", "journal.jsonl", "results.nc", "summary.json"):
+        assert (whole / name).is_file(), name
+    assert (whole / "campaign" / "campaign.yaml").is_file() and (whole / "campaign" / "experiments.csv").is_file()
+    figures = {path.suffix: 0 for path in (whole / "figures").iterdir()}
+    for path in (whole / "figures").iterdir():
+        figures[path.suffix] += 1
+        assert path.stat().st_size > 1000
+    assert figures.keys() == {".png", ".svg"} and figures[".png"] == figures[".svg"] > 0
+    assert not list(whole.rglob("*.part")) and not list(whole.rglob("*.tmp"))
+
+
+def test_the_summary_has_the_keys_of_its_contract_and_only_finite_numbers(whole):
+    def refuse(word):
+        raise AssertionError(word)
+
+    summary = json.loads(summary_text(whole), parse_constant=refuse)
+    assert summary["study"] == "small" and summary["status"] == "complete"
+    for name in ("A", "beta"):
+        assert set(summary["calibration"]["posterior"][name]) == {"mean", "sd", "q05", "q95", "ess_bulk", "rhat"}
+        assert isinstance(summary["calibration"]["map"][name], float)
+        # Three steps and the final calibration.
+        assert len(summary["design"]["map"][name]) == 4
+    assert isinstance(summary["calibration"]["divergences"], int)
+    assert np.shape(summary["design"]["inputs"]) == (6, 2)
+    assert summary["design"]["inputs"][0] == [225.0, 1.0]
+    assert len(summary["design"]["max_expected_improvement"]) == 3
+    assert summary["design"]["stop_reason"] == "iterations"
+
+
+def test_the_journal_tells_the_campaign_in_order(whole):
+    events = [(event["event"], event.get("experiment", event.get("number"))) for event in journal(whole)]
+    initial = [(kind, f"E{i:02d}") for i in (1, 2, 3) for kind in ("asked", "performed")]
+    steps = [
+        pair for i in range(3) for pair in (("step", i), ("asked", f"E{i + 4:02d}"), ("performed", f"E{i + 4:02d}"))
+    ]
+    assert events == initial + steps
+
+
+def test_the_campaign_is_read_back_as_the_journal_has_it(whole):
+    campaign = read_campaign(whole / "campaign")
+    performed = {event["experiment"]: event for event in journal(whole) if event["event"] == "performed"}
+    assert [experiment.id for experiment in campaign] == list(performed)
+    for experiment in campaign:
+        event = performed[experiment.id]
+        assert experiment.status == "completed"
+        assert experiment.quantities == event["quantities"]
+        assert experiment.inputs["V_P"] == pytest.approx(event["inputs"]["V_P"] / 100, rel=1e-15)
+        assert experiment.inputs["T_P"] == event["inputs"]["T_P"]
+    assert campaign.inputs == {"V_P": "cm/s", "T_P": "s"}
+    assert campaign.quantities["peak_force"].noise.relative == 0.01
+
+
+def test_results_open_as_a_tree_with_units(whole):
+    with xr.open_datatree(whole / "results.nc", engine="h5netcdf") as tree:
+        assert tree["posterior"].dataset.sizes == {"chain": 2, "draw": 40}
+        assert tree["posterior"]["A"].attrs["units"] == "N/m" and tree["posterior"]["beta"].attrs["units"] == "1/m"
+        assert tree["sample_stats"]["diverging"].dtype == bool
+        observed = tree["observed_data"]
+        assert [observed[q].attrs["units"] for q in QUANTITIES] == ["N", "m", "J"]
+        assert observed["V_P"].attrs["units"] == "cm/s"
+        events = [event for event in journal(whole) if event["event"] == "performed"]
+        np.testing.assert_array_equal(observed["peak_force"], [e["quantities"]["peak_force"] for e in events])
+        summary = json.loads(summary_text(whole))
+        assert float(tree["posterior"]["A"].mean()) == pytest.approx(summary["calibration"]["posterior"]["A"]["mean"])
+
+
+def test_arviz_opens_the_results(whole):
+    import arviz as az
+
+    with az.from_netcdf(whole / "results.nc") as tree:
+        assert "A" in tree["posterior"]
+
+
+def test_provenance_says_with_what_and_when(whole):
+    provenance = json.loads((whole / "provenance.json").read_text())
+    assert provenance["seed"] == 3 and provenance["versions"]["jax"] and provenance["machine"]["cores"] == os.cpu_count()
+    (session,) = provenance["sessions"]
+    assert session["start"] <= session["end"]
+
+
+def test_the_written_study_repeats_the_run_to_the_last_byte(whole, tmp_path):
+    done = finish(whole / "study.yaml", "--output", tmp_path / "again")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "again" / "summary.json").read_bytes() == (whole / "summary.json").read_bytes()
+    assert (tmp_path / "again" / "study.yaml").read_bytes() == (whole / "study.yaml").read_bytes()
+
+
+# --- a folder that is there already ------------------------------------------------------------------------------
+
+
+def refusal(arguments, capsys) -> str:
+    assert run_main([str(word) for word in arguments]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: ")
+    return line
+
+
+def test_an_existing_run_is_neither_overwritten_nor_mixed_into(study, whole, capsys):
+    before = {path: path.stat().st_mtime_ns for path in whole.rglob("*")}
+    line = refusal([study, "--output", whole], capsys)
+    assert str(whole) in line and "--resume" in line and "--force" in line
+    assert {path: path.stat().st_mtime_ns for path in whole.rglob("*")} == before
+
+
+def test_another_study_is_not_resumed_and_the_key_that_differs_is_named(study, whole, capsys):
+    before = (whole / "journal.jsonl").read_bytes()
+    line = refusal([study, "--output", whole, "--resume", "model.parameters.gamma=0.1"], capsys)
+    assert "model.parameters.gamma" in line and "0.0" in line and "0.1" in line
+    assert (whole / "journal.jsonl").read_bytes() == before
+
+
+def test_a_folder_that_is_no_run_is_left_alone_even_by_force(study, tmp_path, capsys):
+    (tmp_path / "thesis.tex").write_text("ten years of work")
+    for flag in ([], ["--resume"], ["--force"]):
+        assert "no run folder" in refusal([study, "--output", tmp_path, *flag], capsys)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_there_is_nothing_to_resume_where_there_is_nothing(study, tmp_path, capsys):
+    assert "no run to resume" in refusal([study, "--output", tmp_path / "new", "--resume"], capsys)
+
+
+def test_resume_and_force_exclude_each_other(study, tmp_path):
+    with pytest.raises(SystemExit) as exit:
+        run_main([str(study), "--output", str(tmp_path), "--resume", "--force"])
+    assert exit.value.code == 2
+
+
+def test_an_output_that_cannot_be_written_is_the_users_to_mend(study, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert "cannot be written" in refusal([study, "--output", tmp_path / "file" / "run"], capsys)
+
+
+@pytest.mark.parametrize("left", [(), (".lock",), (".lock", "study.yaml.part")])
+def test_a_run_killed_in_its_first_moment_can_be_resumed_and_started_anew(tmp_path, left):
+    for number, flags in enumerate(({"resume": True}, {})):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        for name in left:
+            (folder / name).write_text("")
+        store = RunFolder(folder, {"study": "x", "seed": 0}, **flags)
+        assert store.events() == []
+        store.close()
+
+
+def test_force_throws_away_what_was_there(tmp_path):
+    first = RunFolder(tmp_path / "run", {"study": "x", "seed": 0})
+    first.record("asked", experiment="E01")
+    first.close()
+    second = RunFolder(tmp_path / "run", {"study": "y", "seed": 0}, force=True)
+    assert second.events() == [] and yaml.safe_load((second.path / "study.yaml").read_text())["study"] == "y"
+    second.close()
+
+
+def test_a_folder_is_lent_to_one_process_and_given_back_by_a_refusal(tmp_path):
+    first = RunFolder(tmp_path / "run", {"study": "x", "seed": 0})
+    with pytest.raises(UserError, match="in use"):
+        RunFolder(tmp_path / "run", {"study": "x", "seed": 0}, resume=True)
+    first.close()
+    with pytest.raises(UserError, match="another study: seed was 0 and is now 1") as kept:
+        RunFolder(tmp_path / "run", {"study": "x", "seed": 1}, resume=True)
+    RunFolder(tmp_path / "run", {"study": "x", "seed": 0}, resume=True).close()
+    assert kept
+
+
+def test_the_journal_keeps_numbers_to_the_last_bit_and_survives_a_cut_line(tmp_path):
+    store = RunFolder(tmp_path / "run", {"study": "x", "seed": 0})
+    numbers = [0.1, 1 / 3, 1e-300, float(np.nextafter(1.0, 2.0)), float("nan")]
+    store.record("step", numbers=numbers)
+    store.record("asked", experiment="E02")
+    store.close()
+    path = tmp_path / "run" / "journal.jsonl"
+    whole = path.read_text()
+    for cut in (1, 10, len(whole.splitlines()[1])):
+        path.write_text(whole[:-cut])
+        again = RunFolder(tmp_path / "run", {"study": "x", "seed": 0}, resume=True)
+        (event,) = again.events()
+        np.testing.assert_array_equal(event["numbers"], numbers)
+        again.record("asked", experiment="E02")
+        assert path.read_text() == whole
+        again.close()
+
+
+# --- a run that was stopped, at every line of its journal ---------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def built(study):
+    """One set of compiled programs for many runs."""
+    made = Built(load_study(study))
+    made.check()
+    return made
+
+
+@pytest.fixture
+def quick(built, monkeypatch):
+    """Runs the design alone, without figures, on programs that are compiled already; gives the summary."""
+    monkeypatch.setattr("hsed_jax.workflow.Built", lambda *_, **__: built)
+    monkeypatch.setattr("hsed_jax.reporting.run_figures.draw", lambda *_: None)
+
+    def go(folder, *overrides, **flags):
+        study = load_study(built.study.written(), ["steps=[design]", *overrides])
+        return run(study, folder, progress=False, **flags), summary_text(folder)
+
+    return go
+
+
+@pytest.mark.parametrize("overrides", [(), ("design.tolerance=10.0",)], ids=["iterations", "tolerance"])
+def test_a_run_stopped_after_any_line_of_its_journal_ends_as_if_it_had_not_been(quick, tmp_path, overrides):
+    done, expected = quick(tmp_path / "whole", *overrides)
+    lines = (tmp_path / "whole" / "journal.jsonl").read_text().splitlines(keepends=True)
+    if overrides:
+        assert done.stop_reason == "tolerance" and len(done.steps) == 1
+    else:
+        assert len(lines) == 15
+    for kept in range(len(lines) + 1):
+        folder = tmp_path / f"stopped after {kept}"
+        shutil.copytree(tmp_path / "whole", folder)
+        cut = lines[kept][: len(lines[kept]) // 2] if kept < len(lines) and kept % 2 else ""
+        (folder / "journal.jsonl").write_text("".join(lines[:kept]) + cut)
+        (folder / "summary.json").unlink()
+        _, found = quick(folder, *overrides, resume=True)
+        assert found == expected, f"stopped after line {kept}"
+        campaigns = [read_campaign(f / "campaign") for f in (folder, tmp_path / "whole")]
+        assert [e.quantities for e in campaigns[0]] == [e.quantities for e in campaigns[1]]
+
+
+def test_a_failed_experiment_is_recorded_and_the_run_goes_on(quick, tmp_path, monkeypatch):
+    perform = VirtualLaboratory.perform
+
+    def break_one(self, number, inputs):
+        if number == 4:
+            raise ExperimentFailed("the actuator stopped")
+        return perform(self, number, inputs)
+
+    monkeypatch.setattr(VirtualLaboratory, "perform", break_one)
+    done, _ = quick(tmp_path / "run")
+    campaign = read_campaign(tmp_path / "run" / "campaign")
+    assert [e.status for e in campaign] == ["completed"] * 4 + ["failed", "completed"]
+    assert campaign["E05"].reason == "the actuator stopped" and not campaign["E05"].quantities
+    assert [e["reason"] for e in journal(tmp_path / "run") if e["event"] == "failed"] == ["the actuator stopped"]
+    inputs = json.loads(summary_text(tmp_path / "run"))["design"]["inputs"]
+    assert len(inputs) == 6 and len({tuple(x) for x in inputs}) == 6 and len(done.steps) == 3
+
+
+# --- processes that are stopped and killed ------------------------------------------------------------------------
+
+
+def test_an_interrupted_killed_and_resumed_run_ends_as_if_nothing_had_been(study, whole, tmp_path, capsys):
+    folder = tmp_path / "run"
+    words = (study, "--output", folder)
+
+    # Ctrl-C during the design: exit 3 and one message.  Meanwhile nobody else may use the folder.
+    process = begin(*words)
+    wait_for(lambda: len(journal(folder)) >= 4, process)
+    assert "in use" in refusal([*words, "--resume"], capsys)
+    wait_for(lambda: any(event["event"] == "step" for event in journal(folder)), process)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 3, errors
+    assert "Traceback" not in errors and errors.count("--resume") == 1
+    assert json.loads(summary_text(folder))["status"] == "interrupted"
+
+    # kill -9 while it goes on, and a journal whose last line was cut.
+    process = begin(*words, "--resume")
+    time.sleep(random.uniform(6.0, 12.0))
+    process.kill()
+    process.communicate()
+    with (folder / "journal.jsonl").open("a") as file:
+        file.write('{"event": "step", "num')
+
+    done = finish(*words, "--resume")
+    assert done.returncode == 0, done.stderr
+    assert summary_text(folder) == summary_text(whole)
+    assert len(json.loads((folder / "provenance.json").read_text())["sessions"]) >= 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_kills_at_random_moments_change_no_number(study, whole, tmp_path, seed):
+    moments = random.Random(seed)
+    folder = tmp_path / "run"
+    flags: list[str] = []
+    for _ in range(3):
+        process = begin(study, "--output", folder, *flags)
+        try:
+            process.wait(timeout=moments.uniform(0.5, 40.0))
+        except subprocess.TimeoutExpired:
+            process.kill()
+        process.communicate()
+        flags = ["--resume"] if folder.exists() else []
+    done = finish(study, "--output", folder, *flags)
+    assert done.returncode == 0, done.stderr
+    assert summary_text(folder) == summary_text(whole)
+
+
+@pytest.mark.slow
+def test_a_finished_run_resumed_is_the_same_run(study, whole, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(whole, folder)
+    done = finish(study, "--output", folder, "--resume")
+    assert done.returncode == 0, done.stderr
+    assert summary_text(folder) == summary_text(whole)
+    assert (folder / "journal.jsonl").read_bytes() == (whole / "journal.jsonl").read_bytes()
