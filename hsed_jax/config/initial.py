@@ -1,13 +1,19 @@
 """A ready study for a campaign of measurements: priors and values from the data, each with a comment that says from where."""
 
+import json
 import math
 import os
+import re
 from pathlib import Path
 
 import numpy as np
 
 from hsed_jax.errors import UserError
-from hsed_jax.measurements import Campaign, characteristics
+from hsed_jax.measurements import Campaign, characteristics, parse_unit
+from hsed_jax.measurements.units import TIME, VELOCITY
+
+# Words that YAML reads as something else than a text.
+_WORDS = ("y", "n", "yes", "no", "on", "off", "true", "false", "null", ".inf", ".nan")
 
 
 def initial_study(campaign: Campaign, folder: Path, output: Path) -> str:
@@ -33,18 +39,24 @@ def initial_study(campaign: Campaign, folder: Path, output: Path) -> str:
     source = "slope of the first loading up to a tenth of the largest elongation, median over experiments"
     if not math.isfinite(stiffness):
         stiffness, source = 2 * force / elongation, "twice the largest force over the largest elongation"
-    if not (math.isfinite(stiffness) and math.isfinite(force)):
+    if not (math.isfinite(stiffness) and math.isfinite(force) and stiffness > 0 and force > 0):
         raise UserError(
-            f"{folder}: neither force nor elongation were measured, so nothing tells the specimen's stiffness and "
+            f"{folder}: force and elongation were not both measured, so nothing tells the specimen's stiffness and "
             "strength; write the study by hand (configs/ has examples)"
         )
+    if campaign.protocol == "displacement" and not histories:
+        raise UserError(
+            f"{folder}: the protocol is displacement, but no experiment has a record of the elongation that was imposed "
+            "and the force that was measured"
+        )
     lines = [
-        f"# A study of {campaign.name}, written by `hsed init` from the data in {where}.",
+        f"# A study of {' '.join(campaign.name.split())}, written by `hsed init` from the data in {where}.",
         "# Every number below can be changed; the comments say where it comes from.",
-        f"study: {_name(folder)}",
+        f"study: {_text(_name(folder))}",
         "seed: 0",
         "",
         *_structure(campaign, stiffness),
+        *_excitation(campaign),
         *_inputs(campaign),
         "model:",
         "  spring: bouc_wen",
@@ -59,7 +71,7 @@ def initial_study(campaign: Campaign, folder: Path, output: Path) -> str:
         "  effects: {}                               # none assumed; `hsed effects` lists the catalogue",
         "",
         "experiments:",
-        f"  campaign: {where}",
+        f"  campaign: {_text(where)}",
         "",
         f"observe: {'histories' if histories else 'quantities'}",
     ]
@@ -114,6 +126,30 @@ def _mass(campaign: Campaign, stiffness: float) -> tuple[float, str]:
     return stiffness / (2 * math.pi) ** 2, "for a frequency of 1 Hz, a mere placeholder"
 
 
+def _excitation(campaign: Campaign) -> list[str]:
+    """A ground motion for experiments that bring none."""
+    if campaign.protocol == "displacement" or all(
+        e.record is not None and "ground_acceleration" in e.record.channels for e in campaign.completed
+    ):
+        return []
+    values = {}
+    for name, dimension, otherwise in (("V_P", VELOCITY, 1.0), ("T_P", TIME, 1.0)):
+        fitting = [i for i in campaign.inputs if campaign.unit(i).si == parse_unit(dimension.si).si]
+        values[name] = name if name in fitting else fitting[0] if len(fitting) == 1 else otherwise
+    guessed = [name for name, value in values.items() if not isinstance(value, str)]
+    source = f"{' and '.join(guessed)}: mere placeholders" if guessed else "a name refers to an input"
+    period = values["T_P"]
+    longest = max(e.inputs[period] for e in campaign.experiments) if isinstance(period, str) else float(period)
+    return [
+        "excitation:                                 # no ground_acceleration was recorded; describe yours here",
+        "  near_fault_pulse:",
+        f"    V_P: {_text(values['V_P'])}                                # {source}",
+        f"    T_P: {_text(values['T_P'])}",
+        f"  duration: {math.ceil(6 * longest)}.0                             # s: six times the longest T_P",
+        "",
+    ]
+
+
 def _inputs(campaign: Campaign) -> list[str]:
     if not campaign.inputs:
         return []
@@ -124,8 +160,17 @@ def _inputs(campaign: Campaign) -> list[str]:
         low, high = float(values.min()), float(values.max())
         if low == high:
             low, high = low - abs(low or 1.0) / 2, high + abs(high or 1.0) / 2
-        lines.append(f"  {name}: {{uniform: [{low:.6g}, {high:.6g}], unit: {unit.text}}}")
+        lines.append(f"  {_text(name)}: {{uniform: [{low:.6g}, {high:.6g}], unit: {_text(unit.text)}}}")
     return [*lines, ""]
+
+
+def _text(value: str | float) -> str:
+    """A text as YAML reads it back: in quotes unless it is a plain word."""
+    if not isinstance(value, str) or (
+        re.fullmatch(r"[A-Za-z_./][\w./ ^*-]*", value, re.ASCII) and value.lower() not in _WORDS
+    ):
+        return str(value)
+    return json.dumps(value, ensure_ascii=False)
 
 
 def _round(value: float) -> str:

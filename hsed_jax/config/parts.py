@@ -1,13 +1,16 @@
 """The parts of a study, built: priors, errors, structure, excitation, parameters; each fault names its key."""
 
+import difflib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from hsed_jax.config.schema import ErrorEntry, ExcitationEntry, ModelEntry, StructureEntry, VirtualEntry
+from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
 from hsed_jax.laboratories.virtual import Noise
@@ -17,7 +20,8 @@ from hsed_jax.physics.bouc_wen import BoucWen
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.excitations import NearFaultPulse, RecordedMotion
 from hsed_jax.physics.parameters import Parameter, parameters_of
-from hsed_jax.physics.simulator import Parametrised
+from hsed_jax.physics.scales import Scales
+from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator, Timeline
 from hsed_jax.physics.structures import ModalDamping, RayleighDamping, Spring, Structure
 
 
@@ -163,10 +167,36 @@ def parameter_units(names: tuple[str, ...], constants: Mapping[str, float]) -> d
     return units
 
 
+def plain_scales(
+    structure: Structure | None,
+    excitation: Parametrised | None,
+    timeline: Timeline,
+    parameters: tuple[dict[str, Prior], dict[str, float]],
+    space: InputSpace,
+) -> Scales:
+    """What the model without effects does at the middle of inputs and priors, to two digits."""
+    free, fixed = parameters
+    law = {name: float(prior.quantile(0.5)) for name, prior in free.items() if "." not in name}
+    law |= {name: value for name, value in fixed.items() if "." not in name}
+    plain = Simulator(structure, excitation, timeline)
+    middle = space.si(space.declared(np.full((1, len(space.names)), 0.5)))
+    conditions = Conditions({name: float(values[0]) for name, values in middle.items()})
+    response = jax.jit(lambda: plain.respond(law, conditions, ("elongation_rate",)))()
+    found = (
+        response.quantities["peak_force"],
+        response.quantities["peak_elongation"],
+        np.abs(response.channels["elongation_rate"]).max(),
+        response.quantities["dissipated_energy"],
+    )
+    return Scales(*(float(f"{float(value):.2g}") for value in found))
+
+
 def effect_parameters(where: str, effect: str, entries: Mapping[str, Any]) -> dict[str, Parameter]:
     """Parameters of an effect under both their names, the dimensionless and the physical one."""
     if effect not in EFFECTS:
-        raise UserError(f"{where}.{effect}: there is no such effect; the catalogue has {', '.join(EFFECTS)}")
+        close = difflib.get_close_matches(effect, EFFECTS, n=1)
+        hint = f" (did you mean {close[0]}?)" if close else ""
+        raise UserError(f"{where}.{effect}: there is no such effect{hint}; the catalogue has {', '.join(EFFECTS)}")
     known = parameters_of(EFFECTS[effect])
     forms = {**known, **{p.physical.name: p for p in known.values() if p.physical is not None}}
     check_names(f"{where}.{effect}", entries, forms)

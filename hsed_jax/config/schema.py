@@ -251,7 +251,7 @@ Step = Literal["design", "calibrate", "compare"]
 class Study(Section):
     """A study, as written in its YAML file."""
 
-    study: Annotated[str, Field(pattern=r"^[\w.\- ]+$")]
+    study: Annotated[str, Field(pattern=r"^\w[\w.\- ]*$")]
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     structure: StructureEntry | None = None
     excitation: ExcitationEntry | None = None

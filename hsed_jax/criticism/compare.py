@@ -106,7 +106,9 @@ def compare(
     """
     splits = [_split(p, declared) if p is not None and p.used.any() else None for p in (train, test)]
     if splits[0] is None:
-        raise UserError("nothing that is observed was measured in the training experiments; there is nothing to compare")
+        raise UserError(
+            "nothing that is observed was measured in the training experiments; there is nothing to compare"
+        )
     diverged = [
         experiment.id
         for prediction in (train, test)
@@ -193,7 +195,7 @@ def _split(prediction: Prediction, declared: np.ndarray) -> Split:
     return Split(float(np.sqrt(np.mean(squares))), float(np.sqrt(np.mean(floors))), per_output, per_experiment)
 
 
-def _errors(measured, predicted, mean, sd, noise, scale: float | None = None) -> dict[str, float]:
+def _errors(measured, predicted, mean, sd, noise, *, scale: float | None = None) -> dict[str, float]:
     """The figures of one output over some experiments; NaN marks what was not measured."""
     known = np.isfinite(measured)
     residual = (predicted - measured)[known]
@@ -281,6 +283,7 @@ def correlation_notes(prediction: Prediction) -> list[str]:
         if tau > 1:
             samples = int(sum(count for _, count in rows))
             notes.append(
-                f"the residual of {output} is correlated over {tau:.0f} samples: its {samples} samples count as {max(1, round(samples / tau))}"
+                f"the residual of {output} is correlated over {tau:.0f} samples: its {samples} samples count as "
+                f"{max(1, round(samples / tau))}"
             )
     return notes

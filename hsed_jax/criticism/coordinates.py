@@ -4,8 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hsed_jax.criticism.cycles import absorbed_energy, branches, cycle_numbers
+from hsed_jax.criticism.compare import noise_of
+from hsed_jax.criticism.cycles import absorbed_energy, branches, cycle_numbers, frequencies
 from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, Experiment
 
 
@@ -15,7 +17,8 @@ class Samples:
 
     Attributes:
         share: squared standardised residual of each sample, summing to 1, (m,).
-        signed: residual over the RMS of its output, predicted less measured, (m,).
+        signed: predicted less measured in the direction of what was measured (positive: the model is too strong), over the
+            RMS of its output about its mean, less what the noise explains of it, (m,).
         experiment: index of the experiment, (m,).
         numbers: ordered coordinates by name, SI, each (m,); NaN where unknown.
         words: coordinates without order by name, each (m,).
@@ -28,12 +31,15 @@ class Samples:
     words: dict[str, np.ndarray]
 
 
+# A residual whose square is within this factor of the noise's is noise; the noise is not known better.
+_NOISE_FACTOR = 1.25
 UNITS = {"time": "s", "cycle": "1", "amplitude": "m", "energy": "J", "speed": "m/s"}
 
 
 def samples_of(prediction: Prediction, campaign: Campaign) -> Samples:
     """Collect the residual of histories with its coordinates."""
     parts: list[dict] = []
+    beyond = {output: _beyond_noise(prediction, output) for output in prediction.outputs}
     for row, experiment in enumerate(prediction.experiments):
         along = _along(experiment)
         for output in prediction.outputs:
@@ -43,28 +49,73 @@ def samples_of(prediction: Prediction, campaign: Campaign) -> Samples:
             inside = np.flatnonzero(used[:length])
             if not inside.size:
                 continue
-            residual = prediction.residual[row, columns][inside]
-            measured = prediction.measured[:, columns][prediction.used[:, columns]]
-            scale = float(np.std(measured)) or 1.0
+            towards = np.where(prediction.measured[row, columns][inside] < 0, -1.0, 1.0)
             part = {name: values[inside] for name, values in along.items()}
             part |= {
-                "signed": residual / scale,
+                "signed": beyond[output] * towards * prediction.residual[row, columns][inside],
                 "experiment_index": np.full(inside.size, row),
                 "experiment": np.full(inside.size, experiment.id),
                 "output": np.full(inside.size, output),
             }
-            # Every experiment counts by its samples' length in time, whatever its sampling.
             parts.append(part)
+    if not parts:
+        raise UserError(
+            "nothing that is observed was measured in these experiments; there is nowhere to look for a misfit"
+        )
     names = parts[0].keys()
     joined = {name: np.concatenate([part[name] for part in parts]) for name in names}
     squares = joined["signed"] ** 2
     share = squares / squares.sum() if squares.sum() > 0 else np.full(squares.size, 1 / squares.size)
     numbers = {name: joined[name] for name in UNITS if np.isfinite(joined[name].astype(float)).any()}
-    if not campaign.has_time:
-        # The row number is no time, and the rate of a quasi-static test no speed.
+    if not campaign.has_time or not _rates_vary(joined["frequency"]):
+        # The row number is no time.  And where all cycles take as long, the rate is but a function of the place on the loop.
         numbers.pop("speed", None)
     words = {name: joined[name] for name in ("branch", "sign of the force", "output", "experiment")}
     return Samples(share, joined["signed"], joined["experiment_index"], numbers, words)
+
+
+def quantities_of(prediction: Prediction) -> Samples:
+    """Collect the residual of quantities: a row per experiment and quantity; which they are is all there is to know."""
+    row, column = np.nonzero(prediction.used)
+    measured, residual = prediction.measured[row, column], prediction.residual[row, column]
+    # Every output relative to its RMS, and within an output as the errors go: a relative error grows with what is measured.
+    scales, of = np.ones(row.size), prediction.groups[column]
+    for group in np.unique(of):
+        one = of == group
+        sigma = prediction.sigma[row, column][one]
+        shape = sigma / np.sqrt(np.mean(sigma**2)) if np.all(sigma > 0) else np.ones(sigma.size)
+        scales[one] = shape * (np.sqrt(np.mean(measured[one] ** 2)) or 1.0)
+    signed = residual * np.where(measured < 0, -1.0, 1.0) / scales
+    squares = signed**2
+    share = squares / squares.sum() if squares.sum() > 0 else np.full(squares.size, 1 / max(squares.size, 1))
+    words = {
+        "output": np.asarray(prediction.outputs, dtype=str)[prediction.groups[column]],
+        "experiment": np.asarray([e.id for e in prediction.experiments], dtype=str)[row],
+    }
+    return Samples(share, signed, row, {}, words)
+
+
+def _beyond_noise(prediction: Prediction, output: str) -> float:
+    """What makes the residual of an output comparable: 1/RMS of the output, times √ of the share that is not noise."""
+    columns = prediction.columns(output)
+    used = prediction.used[:, columns]
+    if not used.any():
+        return 0.0
+    residual = prediction.residual[:, columns][used]
+    scale = float(np.std(prediction.measured[:, columns][used])) or float(np.sqrt(np.mean(residual**2))) or 1.0
+    # The inferred error holds the misfit too; what no smooth signal explains is noise.
+    noise = np.fmin(noise_of(prediction, output, False), prediction.sigma[:, columns])[used]
+    size, floor = float(np.mean(residual**2)), float(np.mean(noise**2))
+    return np.sqrt(1 - floor / size) / scale if size > _NOISE_FACTOR * floor else 0.0
+
+
+def _rates_vary(frequency: np.ndarray) -> bool:
+    """Whether cycles differ in frequency, so that a rate says more than the place on the loop."""
+    known = frequency[np.isfinite(frequency)]
+    if not known.size:
+        return False
+    slow, fast = np.quantile(known, [0.1, 0.9])
+    return bool(fast > 1.5 * slow)
 
 
 def _along(experiment: Experiment) -> dict[str, np.ndarray]:
@@ -74,13 +125,14 @@ def _along(experiment: Experiment) -> dict[str, np.ndarray]:
     size = len(record)
     unknown = np.full(size, np.nan)
     force, elongation = record.channels.get("force"), record.channels.get("elongation")
-    along = {name: unknown for name in UNITS}
+    along = {name: unknown for name in (*UNITS, "frequency")}
     along["time"] = record.time
     along["branch"] = along["sign of the force"] = np.full(size, "unknown")
     if elongation is not None:
-        along["cycle"] = cycle_numbers(elongation).astype(float)
+        along["cycle"] = cycle_numbers(elongation) + 1.0
         along["amplitude"] = np.abs(elongation)
-        along["speed"] = np.abs(np.gradient(elongation, record.time))
+        along["speed"] = np.abs(np.gradient(elongation, record.time)) if size > 1 else unknown
+        along["frequency"] = frequencies(elongation, record.time)
     if force is not None:
         along["sign of the force"] = np.where(force >= 0, "positive", "negative")
     if force is not None and elongation is not None:

@@ -36,20 +36,51 @@ def energy_per_cycle(force: np.ndarray, elongation: np.ndarray) -> np.ndarray:
     return np.bincount(cycles, weights=work)
 
 
-def branches(force: np.ndarray, elongation: np.ndarray) -> np.ndarray:
-    """Branch of the loop at each sample: `reversal`, `near zero`, `loading` or `unloading`.
+def half_cycles(elongation: np.ndarray) -> np.ndarray:
+    """Samples at which the elongation turns, the first and the last sample included, (h+1,).
 
-    Near zero is a force below 15 % of the largest; a reversal is the 10 % of the amplitude after a turn of the elongation.
+    A turn is one of at least 2 % of the range, so that noise makes none.
     """
-    steps = np.gradient(elongation)
-    towards = np.sign(steps)
-    names = np.where(force * towards >= 0, "loading", "unloading").astype("<U9")
-    turns = np.flatnonzero(np.diff(towards) != 0) + 1
-    last = np.zeros(elongation.size, dtype=int)
-    last[turns] = turns
-    since = np.abs(elongation - elongation[np.maximum.accumulate(last)])
-    names[
-        (since < 0.1 * np.abs(elongation).max()) & (np.arange(elongation.size) >= (turns[0] if turns.size else np.inf))
-    ] = "reversal"
-    names[np.abs(force) < 0.15 * np.abs(force).max()] = "near zero"
+    slack = 0.02 * float(np.ptp(elongation))
+    turns, highest, lowest, towards = [0], 0, 0, 0
+    for i, value in enumerate(elongation):
+        if towards >= 0 and value > elongation[highest]:
+            highest = i
+        if towards <= 0 and value < elongation[lowest]:
+            lowest = i
+        if towards >= 0 and elongation[highest] - value > slack:
+            turns.append(highest)
+            towards, lowest = -1, i
+        elif towards <= 0 and value - elongation[lowest] > slack:
+            turns.append(lowest)
+            towards, highest = 1, i
+    return np.unique([*turns, elongation.size - 1])
+
+
+def branches(force: np.ndarray, elongation: np.ndarray) -> np.ndarray:
+    """Branch of the loop at each sample: `near zero`, `reversal`, `loading` or `unloading`.
+
+    Near zero is a force below a third of the largest in the half-cycle; a reversal is the first tenth of the way from one
+    turn of the elongation to the next; unloading is a force against the motion.
+    """
+    turns = half_cycles(elongation)
+    if turns.size < 2:
+        return np.full(elongation.size, "loading", dtype="<U9")
+    which = np.clip(np.searchsorted(turns, np.arange(elongation.size), side="right") - 1, 0, turns.size - 2)
+    begin, way = elongation[turns[which]], np.diff(elongation[turns])[which]
+    share = (elongation - begin) / np.where(way == 0, 1.0, way)
+    peaks = np.maximum.reduceat(np.abs(force), turns[:-1])
+    peaks = np.maximum(peaks, np.abs(force[turns[1:]]))[which]
+    names = np.where(force * way >= 0, "loading", "unloading").astype("<U9")
+    names[(share < 0.1) & (which > 0)] = "reversal"
+    names[np.abs(force) < peaks / 3] = "near zero"
     return names
+
+
+def frequencies(elongation: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Frequency of the half-cycle that each sample belongs to [Hz]; NaN where the elongation does not turn."""
+    turns = half_cycles(elongation)
+    if turns.size < 3:
+        return np.full(elongation.size, np.nan)
+    which = np.clip(np.searchsorted(turns, np.arange(elongation.size), side="right") - 1, 0, turns.size - 2)
+    return (0.5 / np.diff(time[turns]))[which]

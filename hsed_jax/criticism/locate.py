@@ -1,41 +1,50 @@
 r"""Where the misfit lives, as a ranked list of plain sentences.
 
-For every coordinate the part of the data is sought that holds most more of the squared error than its size explains.  With p the
-share of the squared error in a part and q the share of the samples, the part is ranked by
+For every coordinate the part of the data is sought that tells most about the residual: how large it is there, and which way it
+goes.  With q the share of the samples in a part, p its share of the squared error, and R² the share of the squared error that
+the two means of the signed residual (predicted less measured, in the direction of what was measured) inside and outside the
+part explain beyond their common mean, the part is worth
 
-$$D = p\log\frac pq + (1-p)\log\frac{1-p}{1-q}$$
+$$I = \tfrac12\Big[p\log\frac pq + (1-p)\log\frac{1-p}{1-q}\Big] - \tfrac12\log(1-R^2)$$
 
-(Kullback & Leibler 1951): the information that knowing the part gives about where the error is.
+nats per sample: the divergence of where the error is from where the samples are (Kullback & Leibler 1951; halved, since a
+variance that differs by a factor tells half as much as its logarithm), and the gain of a Gaussian likelihood from a mean of
+its own.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from hsed_jax.criticism.coordinates import UNITS, Samples, samples_of
+from hsed_jax.criticism.coordinates import UNITS, Samples, quantities_of, samples_of
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.measurements import Campaign
 
-_READABLE = {"J": ("kJ", 1e-3), "m": ("mm", 1e3), "s": ("s", 1.0), "m/s": ("mm/s", 1e3), "1": ("", 1.0)}
+_READABLE = {"J": (("kJ", 1e-3), ("J", 1.0)), "m": (("mm", 1e3),), "m/s": (("mm/s", 1e3),), "1": (("", 1.0),)}
 _SMALLEST_PART = 0.05
+_LEAST = 0.02
+_CLEAR = 0.3
 
 
 @dataclass(frozen=True)
 class Place:
-    """A part of the data in which the misfit is concentrated.
+    """A part of the data in which the misfit is concentrated, or goes one way.
 
     Attributes:
-        coordinate: what separates it: time, cycle, amplitude, energy, speed, branch, sign of the force, output, experiment,
-            or the name of an input.
+        coordinate: what separates it: time, cycle, amplitude, energy, speed, branch, sign of the force, output,
+            experiment, or the name of an input.
         part: `above` or `below` a limit, or the word.
         limit: in SI (inputs: declared unit); None for words.
-        unit: of the limit.
+        unit: of the limit; `row` of a time that is the row number.
         error_share: share of the squared error in it.
         sample_share: share of the samples in it.
-        information: D, in nats: how concentrated.
-        bias: mean of predicted less measured in it, times the sign of the force where that is known, over the output's
-            RMS: positive where the model is too strong.
+        information: I, in nats per sample: how much it tells.
+        bias: mean of predicted less measured in it, in the direction of what was measured, over the RMS residual of the
+            part: 1 where the model is always too strong, -1 where it is always too weak.
+        bias_elsewhere: the same of all other samples.
+        of_force: whether strength is the word for what was measured; else size.
+        items: what is counted: samples or experiments.
     """
 
     coordinate: str
@@ -46,21 +55,40 @@ class Place:
     sample_share: float
     information: float
     bias: float
+    bias_elsewhere: float = 0.0
+    of_force: bool = True
+    items: str = "samples"
 
     @property
     def sentence(self) -> str:
         """The place in plain words."""
         share = f"{100 * self.error_share:.0f} % of the squared error is {self._where}"
-        return f"{share}, which holds {100 * self.sample_share:.0f} % of the samples"
+        return f"{share}, which holds {100 * self.sample_share:.0f} % of the {self.items}{self._way}"
+
+    @property
+    def _way(self) -> str:
+        if abs(self.bias) < _CLEAR:
+            return ""
+        strong, weak = ("strong", "weak") if self.of_force else ("large", "small")
+        there, elsewhere = (strong, weak) if self.bias > 0 else (weak, strong)
+        opposite = self.bias * self.bias_elsewhere < 0 and abs(self.bias_elsewhere) >= _CLEAR
+        return f"; the model is too {there} there" + (f" and too {elsewhere} elsewhere" if opposite else "")
 
     @property
     def _where(self) -> str:
         if self.limit is not None:
-            unit, factor = _READABLE.get(self.unit, (self.unit, 1.0))
-            name = {"energy": "absorbed energy", "amplitude": "elongations", "speed": "elongation rates"}.get(
+            if self.coordinate == "cycle":
+                return f"{'after' if self.part == 'above' else 'up to'} cycle {self.limit:.0f}"
+            if self.coordinate == "time":
+                if self.unit == "row":
+                    return f"{'after' if self.part == 'above' else 'up to'} row {self.limit:.0f}"
+                return f"{'after' if self.part == 'above' else 'until'} {_plain(self.limit)} s"
+            choices = _READABLE.get(self.unit, ((self.unit, 1.0),))
+            unit, factor = next((c for c in choices if abs(self.limit) * c[1] >= 1), choices[-1])
+            name = {"energy": "an absorbed energy", "amplitude": "elongations", "speed": "elongation rates"}.get(
                 self.coordinate, self.coordinate
             )
-            return f"at {name} {self.part} {self.limit * factor:.3g} {unit}".rstrip()
+            return f"at {name} {self.part} {_plain(self.limit * factor)} {unit}".rstrip()
         templates = {
             "branch": {
                 "loading": "on loading",
@@ -73,6 +101,12 @@ class Place:
             "experiment": {self.part: f"in experiment {self.part}"},
         }
         return templates[self.coordinate][self.part]
+
+
+def _plain(value: float) -> str:
+    """Three digits, without an exponent where a reader would not write one."""
+    text = f"{value:.3g}"
+    return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e7 else text
 
 
 @dataclass(frozen=True)
@@ -116,75 +150,80 @@ def locate(prediction: Prediction, campaign: Campaign) -> Location:
         campaign: where they come from: its protocol, and the units of its inputs.
     """
     histories = prediction.groups.size > len(prediction.outputs)
-    if histories:
-        samples = samples_of(prediction, campaign)
-        share, row = samples.share, samples.experiment
-        places = [_best_limit(name, UNITS[name], values, samples) for name, values in samples.numbers.items()]
-        places += [_best_word(name, words, samples) for name, words in samples.words.items()]
-    else:
-        samples = None
-        scale = np.where(prediction.used, prediction.measured, np.nan)
-        squares = (prediction.residual / np.nanstd(scale, axis=0)) ** 2
-        share = squares.sum(axis=1) / max(float(squares.sum()), 1e-300)
-        row = np.arange(len(prediction.experiments))
-        places = []
-    table = _flat(share, row)
+    samples = samples_of(prediction, campaign) if histories else quantities_of(prediction)
+    of_force = all(output in ("force", "peak_force", "dissipated_energy") for output in prediction.outputs)
+    found = [_best_limit(name, UNITS[name], values, samples) for name, values in samples.numbers.items()]
+    found += [_best_word(name, words, samples) for name, words in samples.words.items()]
     for name in campaign.inputs:
         unit = campaign.unit(name)
-        values = np.asarray([e.inputs[name] for e in prediction.experiments])[row]
-        if np.ptp(values) > 0:
-            places.append(
-                _best_limit(name, unit.text, np.asarray(unit.from_si(values)), table if samples is None else samples)
-            )
-    found = [place for place in places if place is not None and place.information > 0.02]
-    return Location(sorted(found, key=lambda place: -place.information), samples)
-
-
-def _flat(share: np.ndarray, row: np.ndarray) -> Samples:
-    return Samples(share, np.zeros(share.size), row, {}, {})
-
-
-def _information(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """D for shares p, q; negative where the part holds less error than its size explains."""
-    p, q = np.clip(p, 1e-12, 1 - 1e-12), np.clip(q, 1e-12, 1 - 1e-12)
-    return np.where(p > q, p * np.log(p / q) + (1 - p) * np.log((1 - p) / (1 - q)), -1.0)
+        values = np.asarray(unit.from_si(np.asarray([e.inputs[name] for e in prediction.experiments])))
+        found.append(_best_limit(name, unit.text, values[samples.experiment], samples))
+    # What noise alone would reach, with some three hundred parts to choose from.
+    least = max(_LEAST, (np.log(samples.share.size) + 3) / samples.share.size)
+    places = [
+        replace(
+            place,
+            unit="row" if place.coordinate == "time" and not campaign.has_time else place.unit,
+            of_force=of_force,
+            items="samples" if histories else "measured values",
+        )
+        for place in found
+        if place is not None and place.information > least
+    ]
+    return Location(sorted(places, key=lambda place: -place.information), samples if histories else None)
 
 
 def _best_limit(name: str, unit: str, values: np.ndarray, samples: Samples) -> Place | None:
-    """The limit above or below which the error is concentrated most, over the deciles of the coordinate."""
+    """The limit above or below which the residual differs most, over the twentieths of the coordinate."""
     known = np.isfinite(values)
-    if known.sum() < 4:
+    levels = np.unique(values[known])
+    if levels.size < 2:
         return None
-    values, share = values[known].astype(float), samples.share[known] / max(float(samples.share[known].sum()), 1e-300)
-    best = None
-    for limit in np.unique(np.quantile(values, np.linspace(0.05, 0.95, 19))):
-        for part, inside in (("above", values > limit), ("below", values < limit)):
-            q = float(inside.mean())
-            if not _SMALLEST_PART <= q <= 1 - _SMALLEST_PART:
-                continue
-            p = float(share[inside].sum())
-            d = float(_information(np.asarray(p), np.asarray(q)))
-            if best is None or d > best.information:
-                best = Place(name, part, float(limit), unit, p, q, d, _bias(samples, known, inside))
-    return best
+    # Between two values that occur, so that the limit leaves no sample in doubt; whole numbers stay so.
+    limits = np.unique(np.quantile(values[known], np.linspace(0.0, 1.0, 21), method="inverted_cdf"))
+    parts = [
+        (word, limit, values > limit if word == "above" else known & (values <= limit))
+        for limit in limits[:-1]
+        for word in ("above", "below")
+    ]
+    return _best(name, unit, parts, known, samples)
 
 
 def _best_word(name: str, words: np.ndarray, samples: Samples) -> Place | None:
+    known = words != "unknown"
+    return _best(name, "", [(str(word), None, words == word) for word in np.unique(words[known])], known, samples)
+
+
+def _best(name: str, unit: str, parts: list, known: np.ndarray, samples: Samples) -> Place | None:
+    """The part that tells most; of a part and its complement, which tell the same, the one with more than its share of error."""
+    signed = samples.signed[known]
+    total = float(signed @ signed)
+    if total == 0:
+        return None
     best = None
-    everything = np.ones(words.size, dtype=bool)
-    for word in np.unique(words):
-        inside = words == word
+    for word, limit, everywhere in parts:
+        inside = everywhere[known]
         q = float(inside.mean())
-        if word == "unknown" or q > 1 - _SMALLEST_PART:
+        if not _SMALLEST_PART <= q <= 1 - _SMALLEST_PART:
             continue
-        p = float(samples.share[inside].sum())
-        d = float(_information(np.asarray(p), np.asarray(q)))
-        if best is None or d > best.information:
-            best = Place(name, str(word), None, "", p, q, d, _bias(samples, everything, inside))
+        one, other = signed[inside], signed[~inside]
+        p = float(one @ one) / total
+        explained = signed.size * q * (1 - q) * (one.mean() - other.mean()) ** 2 / total
+        # Rounded: a part and its complement tell the same.
+        information = round(0.5 * _divergence(p, q) - 0.5 * float(np.log1p(-min(explained, 1 - 1e-12))), 9)
+        if best is None or (information, p / q) > (best.information, best.error_share / best.sample_share):
+            best = Place(
+                name, word, None if limit is None else float(limit), unit, p, q, information, _bias(one), _bias(other)
+            )
     return best
 
 
-def _bias(samples: Samples, known: np.ndarray, inside: np.ndarray) -> float:
-    sign = samples.words.get("sign of the force")
-    towards = np.ones(samples.signed.size) if sign is None else np.where(sign == "negative", -1.0, 1.0)
-    return float(np.mean((samples.signed * towards)[known][inside]))
+def _divergence(p: float, q: float) -> float:
+    """p log(p/q) + (1-p) log((1-p)/(1-q))."""
+    p = min(max(p, 1e-12), 1 - 1e-12)
+    return float(p * np.log(p / q) + (1 - p) * np.log((1 - p) / (1 - q)))
+
+
+def _bias(signed: np.ndarray) -> float:
+    size = float(np.sqrt(np.mean(signed**2)))
+    return float(signed.mean()) / size if size > 0 else 0.0

@@ -4,14 +4,29 @@ $$\mathcal M(x) = \sum_j \frac{(R_{HS,j}(x) - R_{CS,j}(x,\theta_{MAP}))^2}{\math
 """
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Float, Int
 
 
-def variance_over(predicted: Float[Array, "m J"], ok: Float[Array, " m"]) -> Float[Array, " J"]:
-    """Variance of each predicted quantity over a sample of inputs; diverged simulations do not count."""
-    weight = ok[:, None] / jnp.maximum(jnp.sum(ok), 1.0)
-    mean = jnp.sum(weight * predicted, axis=0)
-    return jnp.sum(weight * (predicted - mean) ** 2, axis=0)
+def variance_over(
+    predicted: Float[Array, "m J"], ok: Float[Array, " m"], groups: Int[np.ndarray, " J"]
+) -> Float[Array, " J"]:
+    """Variance of each predicted output over a sample of inputs; diverged simulations do not count.
+
+    Of a history it is the variance over inputs and time, times the number of samples, so that the sum over the samples in the
+    norm is their mean: a history counts like a quantity.
+
+    Arguments:
+        predicted: columns are quantities, or the samples of histories.
+        ok: 1 where the simulation converged.
+        groups: output of each column.
+    """
+    members = jnp.asarray(groups[:, None] == np.arange(groups.max() + 1)[None], float)
+    number = members.sum(axis=0)
+    weight = ok / jnp.maximum(jnp.sum(ok), 1.0)
+    mean = (weight @ predicted) @ members / number
+    squares = (weight @ (predicted - mean[groups]) ** 2) @ members / number
+    return (squares * number)[groups]
 
 
 def discrepancy(

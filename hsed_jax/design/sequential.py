@@ -235,7 +235,7 @@ class SequentialDesign:
         over = Conditions(
             {k: jnp.asarray(x) for k, x in self.space.si(self.space.declared(self.space.spread(256))).items()}
         )
-        predict, models = self.posterior.predict, len(self.posterior.model_names)
+        predict, models, groups = self.posterior.predict, len(self.posterior.model_names), self.posterior.groups
 
         @jax.jit
         def compute(data, theta, draws):
@@ -243,9 +243,9 @@ class SequentialDesign:
             if self.variance_over_parameters:
                 thetas = draws.reshape(-1, draws.shape[-1])[:: max(1, draws.shape[0] * draws.shape[1] // 16), :models]
                 there, good = jax.vmap(lambda t: predict(t, over, jnp.asarray(256)))(thetas)
-                variance = variance_over(there.reshape(-1, there.shape[-1]), good.ravel())
+                variance = variance_over(there.reshape(-1, there.shape[-1]), good.ravel(), groups)
             else:
-                variance = variance_over(*predict(theta[:models], over, jnp.asarray(256)))
+                variance = variance_over(*predict(theta[:models], over, jnp.asarray(256)), groups)
             # Where the model diverged there is no discrepancy, which is not the same as none.
             return jnp.where(ok > 0, discrepancy(data.values, here, variance, data.weights), jnp.nan)
 

@@ -64,7 +64,8 @@ class Quantities:
 
     def magnitudes(self, experiment: Experiment) -> np.ndarray:
         """What a relative error is relative to, per column, (J,): the measured value."""
-        return np.abs(np.nan_to_num(self.measured(experiment), nan=1.0))
+        magnitudes = np.abs(np.nan_to_num(self.measured(experiment), nan=1.0))
+        return np.where(magnitudes > 0, magnitudes, 1.0)
 
 
 @dataclass(frozen=True)
@@ -152,6 +153,11 @@ def assemble(
     measured = np.stack([observation.measured(e) for e in rows])
     weights = np.stack([observation.weights(e) for e in rows])
     weights[len(experiments) :] = 0.0
+    if not weights.any():
+        raise UserError(
+            f"the campaign {campaign.name!r}: none of {', '.join(observation.names)} was measured in "
+            f"{', '.join(e.id for e in experiments)}"
+        )
     magnitudes = np.stack([observation.magnitudes(e) for e in rows])
     scales = np.where(np.asarray(relative)[observation.groups][None], magnitudes, 1.0)
     stacked = _stacked(conditions)
@@ -170,6 +176,11 @@ def conditions_of(experiment: Experiment, campaign: Campaign, grid: Grid | None,
     if grid is None:
         return Conditions(inputs)
     record = _record(experiment)
+    if len(record) > grid.samples:
+        raise UserError(
+            f"experiment {experiment.id!r}: its record has {len(record)} samples, more than the {grid.samples} of the "
+            "longest one that the model was built for; calibrate on a campaign that holds it (as a test experiment)"
+        )
     lengths, half_steps = _grid_of(record.time, grid)
     if campaign.protocol == "displacement":
         samples: Any = _imposed(record, half_steps, experiment.id)
@@ -207,6 +218,10 @@ def _imposed(record: Record, times: np.ndarray, name: str) -> Imposed:
         raise UserError(f"experiment {name!r}: the protocol is displacement, but its record has no elongation")
     if len(record) < 2:
         raise UserError(f"experiment {name!r}: its record has one sample; an imposed elongation needs at least two")
+    if not (np.isfinite(record["elongation"]).all() and np.all(np.diff(record.time) > 0)):
+        raise UserError(
+            f"experiment {name!r}: an imposed elongation must be finite numbers at increasing times (hsed check says where)"
+        )
     curve = PchipInterpolator(record.time, record["elongation"])
     inside = np.minimum(times, record.time[-1])
     return Imposed(curve(inside), curve.derivative()(inside))

@@ -71,12 +71,13 @@ def _build(name: str, arguments: Any) -> dist.Distribution:
     camel = _SPELLINGS.get(
         name.lower().replace("_", ""), "".join(part[:1].upper() + part[1:] for part in name.split("_"))
     )
-    kind = getattr(dist, camel, None)
+    kind: Any = getattr(dist, camel, None)
     if not (isinstance(kind, type) and issubclass(kind, dist.Distribution)) and not callable(kind):
         raise UserError(
             f"there is no distribution {name!r}; allowed are uniform, normal, lognormal, half_normal, truncated_normal "
             "or any scalar continuous distribution of numpyro by its name"
         )
+    made: Any
     by_name = isinstance(arguments, Mapping)
     given = list(arguments.values() if by_name else arguments if isinstance(arguments, list | tuple) else [arguments])
     expected, required = _signature(kind)

@@ -83,7 +83,8 @@ class VirtualLaboratory:
         draw = random.standard_normal(values.shape)
         if noise is None:
             return values
-        return values + noise.size * (np.sqrt(np.mean(values**2)) if noise.relative else 1.0) * draw
+        # A sum of arrays without dimensions is a scalar and no array any more.
+        return np.asarray(values + noise.size * (np.sqrt(np.mean(values**2)) if noise.relative else 1.0) * draw)
 
     @cached_property
     def _simulate_histories(self):

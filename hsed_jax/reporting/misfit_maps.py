@@ -59,7 +59,7 @@ def residual_coordinates(location: Location, campaign: Campaign) -> Picture | No
     samples = location.samples
     if samples is None:
         return None
-    places = {place.coordinate: (rank, place) for rank, place in enumerate(location.places, start=1)}
+    places = {_coordinate(place): (rank, place) for rank, place in enumerate(location.places, start=1)}
     numbers = {name: found for name, found in _numbers(samples, campaign).items() if np.ptp(found[0][found[1]]) > 0}
     words = {name: values for name, values in samples.words.items() if np.unique(values).size > 1}
     if not numbers and not words:
@@ -78,7 +78,8 @@ def residual_coordinates(location: Location, campaign: Campaign) -> Picture | No
             rank, place = places[name]
             panel.set_title(f"no. {rank}: {100 * place.error_share:.0f} %", loc="right", color=style.RED)
     panels[0].plot([], [], color=style.BLACK, linewidth=1.2, label="share of the samples")
-    for colour, text in ((style.BLUE, "share of the squared error"), (style.RED, "the part that holds most")):
+    marks = [(style.BLUE, "share of the squared error"), (style.RED, "of that, the ranked part")]
+    for colour, text in marks if places else marks[:1]:
         panels[0].plot([], [], "s", color=colour, alpha=_ALPHA, ms=8, label=text)
     style.panel_titles(panels)
     style.legend(figure, panels[0])
@@ -86,10 +87,15 @@ def residual_coordinates(location: Location, campaign: Campaign) -> Picture | No
     return Picture(
         figure,
         "Where the squared error of the training experiments lies: bars, by the coordinates of the samples, ordered "
-        "coordinates in tenths of the samples; black, the share that the samples themselves have.  Red: the part that "
-        "tells most, by rank, with its share of the error.",
+        "coordinates in tenths of the samples; black, the share that the samples themselves have.  Red: the part "
+        "where the residual differs most, by rank, with its share of the error.",
         f"Bar charts over {', '.join([*numbers, *words])}. Ranked: {said}.",
     )
+
+
+def _coordinate(place: Place) -> str:
+    """The name that its samples have it under."""
+    return "time" if place.coordinate == "row" else place.coordinate
 
 
 def _numbers(samples: Samples, campaign: Campaign) -> dict[str, tuple[np.ndarray, np.ndarray, str]]:
@@ -134,10 +140,12 @@ def _tenths(panel: Axes, values: np.ndarray, share: np.ndarray, place: Place | N
         panel.axvspan(*((at, bins.size) if place.part == "above" else (0, at)), color=style.RED, alpha=0.1, linewidth=0)
     panel.bar(bins + 0.5, error, 0.85, color=np.where(inside, style.RED, style.BLUE), alpha=_ALPHA)
     panel.stairs(size, np.arange(bins.size + 1), color=style.BLACK, linewidth=1.2, baseline=None, zorder=3)
-    ticks = np.unique(np.round(np.linspace(0, edges.size - 1, 5)).astype(int))
+    labelled = min(5, (edges.size + 1) // 2) if edges.size > 4 else edges.size
+    ticks = np.round(np.linspace(0, edges.size - 1, labelled)).astype(int)
     # What is small beside the largest is zero to a reader.
     decimals = 3 - int(np.floor(np.log10(np.abs(edges).max())))
-    panel.set_xticks(ticks + 0.5 * few, [f"{np.round(edges[tick], decimals) + 0.0:.3g}" for tick in ticks])
+    shown = np.round(edges[ticks], decimals) + 0.0
+    panel.set_xticks(ticks + 0.5 * few, [f"{x:.3g}" if abs(x) < 1000 else f"{x:.0f}" for x in shown])
     panel.set_xlim(0, bins.size)
     panel.grid(False, axis="x")
 
@@ -190,15 +198,7 @@ def error_map(comparison: Comparison, campaign: Campaign) -> Picture | None:
     (_errors_over_a_plane if len(inputs) == 2 else _errors_along_a_line)(figure, panel, points, errors, sets)
     panel.set_xlabel(labels[0])
     panel.set_ylabel(labels[1] if len(inputs) == 2 else "Squared error [–]")
-    largest = np.argsort(-errors)[:_NAMED]
-    heights = points[:, 1] if len(inputs) == 2 else errors
-    for i in largest:
-        left = points[i, 0] > points[:, 0].mean()  # the name goes inwards, where there is room
-        panel.annotate(
-            style.plain(found[i][0].id, 24), (points[i, 0], heights[i]), (-8 if left else 8, 0), fontsize=7, zorder=5,
-            textcoords="offset points", ha="right" if left else "left", va="center_baseline",
-            bbox=_LABEL,
-        )  # fmt: skip
+    _name_largest(panel, np.stack([points[:, 0], points[:, 1] if len(inputs) == 2 else errors], axis=1), errors, found)
     style.legend(figure, panel)
     told = len(found) >= _FEWEST
     return Picture(
@@ -207,8 +207,23 @@ def error_map(comparison: Comparison, campaign: Campaign) -> Picture | None:
         "are named."
         + ("  Between the experiments, the mean and the standard deviation of a Kriging model." if told else ""),
         f"{len(found)} experiments over {', '.join(inputs)}; squared error between {style.amount(float(errors.min()))} "
-        f"and {style.amount(float(errors.max()))}, the largest in {found[largest[0]][0].id.replace('$', '')}.",
+        f"and {style.amount(float(errors.max()))}, the largest in {found[int(np.argmax(errors))][0].id.replace('$', '')}.",
     )
+
+
+def _name_largest(panel: Axes, places: np.ndarray, errors: np.ndarray, found: list) -> None:
+    """Write the names of the experiments with the largest errors beside them, but no name over another."""
+    near = 0.07 * np.maximum(np.ptp(places, axis=0), 1e-300)
+    named: list[int] = []
+    for i in np.argsort(-errors)[:_NAMED]:
+        if any((np.abs(places[i] - places[other]) < near).all() for other in named):
+            continue
+        named.append(i)
+        left = places[i, 0] > places[:, 0].mean()  # the name goes inwards, where there is room
+        panel.annotate(
+            style.plain(found[i][0].id, 24), (places[i, 0], places[i, 1]), (-9 if left else 9, 0), fontsize=7, zorder=5,
+            textcoords="offset points", ha="right" if left else "left", va="center_baseline", bbox=_LABEL,
+        )  # fmt: skip
 
 
 def _squared_errors(comparison: Comparison) -> Iterator[tuple[Experiment, str, float]]:

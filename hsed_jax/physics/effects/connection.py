@@ -9,7 +9,7 @@ from hsed_jax.physics.parameters import PhysicalForm, parameter
 @register
 @final
 class Gap(AbstractEffect):
-    r"""No force inside a slack of width $\delta u_c$ to either side of the origin."""
+    r"""A slack: no force within $\delta u_c$ to either side of the origin."""
 
     name: ClassVar[str] = "gap"
     family: ClassVar[str] = "contact"
@@ -34,7 +34,7 @@ class Gap(AbstractEffect):
 @register
 @final
 class SupportFlexibility(AbstractEffect):
-    r"""A linear spring in series with the specimen, of compliance $\delta u_c/F_c$."""
+    r"""A linear spring in series with the specimen: compliance $\delta u_c/F_c$."""
 
     name: ClassVar[str] = "support_flexibility"
     family: ClassVar[str] = "structure"

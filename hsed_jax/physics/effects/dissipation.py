@@ -37,7 +37,7 @@ class ViscousDamping(AbstractEffect):
 @register
 @final
 class QuadraticDamping(AbstractEffect):
-    r"""Drag: $\delta\,F_c\,|\Delta\dot u|\Delta\dot u/v_c^2$."""
+    r"""Drag, quadratic in the rate: $\delta\,F_c\,|\Delta\dot u|\Delta\dot u/v_c^2$."""
 
     name: ClassVar[str] = "quadratic_damping"
     family: ClassVar[str] = "damping"

@@ -11,7 +11,7 @@ from hsed_jax.physics.parameters import PhysicalForm, parameter
 @register
 @final
 class YieldSharpness(AbstractEffect):
-    r"""The exponent is $n + \delta$: larger n yields more sharply."""
+    r"""The exponent differs from the assumed one: $n + \delta$; larger n yields more sharply."""
 
     name: ClassVar[str] = "yield_sharpness"
     family: ClassVar[str] = "hysteresis"
@@ -34,7 +34,7 @@ class YieldSharpness(AbstractEffect):
 @register
 @final
 class LoopShape(AbstractEffect):
-    r"""γ is $\gamma + \delta\beta$: positive makes the loop thinner on loading, negative fuller."""
+    r"""γ differs from the assumed one: $\gamma + \delta\beta$; positive makes the loop thinner on loading, negative fuller."""
 
     name: ClassVar[str] = "loop_shape"
     family: ClassVar[str] = "hysteresis"
