@@ -4,6 +4,7 @@ r"""How far the model is from the measurements, against what the noise alone wou
 outputs averaged in the square.  `noise_floor` is the same figure for the noise.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -183,11 +184,11 @@ def _split(prediction: Prediction, declared: np.ndarray) -> Split:
         tables = (prediction.measured, prediction.predicted, prediction.mean, prediction.sd)
         noise = noise_of(prediction, output, bool(declared[number]))
         every = tuple(np.where(used, table, np.nan) for table in (*(t[:, columns] for t in tables), noise))
-        per_output[output] = _errors(*every)
+        per_output[output] = _errors(every)
         for row, experiment in enumerate(prediction.experiments):
             if used[row].any() and (columns.sum() > 1 or len(prediction.experiments) > 1):
                 scale = per_output[output]["scale"] if columns.sum() == 1 else None
-                entry = _errors(*(table[row : row + 1] for table in every), scale=scale)
+                entry = _errors([table[row : row + 1] for table in every], scale)
                 per_experiment.setdefault(experiment.id, {})[output] = entry
     _add_energy_errors(prediction, per_experiment)
     squares = [values["nrmse"] ** 2 for values in per_output.values()]
@@ -195,8 +196,9 @@ def _split(prediction: Prediction, declared: np.ndarray) -> Split:
     return Split(float(np.sqrt(np.mean(squares))), float(np.sqrt(np.mean(floors))), per_output, per_experiment)
 
 
-def _errors(measured, predicted, mean, sd, noise, *, scale: float | None = None) -> dict[str, float]:
-    """The figures of one output over some experiments; NaN marks what was not measured."""
+def _errors(tables: Sequence[np.ndarray], scale: float | None = None) -> dict[str, float]:
+    """The figures of one output over some experiments, from measured, predicted, mean, sd and noise; NaN: not measured."""
+    measured, predicted, mean, sd, noise = tables
     known = np.isfinite(measured)
     residual = (predicted - measured)[known]
     about_mean = measured[known] - measured[known].mean()

@@ -39,8 +39,8 @@ class PeakSoftening(AbstractEffect):
 class Slip(AbstractEffect):
     r"""A slip-lock element in series, which opens with the largest elongation.
 
-    Its compliance is $c(z) = \sqrt{2/\pi}\,\frac{\delta\max|\Delta u|}{\sigma}e^{-z^2/2\sigma^2}$ with $\sigma = w z_u$, $z_u$ the
-    strength of the element: δ max|Δu| is the length of slip near zero force.
+    Its compliance is $c(z) = \sqrt{2/\pi}\,\frac{\delta\max|\Delta u|}{\sigma}e^{-z^2/2\sigma^2}$ with $\sigma = w z_u$,
+    $z_u$ the strength of the element: δ max|Δu| is the length of slip near zero force.
     """
 
     name: ClassVar[str] = "slip"
