@@ -172,8 +172,10 @@ def simulate(
             f"inputs and parameters must be numbers or arrays of one common length, but have the shapes {sizes}"
         )
 
+    simulator = built.simulator
+
     def one(lane):
-        return built.simulator.respond(lane[0], Conditions(lane[1]), channels)
+        return simulator.respond(lane[0], Conditions(lane[1]), channels)
 
     if not sizes:
         return jax.jit(one)(lanes)

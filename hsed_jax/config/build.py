@@ -129,6 +129,8 @@ class Built:
     def grid(self) -> Grid | None:
         """Samples and steps per sample of the measured records; None where there are none."""
         records = [] if self.measured is None else [e.record for e in self.measured.completed if e.record is not None]
+        if self.measured is not None and not len(self.measured.completed):
+            raise UserError(f"the campaign {self.measured.name!r} has no completed experiment")
         if not records:
             return None
         samples = max(len(record) for record in records)

@@ -64,8 +64,7 @@ class Quantities:
 
     def magnitudes(self, experiment: Experiment) -> np.ndarray:
         """What a relative error is relative to, per column, (J,): the measured value."""
-        magnitudes = np.abs(np.nan_to_num(self.measured(experiment), nan=1.0))
-        return np.where(magnitudes > 0, magnitudes, 1.0)
+        return np.abs(np.nan_to_num(self.measured(experiment), nan=1.0))
 
 
 @dataclass(frozen=True)
@@ -159,7 +158,14 @@ def assemble(
             f"{', '.join(e.id for e in experiments)}"
         )
     magnitudes = np.stack([observation.magnitudes(e) for e in rows])
-    scales = np.where(np.asarray(relative)[observation.groups][None], magnitudes, 1.0)
+    by_magnitude = np.asarray(relative)[observation.groups][None]
+    for row, column in zip(*np.nonzero(by_magnitude & (weights > 0) & (magnitudes == 0)), strict=True):
+        name = observation.names[observation.groups[column]]
+        raise UserError(
+            f"experiment {experiments[row].id!r}: {name} is 0, and a relative error of that is none; "
+            f"give {name} an absolute error"
+        )
+    scales = np.where(by_magnitude, magnitudes, 1.0)
     stacked = _stacked(conditions)
     return Data(
         stacked,
