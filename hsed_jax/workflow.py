@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from tqdm import tqdm
 
-from hsed_jax.analysis import CALIBRATION_KEY, Calibration, calibrate_built, compare, locate
+from hsed_jax.analysis import CALIBRATION_KEY, Calibration, calibrate_built, compare, locate, stop_at_errors
 from hsed_jax.config.build import Built
 from hsed_jax.config.schema import Study
 from hsed_jax.criticism.compare import Comparison
@@ -18,9 +18,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.inference.fit import fit, summarise
 from hsed_jax.laboratories.base import ExperimentFailed, Measured
 from hsed_jax.measurements import (
-    Campaign,
     Experiment,
-    check_campaign,
     read_campaign,
     write_campaign,
     write_experiment,
@@ -277,16 +275,3 @@ class Run:
             raise UserError("steps: compare needs a calibrated model; put calibrate before it")
         self.comparison = compare(self.calibration)
         self.location = locate(self.calibration)
-
-
-def stop_at_errors(campaign: Campaign) -> None:
-    """Refuse a campaign whose data have errors.
-
-    Raises:
-        UserError: names the first and says how many there are.
-    """
-    errors = [finding for finding in check_campaign(campaign) if finding.level == "error"]
-    if errors:
-        more = f" (and {len(errors) - 1} more: hsed check lists them)" if len(errors) > 1 else ""
-        where = campaign.source or campaign.name
-        raise UserError(f"{where}: {str(errors[0]).removeprefix('error: ')}{more}")

@@ -77,7 +77,9 @@ def test_variance_over_inputs_passes_over_diverged_simulations():
     values = np.random.default_rng(0).normal(3.0, 2.0, (40, 2))
     ok = np.arange(40) % 4 != 0
     junk = np.where(ok[:, None], values, 1e9)
-    np.testing.assert_allclose(variance_over(jnp.asarray(junk), jnp.asarray(ok, float), np.arange(junk.shape[1])), values[ok].var(axis=0))
+    np.testing.assert_allclose(
+        variance_over(jnp.asarray(junk), jnp.asarray(ok, float), np.arange(junk.shape[1])), values[ok].var(axis=0)
+    )
 
 
 # --- a toy study: the model is a plane, the truth has a bump ------------------------------------------------------

@@ -11,19 +11,40 @@ pytestmark = pytest.mark.slow
 CAMPAIGNS = ("steel_damper", "rc_column", "timber_connection", "friction_damper")
 SMALL = ("calibration.starts=2", "calibration.chains=4", "calibration.warmup=60", "calibration.draws=150")
 
-# What each README says is visible, and in which places of the loop a plain Bouc–Wen spring must therefore fail.  A test
-# with growing cycles confounds late with large, so several coordinates may name one and the same effect.
 LATE = {"time", "cycle", "energy"}
-VISIBLE = {
-    # "some isotropic hardening": strength grows with plastic work, so the misfit goes with the history.
-    "steel_damper": LATE | {"amplitude"},
-    # "stiffness degradation, mild strength degradation, some pinching, P-Delta": late, near zero force, or large.
-    "rc_column": LATE | {"amplitude", "branch"},
-    # "strong pinching, strength degradation within each group of cycles": near zero force, small elongations, or late.
-    "timber_connection": LATE | {"amplitude", "branch"},
-    # "backlash (zero force after every reversal), stick-slip, a direction asymmetry; degradation does not help".
-    "friction_damper": {"branch", "sign of the force", "amplitude", "speed"},
-}
+
+
+def early(place) -> float:
+    """Bias of the model early in the test (negative: too weak), of a place that separates early from late."""
+    return place["bias"] if place["part"] == "below" else -place["bias"]
+
+
+def hardens(place) -> bool:
+    """Strength grows with the history: a model of constant strength is too strong early."""
+    return place["coordinate"] in LATE and early(place) > 0
+
+
+def degrades(place) -> bool:
+    """Stiffness or strength falls with the history: the model is too weak early and too strong late."""
+    return place["coordinate"] in LATE and early(place) < 0
+
+
+def slack_or_asymmetric(place) -> bool:
+    """No force after reversals, or another force in the other direction."""
+    return place["coordinate"] in ("branch", "sign of the force")
+
+
+# What each README says is visible, as the first place must show it.  Two do not, and are not made to:
+# steel_damper ("some isotropic hardening"): the model is too weak in the first, small cycles, the reverse of hardening (perhaps
+# n = 1 yields too early there; not tested).  friction_damper ("backlash, stick-slip, a direction asymmetry"): the first place is
+# elongations above 2 mm without a direction; neither branch nor sign of the force come first.
+# rc_column and timber_connection show their degradation; their pinching comes only far down the list (sixth and fourth).
+VISIBLE = [
+    pytest.param("rc_column", degrades),
+    pytest.param("timber_connection", degrades),
+    pytest.param("steel_damper", hardens, marks=pytest.mark.xfail(strict=True, reason="the bias has the other sign")),
+    pytest.param("friction_damper", slack_or_asymmetric, marks=pytest.mark.xfail(strict=True, reason="not located")),
+]
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +86,7 @@ def test_noise_does_not_explain_the_misfit_of_a_measured_campaign(runs, name):
     assert comparison["train"]["error"] > 2 * comparison["train"]["noise_floor"]
 
 
-@pytest.mark.parametrize("name", CAMPAIGNS)
-def test_the_misfit_is_where_the_readme_says_it_is_visible(runs, name):
+@pytest.mark.parametrize(("name", "shown"), VISIBLE)
+def test_the_first_sentence_shows_what_the_readme_says_is_visible(runs, name, shown):
     where = runs[name][1]["comparison"]["where"]
-    assert where[0]["coordinate"] in VISIBLE[name], [place["sentence"] for place in where]
+    assert shown(where[0]), [place["sentence"] for place in where]
