@@ -1,6 +1,6 @@
 """The sentence of the package in Python: simulate, calibrate, compare, locate.  The command line says the same."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -18,6 +18,8 @@ from hsed_jax.criticism.locate import Location
 from hsed_jax.criticism.prediction import Prediction, predict
 from hsed_jax.errors import UserError
 from hsed_jax.inference.fit import Fit, fit
+from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.maximum import Maximum
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, check_campaign
 from hsed_jax.physics.batch import tiled_map
@@ -25,7 +27,7 @@ from hsed_jax.physics.integrate import Response
 from hsed_jax.physics.simulator import Conditions
 
 # Of the random numbers of a calibration; the steps of a design have the numbers below.
-CALIBRATION_KEY = 1_000_000
+_CALIBRATION_KEY = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -98,17 +100,27 @@ def stop_at_errors(campaign: Campaign) -> None:
         raise UserError(f"{where}: {str(errors[0]).removeprefix('error: ')}{more}")
 
 
-def calibrate_built(built: Built, campaign: Campaign) -> Calibration:
-    """`calibrate`, with what is built already."""
+def calibrate_built(
+    built: Built, campaign: Campaign, data: Data | None = None, find: Callable[..., Maximum] | None = None
+) -> Calibration:
+    """`calibrate`, with what is built already.
+
+    Arguments:
+        built: the study.
+        campaign: the experiments.
+        data: the training experiments as data; by default made of the campaign.
+        find: the MAP's search for such data, where it is compiled already.
+    """
     study = built.study
     found = fit(
         built.posterior,
-        built.data(campaign, campaign.train.experiments),
+        built.data(campaign, campaign.train.experiments) if data is None else data,
         starts=study.calibration.starts,
         settings=built.settings,
-        key=jax.random.fold_in(jax.random.key(study.seed), CALIBRATION_KEY),
+        key=jax.random.fold_in(jax.random.key(study.seed), _CALIBRATION_KEY),
         units=built.units,
         correlated=study.observe == "histories" and study.correlated_errors,
+        find=find,
     )
     return Calibration(built, campaign, found)
 

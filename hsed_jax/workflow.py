@@ -8,14 +8,14 @@ import jax
 import numpy as np
 from tqdm import tqdm
 
-from hsed_jax.analysis import CALIBRATION_KEY, Calibration, calibrate_built, compare, locate, stop_at_errors
+from hsed_jax.analysis import Calibration, calibrate_built, compare, locate, stop_at_errors
 from hsed_jax.config.build import Built
 from hsed_jax.config.schema import Study
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.locate import Location
 from hsed_jax.design.sequential import DesignState
 from hsed_jax.errors import UserError
-from hsed_jax.inference.fit import fit, summarise
+from hsed_jax.inference.fit import summarise
 from hsed_jax.laboratories.base import ExperimentFailed, Measured
 from hsed_jax.measurements import (
     Experiment,
@@ -92,10 +92,11 @@ class Run:
                 getattr(self, f"_{step}")()
             outcome = self.outcome("complete")
             self.store.write_results(results_tree(outcome))
-            self.store.write_summary(summary(outcome))
+            content = summary(outcome)
+            self.store.write_summary(content)
             draw(outcome, self.store.figures)
             self.store.finish()
-            return summary(outcome)
+            return content
         except KeyboardInterrupt:
             self.store.write_summary(summary(self.outcome("interrupted")))
             raise Interrupted(
@@ -251,24 +252,14 @@ class Run:
     # What is made of the experiments.
 
     def _calibrate(self) -> None:
-        if self.state is None:
-            if self.built.measured is None:
-                self.campaign = self.built.perform()
-            write_campaign(self.campaign, self.store.campaign)
-            self.calibration = calibrate_built(self.built, self.campaign)
+        if self.state is not None:
+            design = self.built.design
+            self.calibration = calibrate_built(self.built, self.campaign, design.data(self.state), design.maximise)
             return
-        study = self.study
-        found = fit(
-            self.built.posterior,
-            self.built.design.data(self.state),
-            starts=study.calibration.starts,
-            settings=self.built.settings,
-            key=jax.random.fold_in(jax.random.key(study.seed), CALIBRATION_KEY),
-            units=self.built.units,
-            correlated=study.observe == "histories" and study.correlated_errors,
-            find=self.built.design.maximise,
-        )
-        self.calibration = Calibration(self.built, self.campaign, found)
+        if self.built.measured is None:
+            self.campaign = self.built.perform()
+        write_campaign(self.campaign, self.store.campaign)
+        self.calibration = calibrate_built(self.built, self.campaign)
 
     def _compare(self) -> None:
         if self.calibration is None:
