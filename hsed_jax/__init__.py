@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from hsed_jax.measurements import read_at2 as read_at2
     from hsed_jax.measurements import read_campaign as read_campaign
     from hsed_jax.measurements import write_campaign as write_campaign
+    from hsed_jax.remedy import diagnose as diagnose
+    from hsed_jax.remedy import improve as improve
     from hsed_jax.workflow import run as run
 
 # Public names by the module they live in, imported when first used: `hsed --help` answers before JAX is loaded.
@@ -40,6 +42,7 @@ _HOMES = {
         "read_campaign",
         "write_campaign",
     ),
+    "remedy": ("diagnose", "improve"),
     "workflow": ("run",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

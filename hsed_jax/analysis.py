@@ -1,5 +1,6 @@
 """The sentence of the package in Python: simulate, calibrate, compare, locate.  The command line says the same."""
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -8,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from hsed_jax.config.build import Built
 from hsed_jax.config.schema import Study
@@ -101,7 +103,11 @@ def stop_at_errors(campaign: Campaign) -> None:
 
 
 def calibrate_built(
-    built: Built, campaign: Campaign, data: Data | None = None, find: Callable[..., Maximum] | None = None
+    built: Built,
+    campaign: Campaign,
+    data: Data | None = None,
+    find: Callable[..., Maximum] | None = None,
+    start: Array | None = None,
 ) -> Calibration:
     """`calibrate`, with what is built already.
 
@@ -110,6 +116,7 @@ def calibrate_built(
         campaign: the experiments.
         data: the training experiments as data; by default made of the campaign.
         find: the MAP's search for such data, where it is compiled already.
+        start: parameters of the model (SI) to start one of the searches from.
     """
     study = built.study
     found = fit(
@@ -121,6 +128,7 @@ def calibrate_built(
         units=built.units,
         correlated=study.observe == "histories" and study.correlated_errors,
         find=find,
+        start=start,
     )
     return Calibration(built, campaign, found)
 
@@ -198,7 +206,8 @@ def simulate(
             f"inputs and parameters must be numbers or arrays of one common length, but have the shapes {sizes}"
         )
 
-    simulator = built.simulator
+    # The study may be of records; what is simulated here has none.
+    simulator = dataclasses.replace(built.simulator, timeline=built.planned)
 
     def one(lane):
         return simulator.respond(lane[0], Conditions(lane[1]), channels)

@@ -47,6 +47,17 @@ def _parser() -> argparse.ArgumentParser:
     comparison = commands.add_parser("compare", help=text, description=text.capitalize() + ".")
     _add_run(comparison)
     comparison.set_defaults(steps=["calibrate", "compare"])
+    text = "find the physical effects that the model lacks"
+    diagnosis = commands.add_parser("diagnose", help=text, description=text.capitalize() + ".")
+    _add_run(diagnosis)
+    diagnosis.set_defaults(steps=["calibrate", "compare", "diagnose"])
+    text = "add the missing effects (or those you choose) and show the error fall"
+    improvement = commands.add_parser("improve", help=text, description=text.capitalize() + ".")
+    _add_run(improvement)
+    improvement.add_argument(
+        "--add", action="append", metavar="EFFECT", help="add this effect; may be said several times"
+    )
+    improvement.set_defaults(steps=["calibrate", "compare", "diagnose", "improve"])
     text = "the catalogue of physical effects"
     effects = commands.add_parser("effects", help=text, description=text.capitalize() + ".")
     effects.add_argument("name", nargs="?", metavar="NAME", help="show one effect: equation, parameters, reference")
@@ -114,7 +125,13 @@ def _run(options: Any) -> int:
     from hsed_jax.config.load import load_study
     from hsed_jax.workflow import Interrupted, run
 
-    only = [f"steps=[{', '.join(options.steps)}]"] if "steps" in options else []
+    steps = getattr(options, "steps", None)
+    only = []
+    if chosen := getattr(options, "add", None):
+        steps = ["calibrate", "compare", "improve"]
+        only.append(f"improve.add=[{', '.join(chosen)}]")
+    if steps:
+        only.append(f"steps=[{', '.join(steps)}]")
     study = load_study(options.study, [*options.overrides, *only])
     output = Path(options.output) if options.output else Path("runs") / study.study
     try:
@@ -145,6 +162,17 @@ def _report(done: Any, output: Path) -> None:
     if done.location is not None:
         print()
         print(done.location)
+    if done.diagnosis is not None:
+        print()
+        print(done.diagnosis)
+    if done.diagnosis is not None and done.remaining is not None:
+        print()
+        print(f"with {' and '.join(done.diagnosis.effects)}: {done.remaining}")
+    if done.trail is not None:
+        print()
+        print(done.trail)
+    if done.improvement is not None:
+        print(f"the improved study is {output / 'improved.yaml'}; run it with: hsed run {output / 'improved.yaml'}")
     print(f"results in {output}")
 
 

@@ -113,6 +113,11 @@ class RunFolder:
         """Folder of the figures."""
         return self.path / "figures"
 
+    @property
+    def improved(self) -> Path:
+        """The study with the missing effects added."""
+        return self.path / "improved.yaml"
+
     def finish(self) -> None:
         """Note when the run ended."""
         path = self.path / "provenance.json"

@@ -11,7 +11,10 @@ from tqdm import tqdm
 from hsed_jax.analysis import Calibration, calibrate_built, compare, locate, stop_at_errors
 from hsed_jax.config.build import Built
 from hsed_jax.config.schema import Study
+from hsed_jax.criticism import locate as locating
 from hsed_jax.criticism.compare import Comparison
+from hsed_jax.criticism.findings import Diagnosis
+from hsed_jax.criticism.improve import Trail, step_of
 from hsed_jax.criticism.locate import Location
 from hsed_jax.design.sequential import DesignState
 from hsed_jax.errors import UserError
@@ -23,6 +26,7 @@ from hsed_jax.measurements import (
     write_campaign,
     write_experiment,
 )
+from hsed_jax.remedy import Improvement, diagnose, improve
 from hsed_jax.reporting.outcome import Outcome, summary
 from hsed_jax.store import RunFolder
 
@@ -63,7 +67,7 @@ class Run:
     Attributes:
         campaign: the experiments so far.
         steps: what each step of the design found, as in the journal.
-        calibration, comparison, location: results of the steps that ran.
+        calibration, comparison, location, diagnosis, remaining, improvement: results of the steps that ran.
     """
 
     def __init__(self, study: Study, output: str | Path, *, resume: bool, force: bool, progress: bool):
@@ -81,6 +85,10 @@ class Run:
         self.calibration: Calibration | None = None
         self.comparison: Comparison | None = None
         self.location: Location | None = None
+        self.diagnosis: Diagnosis | None = None
+        self.remaining: Location | None = None
+        self.improvement: Improvement | None = None
+        self.trail: Trail | None = None
 
     def __call__(self) -> dict[str, Any]:
         """Run the steps; returns the content of `summary.json`."""
@@ -125,6 +133,11 @@ class Run:
             fit=None if self.calibration is None else self.calibration.fit,
             comparison=self.comparison,
             location=self.location,
+            diagnosis=self.diagnosis,
+            remaining=self.remaining,
+            trail=self.trail,
+            improved=None if self.improvement is None else self.improvement.calibration.fit,
+            improved_comparison=None if self.improvement is None else self.improvement.after,
         )
 
     # The design: Steps 1 to 8 of the paper.
@@ -266,3 +279,23 @@ class Run:
             raise UserError("steps: compare needs a calibrated model; put calibrate before it")
         self.comparison = compare(self.calibration)
         self.location = locate(self.calibration)
+
+    # What it lacks, and what adding that does.
+
+    def _diagnose(self) -> None:
+        assert self.calibration is not None
+        with tqdm(disable=not self.progress, desc="diagnose", bar_format="{desc}: {postfix} [{elapsed}]") as bar:
+            self.diagnosis = diagnose(self.calibration, report=bar.set_postfix_str)
+        if self.diagnosis.effects:
+            self.remaining = locating.locate(self.diagnosis.prediction, self.campaign)
+
+    def _improve(self) -> None:
+        assert self.calibration is not None
+        assert self.comparison is not None
+        effects = self.study.improve.add or (self.diagnosis.effects if self.diagnosis is not None else [])
+        if not effects:
+            self.trail = Trail([step_of([], self.comparison, self.calibration.map)], self.comparison.train.noise_floor)
+            return
+        self.improvement = improve(self.calibration, effects=effects)
+        self.trail = self.improvement.trail
+        self.improvement.write(self.store.improved)

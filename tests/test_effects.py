@@ -1,4 +1,4 @@
-"""The catalogue of effects: its metadata, neutrality, commutation, and degradation against independent integrations."""
+"""The catalogue of effects: metadata, neutrality, commutation, derivatives; each kind against independent solutions."""
 
 from itertools import permutations
 
@@ -9,14 +9,21 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from hsed_jax.physics.bouc_wen import BoucWen
-from hsed_jax.physics.effects import EFFECTS
-from hsed_jax.physics.effects.base import ADDED, MULTIPLIED, SpringPoint, combine, register
+from hsed_jax.physics.effects import EFFECTS, AbstractSetupEffect, AbstractSpringEffect
+from hsed_jax.physics.effects.base import ADDED, MULTIPLIED, Setup, SpringPoint, combine, register
+from hsed_jax.physics.excitations import Imposed, NearFaultPulse, Tabulated
+from hsed_jax.physics.integrate import integrate
 from hsed_jax.physics.parameters import dimensionless, parameters_of
 from hsed_jax.physics.scales import Scales
-from hsed_jax.physics.simulator import Timeline
+from hsed_jax.physics.sensors import shifted
+from hsed_jax.physics.simulator import Conditions, Recorded, Simulator, Timeline
+from hsed_jax.physics.structures import ModalDamping, Spring, Structure
+from hsed_jax.physics.systems import ShakenStructure
 
 SCALES = Scales(force=1.2e5, elongation=0.25, rate=1.5, energy=2e4)
 QUANTITIES = ("peak_force", "peak_elongation", "dissipated_energy")
+SPRING = tuple(name for name, effect in EFFECTS.items() if issubclass(effect, AbstractSpringEffect))
+SETUP = tuple(name for name, effect in EFFECTS.items() if issubclass(effect, AbstractSetupEffect))
 LAW = {"A": 5e5, "beta": 0.8, "gamma": 0.2, "n": 1.2}
 
 
@@ -28,6 +35,8 @@ def points(count: int = 200) -> SpringPoint:
     travel = draw.exponential(2.0, count)
     z[:2] = du[:2] = energy[:2] = travel[:2] = rate[0] = 0.0
     memory = {"hysteretic": z, "energy": energy, "largest_elongation": 1.5 * np.abs(du), "travel": travel}
+    for name in SPRING:
+        memory |= {state: draw.normal(scale=1e5, size=count) for state in EFFECTS[name].states}
     return SpringPoint(du, rate, z, memory, Scales(*(np.full(count, s) for s in SCALES)), np.full(count, 1e5))
 
 
@@ -44,15 +53,24 @@ def active(name: str):
     return EFFECTS[name](**values)
 
 
-def rates(effects) -> dict:
-    """Rates and force of the law with these effects at all points."""
+def rates(effects, at: SpringPoint | None = None) -> dict:
+    """Rates and force of the law with these effects at all points, but for the effects' own states."""
+    own = {state for effect in effects for state in effect.states}
 
     def one(point):
         law = BoucWen(**LAW, effects=tuple(effects), scales=SCALES)
         found = law.rates(point.elongation, point.rate, point.memory)
-        return found | {"force": law.force(point.elongation, point.rate, point.memory)}
+        found |= {"force": law.force(point.elongation, point.rate, point.memory)}
+        return {state: value for state, value in found.items() if state not in own}
 
-    return jax.vmap(one)(points())
+    return jax.vmap(one)(points() if at is None else at)
+
+
+def contributions(effect) -> dict:
+    """What an effect writes to its slots: at all points, or to a structure of three masses and two supports."""
+    if isinstance(effect, AbstractSpringEffect):
+        return jax.vmap(effect.contribute)(points())
+    return effect.contribute(Setup(SCALES, 3, 2))
 
 
 # --- metadata ----------------------------------------------------------------------------------------------------
@@ -73,6 +91,8 @@ def test_every_effect_says_what_it_is(name):
     assert getattr(effect, "__final__", False)
     known = parameters_of(effect)
     assert known
+    assert effect.place in ("spring", "structure", "test rig")
+    assert effect.place != "spring" or issubclass(effect, AbstractSpringEffect)
     for key, parameter in known.items():
         assert parameter.name == key
         assert parameter.symbol.strip()
@@ -117,35 +137,73 @@ def test_contributions_to_one_slot_multiply_and_forces_add():
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_an_effect_contributes_nothing_at_its_neutral_value(name):
-    contributions = jax.vmap(at_neutral(name).contribute)(points())
-    for slot, values in contributions.items():
+    for slot, values in contributions(at_neutral(name)).items():
         assert slot in (*MULTIPLIED, *ADDED)
         np.testing.assert_array_equal(values, 1.0 if slot in MULTIPLIED else 0.0)
+
+
+@pytest.mark.parametrize("name", SPRING)
+def test_a_neutral_effect_leaves_the_law_as_it_is(name):
     plain, neutral = rates([]), rates([at_neutral(name)])
-    for state, expected in plain.items():
-        np.testing.assert_array_equal(neutral[state], expected)
+    for state, values in neutral.items():
+        np.testing.assert_array_equal(values, plain[state])
+
+
+@pytest.mark.parametrize("name", SPRING)
+def test_an_effect_changes_the_law_off_its_neutral_value(name):
+    plain, changed = rates([]), rates([active(name)])
+    assert any(np.abs(changed[s] - plain[s]).max() > 1e-3 * np.abs(plain[s]).max() for s in changed)
+
+
+@pytest.mark.parametrize("name", SPRING)
+def test_an_effect_that_needs_no_time_follows_the_path_alone(name):
+    # At twice the speed such a law has the same force and runs twice as fast; friction is past its turning at these rates.
+    at = points()
+    at = at._replace(rate=np.sign(at.rate + 0.5) * np.linspace(0.5, 2, at.rate.size) * SCALES.rate)
+    slow, fast = rates([active(name)], at), rates([active(name)], at._replace(rate=2 * at.rate))
+    effect = EFFECTS[name]
+    follows = not effect.states and all(
+        np.allclose(fast[s], slow[s] if s == "force" else 2 * slow[s], rtol=1e-12, atol=1e-9) for s in slow
+    )
+    assert effect.needs_time is not follows
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-def test_an_effect_changes_the_law_off_its_neutral_value(name):
-    plain, changed = rates([]), rates([active(name)])
-    assert any(np.abs(changed[s] - plain[s]).max() > 1e-3 * np.abs(plain[s]).max() for s in plain)
+def test_contributions_have_the_derivatives_of_central_differences(name):
+    values = {key: getattr(active(name), key) for key in parameters_of(EFFECTS[name])}
+
+    def of(theta):
+        return contributions(EFFECTS[name](**dict(zip(values, theta, strict=True))))
+
+    theta, step = jnp.asarray(list(values.values())), 1e-6
+    exact = jax.jacfwd(of)(theta)
+    for k, direction in enumerate(np.eye(len(values))):
+        above, below = of(theta + step * direction), of(theta - step * direction)
+        for slot, slopes in exact.items():
+            found = np.asarray((above[slot] - below[slot]) / (2 * step))
+            np.testing.assert_allclose(found, slopes[..., k], rtol=1e-6, atol=1e-7 * np.abs(np.asarray(slopes)).max())
 
 
-def orders(limit: int = 6) -> list[tuple[str, ...]]:
-    """All orders of the catalogue while they are few; else the first, its reverse and random ones."""
-    names = tuple(EFFECTS)
+def test_no_two_effects_own_one_state():
+    owned = [state for name in SPRING for state in EFFECTS[name].states]
+    shared = {state for name in SPRING for state in EFFECTS[name].needs}
+    assert len(owned) == len(set(owned))
+    assert not shared & set(owned)
+
+
+def orders(names: tuple[str, ...] = SPRING, limit: int = 6) -> list[tuple[str, ...]]:
+    """All orders while they are few; else the first, its reverse and random ones."""
     if len(names) <= 3:
         return list(permutations(names))
     draw = np.random.default_rng(0)
-    return [names, names[::-1], *(tuple(draw.permutation(names)) for _ in range(limit - 2))]
+    return [names, names[::-1], *(tuple(map(str, draw.permutation(names))) for _ in range(limit - 2))]
 
 
 def test_effects_commute_in_the_law():
     first, *others = (rates([active(name) for name in order]) for order in orders())
     for other in others:
         for state, expected in first.items():
-            np.testing.assert_allclose(other[state], expected, rtol=1e-14)
+            np.testing.assert_allclose(other[state], expected, rtol=0, atol=1e-14 * np.abs(expected).max())
 
 
 def quantities_with(paper_simulator, pulse_conditions, names, values):
@@ -265,3 +323,289 @@ def test_degradation_equals_its_equation_integrated_by_scipy(
 def test_effects_of_the_same_energy_state_share_it():
     law = BoucWen(**LAW, effects=tuple(active(name) for name in ("stiffness_degradation", "strength_degradation")))
     assert list(law.start()) == ["hysteretic", "energy"]
+
+
+# --- whole responses: structure and test rig ---------------------------------------------------------------------
+
+
+CHANNELS = ("force", "elongation", "elongation_rate", "energy")
+STEP, STEPS = 1 / 64, 192
+CHARACTERISTIC = SCALES.elongation / SCALES.rate  # u_c/v_c [s]
+THREE = {
+    "masses": (8e3, 9e3, 5e3),
+    "springs": (Spring((None, 0), 4e5), Spring((0, 1), 1e6), Spring((2, None), 3e5)),
+    "specimen": (2, 1),
+}
+
+
+def imposed(amplitude: float = 0.2) -> Conditions:
+    """A component test: two cycles of a sine of 1.5 s."""
+    t, omega = np.arange(2 * STEPS + 1) * STEP / 2, 2 * np.pi / 1.5
+    path = Imposed(jnp.asarray(amplitude * np.sin(omega * t)), jnp.asarray(amplitude * omega * np.cos(omega * t)))
+    return Conditions({}, Recorded(Tabulated(path), jnp.full(STEPS, STEP)))
+
+
+@pytest.fixture(scope="session", params=["shaken", "driven"])
+def experiment(request, paper_simulator, pulse_conditions):
+    """(kind, respond): respond(effects, their values) for a short experiment; `values` are inputs of the program."""
+    base = {"scales": SCALES, "timeline": Timeline(STEP, STEPS)}
+    is_shaken = request.param == "shaken"
+    base |= {"structure": Structure(**THREE, damping=ModalDamping(0.05, 5e5))} if is_shaken else {"structure": None}
+    conditions = pulse_conditions(2.25, 1.0) if is_shaken else imposed()
+    programs = {}
+
+    def respond(effects, values):
+        if effects not in programs:
+            simulator = paper_simulator(effects=effects, **base)
+            programs[effects] = jax.jit(
+                lambda values, c: simulator.respond({"A": 5e5, "beta": 1.0, **values}, c, CHANNELS)
+            )
+        response = programs[effects](values, conditions)
+        assert response.ok
+        return response
+
+    return request.param, respond
+
+
+def both(response) -> dict:
+    """Quantities and channels by name."""
+    return {name: np.asarray(value) for name, value in (response.quantities | response.channels).items()}
+
+
+def some(name: str) -> dict:
+    """Parameters of an effect, 0.1 off neutral."""
+    return parameters((name,), lambda p: p.neutral + 0.1)
+
+
+@pytest.mark.parametrize("name", SETUP)
+def test_an_effect_outside_the_spring_changes_what_it_says(experiment, name):
+    kind, respond = experiment
+    effect = EFFECTS[name]
+    plain = both(respond((), {}))
+    neutral = both(respond((name,), parameters((name,), lambda p: p.neutral)))
+    # Every operation is exact (above, and below), but two programs may contract a·b + c differently.
+    for key, expected in plain.items():
+        np.testing.assert_allclose(neutral[key], expected, rtol=0, atol=1e-14 * np.abs(expected).max())
+    changed = both(respond((name,), some(name)))
+    differs = {key for key in plain if np.abs(changed[key] - plain[key]).max() > 1e-3 * np.abs(plain[key]).max()}
+    quantities = differs & set(QUANTITIES)
+    if effect.shaken_only and kind == "driven":
+        assert not differs
+    elif effect.histories_only and kind == "shaken":
+        assert differs and not quantities
+    elif effect.histories_only:
+        # Imposed is what was measured: a delay changes what the specimen feels, and so its whole response.
+        assert "force" in differs
+        assert "peak_elongation" not in differs
+    else:
+        assert quantities
+
+
+def test_the_order_of_effects_outside_the_spring_does_not_matter(experiment):
+    _, respond = experiment
+    values = {key: value for name in SETUP for key, value in some(name).items()}
+    first, *others = (both(respond(order, values)) for order in orders(SETUP, 4))
+    for other in others:
+        for key, expected in first.items():
+            np.testing.assert_allclose(other[key], expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+def test_gains_act_on_histories_quantities_and_energy(experiment):
+    kind, respond = experiment
+    plain = both(respond((), {}))
+    force = both(respond(("force_gain",), {"force_gain.delta": jnp.asarray(0.1)}))
+    expected = {"force": 1.1, "energy": 1.1, "peak_force": 1.1, "dissipated_energy": 1.1}
+    for key, value in plain.items():
+        np.testing.assert_allclose(force[key], expected.get(key, 1.0) * value, rtol=0, atol=1e-13 * np.abs(value).max())
+    stretched = both(respond(("elongation_gain",), {"elongation_gain.delta": jnp.asarray(0.25)}))
+    if kind == "shaken":
+        untouched = {"force", "peak_force"}
+        for key, value in plain.items():
+            gained = (1.0 if key in untouched else 1.25) * value
+            np.testing.assert_allclose(stretched[key], gained, rtol=0, atol=1e-13 * np.abs(value).max())
+        return
+    # The specimen saw a fifth less than was measured.
+    simulator = Simulator(None, None, Timeline(STEP, STEPS), constants=(("gamma", 0.0), ("n", 1.0)))
+    truth = both(jax.jit(lambda c: simulator.respond({"A": 5e5, "beta": 1.0}, c, CHANNELS))(imposed(0.2 / 1.25)))
+    for key in ("elongation", "elongation_rate", "peak_elongation"):
+        np.testing.assert_allclose(stretched[key], plain[key], rtol=1e-12, atol=1e-12)
+    for key in ("force", "peak_force"):
+        np.testing.assert_allclose(stretched[key], truth[key], rtol=1e-10, atol=1e-6)
+    for key in ("energy", "dissipated_energy"):
+        np.testing.assert_allclose(stretched[key], 1.25 * truth[key], rtol=1e-10, atol=1e-6)
+
+
+def test_zero_shift_and_drift_are_in_newtons_and_newtons_per_second(experiment):
+    _, respond = experiment
+    plain = both(respond((), {}))
+    values = {"force_offset.offset": jnp.asarray(2e3), "force_drift.drift": jnp.asarray(-500.0)}
+    found = both(respond(("force_offset", "force_drift"), values))
+    expected = plain["force"] + 2e3 - 500.0 * STEP * np.arange(STEPS + 1)
+    np.testing.assert_allclose(found["force"], expected, rtol=0, atol=1e-8)
+    at_end = both(respond(("force_drift",), {"force_drift.delta": jnp.asarray(0.1)}))["force"] - plain["force"]
+    assert at_end[-1] == pytest.approx(0.1 * SCALES.force * STEPS * STEP / (100 * CHARACTERISTIC), rel=1e-9)
+
+
+@pytest.mark.parametrize(("name", "samples"), [("actuator_delay", 3), ("time_offset", 3), ("time_offset", -2)])
+def test_a_delay_of_whole_samples_moves_histories_by_them(experiment, name, samples):
+    kind, respond = experiment
+    plain = both(respond((), {}))
+    found = both(respond((name,), {f"{name}.tau": jnp.asarray(samples * STEP)}))
+    if kind == "driven":
+        late = samples if name == "time_offset" else -samples
+        if late > 0:
+            # Until the path begins, the specimen waits.
+            np.testing.assert_allclose(found["force"][:late], 0.0, atol=1e-9 * plain["peak_force"])
+            moved, shown = plain["force"][:-late], found["force"][late:]
+            assert np.abs(shown - moved).max() < 1e-3 * plain["peak_force"]
+        np.testing.assert_allclose(found["elongation"][9:-9], plain["elongation"][9:-9], atol=1e-12)
+        return
+    late = {"force": samples} if name == "time_offset" else {"elongation": samples, "elongation_rate": samples}
+    for key, value in plain.items():
+        count = late.get(key, 0)
+        # Beyond the ends a history is constant.
+        moved = value if key in QUANTITIES else value[np.clip(np.arange(value.size) - count, 0, value.size - 1)]
+        np.testing.assert_allclose(found[key], moved, rtol=0, atol=1e-11 * np.abs(value).max())
+
+
+@pytest.mark.parametrize("delay", [0.037, -0.0213])
+def test_a_shifted_signal_is_the_signal_at_another_time(delay):
+    draw = np.random.default_rng(0)
+    time = np.concatenate([[0.0], np.cumsum(draw.uniform(0.5, 1.5, 400) * 0.005)])
+    padded = np.pad(time, (0, 30), mode="edge")
+    padded = jnp.asarray(padded)
+    values = jnp.sin(7 * padded + 0.3)
+    found = np.asarray(jax.jit(shifted)(values, padded, delay))
+    expected = np.sin(7 * np.clip(padded - delay, 0, time[-1]) + 0.3)
+    assert np.abs(found - expected).max() < 1e-4  # the last interval, whose slope is one-sided
+    inside = (padded - delay > time[3]) & (padded - delay < time[-4])
+    assert np.abs(found - expected)[inside].max() < 4e-6  # 0.15 h³ |y'''|/6 at most; measured 2.4e-6
+    slope = np.asarray(jax.jacfwd(lambda d: shifted(values, padded, d))(delay))
+    assert np.isfinite(slope).all()
+    np.testing.assert_allclose(slope[inside], -7 * np.cos(7 * (padded - delay) + 0.3)[inside], atol=5e-3)
+
+
+def test_no_delay_changes_no_bit():
+    draw = np.random.default_rng(1)
+    time = np.pad(np.concatenate([[0.0], np.cumsum(draw.uniform(0.001, 0.1, 300))]), (0, 20), mode="edge")
+    values = np.pad(draw.normal(size=301), (0, 20), mode="edge")
+    for call in (shifted, jax.jit(shifted)):
+        np.testing.assert_array_equal(call(jnp.asarray(values), jnp.asarray(time), jnp.asarray(0.0)), values)
+
+
+# --- whole responses: an altered structure, and relaxation -------------------------------------------------------
+
+
+ALTERED = {
+    "damping_error": ({"delta": 0.4}, {}, 1.4),
+    "mass_error": ({"delta": 0.1, "tilt": 0.2}, {"masses": (8e3 * 0.9, 9e3 * 1.1, 5e3 * 1.3)}, 1.0),
+    "support_stiffness_error": (
+        {"delta": -0.1, "tilt": 0.3},
+        {"springs": (Spring((None, 0), 4e5 * 0.6), Spring((0, 1), 1e6), Spring((2, None), 3e5 * 1.2))},
+        1.0,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ALTERED)
+def test_an_error_of_the_structure_is_another_structure_with_the_damping_it_had(
+    paper_simulator, pulse_conditions, name
+):
+    values, changes, factor = ALTERED[name]
+    nominal = Structure(**THREE, damping=ModalDamping(0.05, 5e5))
+    simulator = paper_simulator(structure=nominal, effects=(name,), scales=SCALES, timeline=Timeline(STEP, STEPS))
+    given = {f"{name}.{key}": value for key, value in values.items()}
+    found = jax.jit(lambda c: simulator.respond({"A": 5e5, "beta": 1.0, **given}, c, CHANNELS))(
+        pulse_conditions(2.25, 1.0)
+    )
+
+    @jax.jit
+    def truth():
+        other = Structure(**{**THREE, **changes}, damping=ModalDamping(0.07, 5e5))
+        system = ShakenStructure(other, BoucWen(5e5, 1.0, 0.0, 1.0), factor * nominal.damping_matrix())
+        return integrate(system, NearFaultPulse(2.25, 1.0).forcing(STEP, STEPS), STEP, STEPS, channels=CHANNELS)
+
+    expected = both(truth())
+    for key, value in both(found).items():
+        np.testing.assert_allclose(value, expected[key], rtol=0, atol=1e-11 * np.abs(expected[key]).max())
+    if name == "damping_error":
+        np.testing.assert_allclose(
+            factor * np.asarray(nominal.damping_matrix()),
+            Structure(**THREE, damping=ModalDamping(0.07, 5e5)).damping_matrix(),
+            rtol=1e-12,
+        )
+
+
+def test_a_gain_of_the_ground_motion_is_a_stronger_pulse(paper_simulator, pulse_conditions):
+    names = ("ground_motion_gain",)
+    stronger = quantities_with(paper_simulator, pulse_conditions, names, {f"{names[0]}.delta": jnp.asarray(0.2)})
+    simulator = paper_simulator()
+    program = jax.jit(lambda c: simulator.quantities({"A": 5e5, "beta": 1.0}, c, QUANTITIES)[0])
+    np.testing.assert_allclose(stronger, program(pulse_conditions(2.25 * 1.2, 1.0)), rtol=1e-11)
+
+
+def test_relaxation_is_the_maxwell_element():
+    # u = a sin ωt from rest: q = k a ω τ/(1 + ω²τ²) (cos ωt + ωτ sin ωt − exp(−t/τ)).
+    simulator = Simulator(
+        None, None, Timeline(STEP, STEPS), ("relaxation",), SCALES, (("gamma", 0.0), ("n", 1.0), ("beta", 0.0))
+    )
+    k, tau, amplitude, omega = 3e5, 0.2, 0.2, 2 * np.pi / 1.5
+    values = {"A": 1e5, "relaxation.k": k, "relaxation.tau": tau}
+    response = both(jax.jit(lambda c: simulator.respond(values, c, CHANNELS))(imposed(amplitude)))
+    t = np.arange(STEPS + 1) * STEP
+    sine, cosine = np.sin(omega * t), np.cos(omega * t)
+    size = k * amplitude * omega * tau / (1 + (omega * tau) ** 2)
+    q = size * (cosine + omega * tau * sine - np.exp(-t / tau))
+    force = 1e5 * amplitude * sine + q
+    np.testing.assert_allclose(response["force"], force, rtol=0, atol=1e-6 * np.abs(force).max())
+    work = np.concatenate(
+        [[0.0], np.cumsum(np.diff(t) * 0.5 * ((f := force * amplitude * omega * cosine)[1:] + f[:-1]))]
+    )
+    np.testing.assert_allclose(response["energy"], work, rtol=0, atol=1e-3 * work.max())
+
+
+# --- all effects at once -----------------------------------------------------------------------------------------
+
+
+def test_a_traced_simulator_with_the_whole_catalogue_gives_the_same(experiment, paper_simulator, pulse_conditions):
+    kind, respond = experiment
+    values = {key: value for name in EFFECTS for key, value in some(name).items()}
+    expected = both(respond(tuple(EFFECTS), values))
+    structure = Structure(**THREE, damping=ModalDamping(0.05, 5e5)) if kind == "shaken" else None
+    simulator = paper_simulator(
+        structure=structure, effects=tuple(EFFECTS), scales=SCALES, timeline=Timeline(STEP, STEPS)
+    )
+    conditions = pulse_conditions(2.25, 1.0) if kind == "shaken" else imposed()
+
+    @jax.jit
+    def program(simulator, values, conditions):
+        return simulator.respond({"A": 5e5, "beta": 1.0, **values}, conditions, CHANNELS)
+
+    found = both(program(simulator, values, conditions))
+    for key, value in expected.items():
+        np.testing.assert_allclose(found[key], value, rtol=0, atol=1e-10 * np.abs(value).max())
+    other = simulator.__class__(**{**simulator.__dict__, "scales": Scales(*(2 * s for s in SCALES))})
+    assert np.abs(both(program(other, values, conditions))["force"] - found["force"]).max() > 1e3
+
+
+def test_responses_have_the_derivatives_of_central_differences(paper_simulator, pulse_conditions):
+    names = (*SETUP, "relaxation", "hardening", "cubic_stiffness", "viscous_damping", "isotropic_hardening")
+    values = {key: float(value) for name in names for key, value in some(name).items()}
+    structure = Structure(**THREE, damping=ModalDamping(0.05, 5e5))
+    simulator = paper_simulator(structure=structure, effects=names, scales=SCALES, timeline=Timeline(STEP, STEPS))
+
+    def of(theta):
+        given = dict(zip(values, theta, strict=True))
+        return both_traced(simulator.respond({"A": 5e5, "beta": 1.0, **given}, pulse_conditions(2.25, 1.0), CHANNELS))
+
+    def both_traced(response):
+        return response.quantities | response.channels
+
+    theta, step = np.array(list(values.values())), 1e-6
+    moved = jax.jit(jax.vmap(of))(theta + step * np.concatenate([np.eye(theta.size), -np.eye(theta.size)]))
+    exact = jax.jit(jax.jacfwd(of))(jnp.asarray(theta))
+    for key, slopes in exact.items():
+        above, below = np.split(np.asarray(moved[key]), 2)
+        found = np.moveaxis((above - below) / (2 * step), 0, -1)
+        error = np.abs(found - np.asarray(slopes)).max() / np.abs(np.asarray(slopes)).max()
+        assert error < 1e-6, key

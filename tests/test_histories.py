@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.interpolate import Akima1DInterpolator, CubicSpline
 from scipy.linalg import eigh
 
 import hsed_jax as hx
@@ -28,6 +29,13 @@ def exact_force(elongation, A=A, beta=BETA):
     return force
 
 
+def path_force(time, elongation, A=A, beta=BETA, parts=40):
+    """The same along the smooth path through the samples, which turns between them."""
+    share = np.arange(parts) / parts
+    dense = np.append((time[:-1, None] + np.diff(time)[:, None] * share).ravel(), time[-1])
+    return exact_force(Akima1DInterpolator(time, elongation, method="makima")(dense), A, beta)[::parts]
+
+
 def motion(seed, samples):
     """Uneven times and an irregular cyclic elongation."""
     random = np.random.default_rng(seed)
@@ -41,8 +49,8 @@ def component_campaign(has_time=True, noise=None, **changes) -> Campaign:
     experiments = []
     for number, samples in enumerate((240, 400, 300)):
         time, elongation = motion(number, samples)
-        force = exact_force(elongation) + NOISE * np.random.default_rng(100 + number).standard_normal(samples)
         time = time if has_time else np.arange(samples, dtype=float)
+        force = path_force(time, elongation) + NOISE * np.random.default_rng(100 + number).standard_normal(samples)
         window = (float(time[50]), float(time[350])) if number == 1 else None
         split = "test" if number == 2 else "train"
         record = Record(time, {"elongation": elongation, "force": force})
@@ -125,9 +133,9 @@ def test_histories_of_a_component_test_are_the_closed_form(calibration):
     campaign = calibration.campaign
     for theta in ((A, BETA), (0.6 * A, 2 * BETA)):
         for found, experiment in zip(predict(calibration.built, campaign, theta), campaign, strict=True):
-            exact = exact_force(experiment.record["elongation"], *theta)
-            # Measured: at most 7e-6.
-            assert np.abs(found["force"] - exact).max() < 1e-4 * np.abs(exact).max()
+            exact = path_force(experiment.record.time, experiment.record["elongation"], *theta)
+            # Measured: at most 1.8e-4, where a reversal falls between the steps.
+            assert np.abs(found["force"] - exact).max() < 5e-4 * np.abs(exact).max()
 
 
 def test_comparison_of_a_component_test_is_adequate_in_both_splits(calibration):
@@ -174,7 +182,7 @@ def test_the_simulation_starts_with_the_record_and_not_with_the_window():
     campaign = component_campaign()
     built = Built(study_of(), campaign)
     found = predict(built, campaign, (A, BETA))[1]["force"]
-    exact = exact_force(campaign["E02"].record["elongation"])
+    exact = path_force(campaign["E02"].record.time, campaign["E02"].record["elongation"])
     window = campaign["E02"].in_window
     np.testing.assert_allclose(found[window], exact[window], atol=1e-4 * np.abs(exact).max())
 
@@ -188,7 +196,8 @@ def test_the_row_number_stands_for_a_time_that_is_absent():
     with_time, without = component_campaign(), component_campaign(has_time=False)
     one, two = (predict(Built(study_of(), c), c, (A, BETA)) for c in (with_time, without))
     for a, b in zip(one, two, strict=True):
-        np.testing.assert_allclose(a["force"], b["force"], atol=1e-4 * A / BETA)
+        # The law does not notice; the path between the samples does, a little.
+        np.testing.assert_allclose(a["force"], b["force"], atol=5e-3 * A / BETA)
 
 
 def test_declared_noise_is_used_and_not_inferred():
@@ -298,7 +307,7 @@ def test_histories_of_a_structure_under_measured_ground_acceleration_are_scipys(
     records = {}
     for seed in range(2):
         time, ground = shaking(seed)
-        exact = two_masses(time, lambda t, time=time, ground=ground: np.interp(t, time, ground), *THETA)
+        exact = two_masses(time, CubicSpline(time, ground), *THETA)
         records[f"E0{seed + 1}"] = {"time": time, "ground_acceleration": ground, **exact}
     channels = {"time": "s", "ground_acceleration": "m/s^2", **CHANNELS}
     campaign = Campaign.from_frames(records=records, protocol="ground_motion", channels=channels)

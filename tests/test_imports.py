@@ -19,6 +19,7 @@ LEVELS = (
     ("config",),
     ("store",),
     ("analysis",),
+    ("remedy",),
     ("workflow",),
     ("run", "sweep", "__main__"),
 )

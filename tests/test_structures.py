@@ -19,7 +19,8 @@ def matrices(structure: Structure, specimen_stiffness: float):
     """M and K assembled by displacing one mass at a time and adding up spring forces."""
     count = len(structure.masses)
     K = np.zeros((count, count))
-    for ends, k in (*structure.springs, Spring(structure.specimen, specimen_stiffness)):
+    for spring in (*structure.springs, Spring(structure.specimen, specimen_stiffness)):
+        ends, k = spring.ends, spring.stiffness
         for column in range(count):
             u = np.eye(count)[column]
             at = [0.0 if end is None else u[end] for end in ends]

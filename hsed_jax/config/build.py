@@ -117,13 +117,17 @@ class Built:
         """Characteristic values for the effects: as given, else from the campaign, else from the plain model."""
         if self.study.scales is not None:
             return Scales(**self.study.scales.model_dump())
-        if self.characteristics is not None:
-            found = self.characteristics[:4]
-            return Scales(*(value if math.isfinite(value) and value > 0 else 1.0 for value in found))
+        found = [math.nan] * 4 if self.characteristics is None else self.characteristics[:4]
+        is_told = [math.isfinite(value) and value > 0 for value in found]
         virtual = self.study.experiments.virtual
-        if self.study.model.effects or (virtual is not None and virtual.effects):
-            return parts.plain_scales(self.structure, self.excitation, self.timeline, self.parameters, self.space)
-        return Scales()
+        plain = Scales()
+        if (
+            (self.study.model.effects or (virtual and virtual.effects))
+            and not all(is_told)
+            and self.excitation is not None
+        ):
+            plain = parts.plain_scales(self.structure, self.excitation, self.planned, self.parameters, self.space)
+        return Scales(*(value if told else other for value, told, other in zip(found, is_told, plain, strict=True)))
 
     @cached_property
     def grid(self) -> Grid | None:
@@ -145,7 +149,11 @@ class Built:
             needed = longest / (STEP_PER_YIELD * yielding) if math.isfinite(yielding) else 1.0
         else:
             longest = max(float(np.max(np.diff(record.time), initial=0.0)) for record in records)
-            needed = longest * STEPS_PER_PERIOD / self._shortest_period()
+            needed = (
+                longest
+                * STEPS_PER_PERIOD
+                / parts.shortest_period(self.structure, self.parameters, self.study.excitation, self.space)
+            )
         return Grid(samples, min(max(math.ceil(needed - 1e-9), 1), _MOST_STEPS_PER_SAMPLE))
 
     @cached_property
@@ -153,14 +161,24 @@ class Built:
         """The grid of the integration."""
         if self.grid is not None:
             return Timeline(0.0, self.grid.every * (self.grid.samples - 1), self.grid.every)
+        return self.planned
+
+    @cached_property
+    def planned(self) -> Timeline:
+        """The grid of the integration for an experiment without a record."""
         entry = self.study.excitation
         if entry is None or self.excitation is None:
-            raise UserError("excitation: give near_fault_pulse or recorded, since no record is measured")
+            raise UserError("excitation: give near_fault_pulse or recorded, where no record tells the motion")
         if entry.duration is None:
             duration = float(parts.recorded_motion(entry, self.study.folder)[0][-1])
         else:
             duration = entry.duration
-        step = entry.step if entry.step is not None else self._shortest_period() / STEPS_PER_PERIOD
+        step = (
+            entry.step
+            if entry.step is not None
+            else parts.shortest_period(self.structure, self.parameters, self.study.excitation, self.space)
+            / STEPS_PER_PERIOD
+        )
         if step > duration:
             raise UserError(f"excitation.step: {step:g} s is longer than the duration, {duration:g} s")
         steps = math.ceil(duration / step - 1e-9)
@@ -323,8 +341,7 @@ class Built:
                     f"{self._file}inputs: a design needs at least one input, such as V_P: {{uniform: [1.5, 3.0], unit: m/s}}"
                 )
             needed.append("laboratory")
-            self._check_trend()
-            self._check_candidates()
+            self._check_design()
         self._check_steps()
         try:
             for part in needed:
@@ -345,8 +362,14 @@ class Built:
                 raise UserError(f"{self._file}steps: {before} stands before {step}; the order is {', '.join(order)}")
         if "compare" in steps and "calibrate" not in steps:
             raise UserError(f"{self._file}steps: compare needs a calibrated model; put calibrate before it")
+        if {"diagnose", "improve"} & set(steps) and "compare" not in steps:
+            raise UserError(
+                f"{self._file}steps: diagnose and improve need the comparison; put calibrate, compare before"
+            )
+        if "improve" in steps and "diagnose" not in steps and self.study.improve.add is None:
+            raise UserError(f"{self._file}steps: improve needs diagnose before it, or improve.add: [an effect]")
 
-    def _check_trend(self) -> None:
+    def _check_design(self) -> None:
         entry, d = self.study.design, len(self.study.inputs)
         needed = {"constant": 1, "linear": 1 + d, "quadratic": (d + 1) * (d + 2) // 2}[entry.kriging.trend] + 1
         if "design" in self.study.steps and entry.initial < needed:
@@ -354,9 +377,6 @@ class Built:
                 f"{self._file}design.initial: a {entry.kriging.trend} trend in {d} inputs needs at least {needed} "
                 f"experiments, but it is {entry.initial}"
             )
-
-    def _check_candidates(self) -> None:
-        entry = self.study.design
         if entry.candidates < entry.initial + entry.iterations:
             raise UserError(
                 f"{self._file}design.candidates: {entry.candidates} are too few to choose {entry.iterations} experiments from"
@@ -377,18 +397,3 @@ class Built:
     def _simulator(self, effects: tuple[str, ...], constants: tuple[tuple[str, float], ...]) -> Simulator:
         follows = self.study.structure is not None and self.study.structure.damping.specimen_stiffness == "model"
         return Simulator(self.structure, self.excitation, self.timeline, effects, self.scales, constants, follows)
-
-    def _shortest_period(self) -> float:
-        """Of the structure with the specimen at the upper end of its stiffness, and of the pulse [s]."""
-        free, fixed = self.parameters
-        stiffest = fixed["A"] if "A" in fixed else float(free["A"].quantile(0.999))
-        assert self.structure is not None
-        periods = [1 / float(self.structure.frequencies(stiffest)[-1])]
-        pulse = self.study.excitation.near_fault_pulse if self.study.excitation else None
-        if pulse is not None:
-            shortest = pulse.T_P
-            if isinstance(shortest, str) and shortest in self.study.inputs:
-                shortest = float(self.space.priors[shortest].quantile(1e-9)) * self.space.factors[shortest]
-            if not isinstance(shortest, str):
-                periods.append(shortest)
-        return min(periods)

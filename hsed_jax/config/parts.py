@@ -117,7 +117,8 @@ def model_parameters(model: ModelEntry) -> tuple[dict[str, Prior], dict[str, flo
     for name, (where, known, entry) in given.items():
         if isinstance(entry, dict):
             free[name] = prior(where, entry)
-            for bound in free[name].bounds:
+            # A prior of the catalogue is right by definition; a lognormal one reaches to a bound of 0.01 with no mass there.
+            for bound in free[name].bounds if where else ():
                 if bound is not None:
                     within(where, bound, known)
         else:
@@ -189,6 +190,27 @@ def plain_scales(
         response.quantities["dissipated_energy"],
     )
     return Scales(*(float(f"{float(value):.2g}") for value in found))
+
+
+def shortest_period(
+    structure: Structure | None,
+    parameters: tuple[dict[str, Prior], dict[str, float]],
+    entry: ExcitationEntry | None,
+    space: InputSpace,
+) -> float:
+    """Of the structure with the specimen at the upper end of its stiffness, and of the pulse [s]."""
+    free, fixed = parameters
+    stiffest = fixed["A"] if "A" in fixed else float(free["A"].quantile(0.999))
+    assert structure is not None
+    periods = [1 / float(structure.frequencies(stiffest)[-1])]
+    pulse = entry.near_fault_pulse if entry else None
+    if pulse is not None:
+        shortest = pulse.T_P
+        if isinstance(shortest, str) and shortest in space.names:
+            shortest = float(space.priors[shortest].quantile(1e-9)) * space.factors[shortest]
+        if not isinstance(shortest, str):
+            periods.append(shortest)
+    return min(periods)
 
 
 def effect_parameters(where: str, effect: str, entries: Mapping[str, Any]) -> dict[str, Parameter]:

@@ -245,7 +245,13 @@ class ScalesEntry(Section):
     energy: Positive
 
 
-Step = Literal["design", "calibrate", "compare"]
+class ImproveEntry(Section):
+    """The effects to add to the model; by default those that the diagnosis names."""
+
+    add: Annotated[list[str], Field(min_length=1)] | None = None
+
+
+Step = Literal["design", "calibrate", "compare", "diagnose", "improve"]
 
 
 class Study(Section):
@@ -269,6 +275,7 @@ class Study(Section):
     steps: Annotated[list[Step], Field(min_length=1)] = ["design", "calibrate"]
     design: DesignEntry = DesignEntry()
     calibration: CalibrationEntry = CalibrationEntry()
+    improve: ImproveEntry = ImproveEntry()
 
     @field_validator("quantities")
     @classmethod

@@ -201,9 +201,7 @@ def _errors(tables: Sequence[np.ndarray], scale: float | None = None) -> dict[st
     measured, predicted, mean, sd, noise = tables
     known = np.isfinite(measured)
     residual = (predicted - measured)[known]
-    about_mean = measured[known] - measured[known].mean()
-    scale = float(np.sqrt(np.mean(about_mean**2))) if scale is None else scale
-    scale = scale if scale > 0 else float(np.sqrt(np.mean(measured[known] ** 2))) or 1.0
+    scale = _scale(measured[known]) if scale is None else scale
     largest = float(np.max(np.abs(measured[known])))
     inside = np.abs(measured - mean)[known] <= 1.6448536 * sd[known]
     return {
@@ -215,6 +213,22 @@ def _errors(tables: Sequence[np.ndarray], scale: float | None = None) -> dict[st
         "coverage_90": float(inside.mean()),
         "scale": scale,
     }
+
+
+def _scale(measured: np.ndarray) -> float:
+    """RMS of an output about its mean; of one number, its size."""
+    about_mean = float(np.sqrt(np.mean((measured - measured.mean()) ** 2)))
+    return about_mean if about_mean > 0 else float(np.sqrt(np.mean(measured**2))) or 1.0
+
+
+def normalised_error(measured: np.ndarray, predicted: np.ndarray, used: np.ndarray, groups: np.ndarray) -> float:
+    """The error of predictions (n, J), over all outputs; NaN where nothing was measured."""
+    squares = []
+    for group in np.unique(groups):
+        own = used & (groups == group)
+        if own.any():
+            squares.append(np.mean((predicted[own] - measured[own]) ** 2) / _scale(measured[own]) ** 2)
+    return float(np.sqrt(np.mean(squares))) if squares else float("nan")
 
 
 def noise_of(prediction: Prediction, output: str, declared: bool) -> np.ndarray:

@@ -95,6 +95,7 @@ def fit(
     units: dict[str, str],
     correlated: bool = False,
     find: Callable[[Data, Array], Maximum] | None = None,
+    start: Array | None = None,
 ) -> Fit:
     """Calibrate: MAP from several starts, then NUTS from its mode.
 
@@ -108,16 +109,21 @@ def fit(
         correlated: let the samples of an output whose residual at the MAP is correlated count for what they are worth
             (`hsed_jax.inference.correlation`), and fit again.
         find: `maximise` for this posterior where it is compiled already.
+        start: parameters of the model (SI, without inferred errors) to start one of the searches from.
     """
     find = find or jax.jit(lambda data, starts: maximise(posterior, data, starts))
-    maximum = find(data, posterior.starts(starts))
+    points = posterior.starts(starts)
+    if start is not None:
+        middle = posterior.constrain(points[0])
+        points = points.at[0].set(posterior.unconstrain(middle.at[: start.size].set(start)))
+    maximum = find(data, points)
     if correlated:
         predicted, ok = posterior.predict(maximum.theta[: len(posterior.model_names)], data.conditions, data.count)
         residual = standardised_residual(predicted, ok, posterior.errors(maximum.theta), data)
         worth = worths(np.asarray(residual), np.asarray(data.weights), posterior.groups)
         if np.any(worth < 1):
             data = reweighted(data, worth, posterior.groups)
-            maximum = find(data, posterior.starts(starts).at[0].set(maximum.u))
+            maximum = find(data, points.at[0].set(maximum.u))
     draw = jax.jit(lambda data, maximum, step, key: sample(posterior, data, maximum, step, key, settings))
     chains = draw(data, maximum, jnp.asarray(0.8), key)
     return Fit(posterior, data, maximum, chains, convergence(chains), units)

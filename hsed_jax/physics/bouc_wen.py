@@ -15,7 +15,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hsed_jax.physics.effects.base import AbstractEffect, SpringPoint, combine
+from hsed_jax.physics.effects.base import AbstractSpringEffect, SpringPoint, combine
 from hsed_jax.physics.parameters import parameter
 from hsed_jax.physics.scales import Scales
 
@@ -35,12 +35,13 @@ class BoucWen(eqx.Module):
     beta: Scalar = parameter(r"\beta", "N^(1-n)/m", "shape of the loop: dissipation", lower=0.0)
     gamma: Scalar = parameter(r"\gamma", "N^(1-n)/m", "shape of the loop: softening against pinching", neutral=0.0)
     n: Scalar = parameter("n", "1", "sharpness of yielding", neutral=1.0, lower=0.5)
-    effects: tuple[AbstractEffect, ...] = ()
+    effects: tuple[AbstractSpringEffect, ...] = ()
     scales: Scales = Scales()
 
     def start(self) -> Memory:
         """The states of a virgin spring: hysteretic force z [N] and absorbed energy e [J]."""
-        names = ("hysteretic", "energy", *sorted({state for effect in self.effects for state in effect.needs}))
+        further = {state for effect in self.effects for state in (*effect.needs, *effect.states)}
+        names = ("hysteretic", "energy", *sorted(further))
         return {name: jnp.zeros(()) for name in names}
 
     def force(self, elongation: Scalar, rate: Scalar, memory: Memory) -> Scalar:
@@ -53,12 +54,15 @@ class BoucWen(eqx.Module):
         slots = self._slots(elongation, rate, memory)
         z = memory["hysteretic"]
         magnitude = jnp.abs(z)
-        n, share = self.n + slots("n"), slots("gamma")
+        share = slots("gamma")
         gamma = self.gamma if _is_zero(share) else self.gamma + share * self.beta
         # β sign(Δu̇ z)|z|ⁿ Δu̇ = β |Δu̇| z |z|ⁿ⁻¹: no sign, hence no jump where z passes zero.
-        softening = self.beta * jnp.abs(rate) * z * _power(magnitude, n, -1)
+        softening = self.beta * jnp.abs(rate) * z * _power(magnitude, self.n, -1)
         if not _is_zero(gamma):
-            softening = softening + gamma * rate * _power(magnitude, n, 0)
+            softening = softening + gamma * rate * _power(magnitude, self.n, 0)
+        if not _is_zero(sharper := slots("n")):
+            # (|z|/z_u)^δ leaves the strength z_u where it is: sharpness alone changes.
+            softening = softening * _power(magnitude / self._strength(), sharper, 0)
         flow = slots("h") * (slots("a") * self.A * rate - slots("nu") * softening) / slots("eta")
         if not _is_zero(compliance := slots("compliance")):
             moving = jnp.where(rate == 0, 1.0, rate)
@@ -70,6 +74,9 @@ class BoucWen(eqx.Module):
         rates |= {"hysteretic": flow, "energy": force * rate}
         if "travel" in memory:
             rates["travel"] = jnp.abs(rate)
+        point = self._point(elongation, rate, memory)
+        for effect in self.effects:
+            rates |= effect.flow(point)
         return rates
 
     def settle(self, elongation: Scalar, memory: Memory) -> Memory:
@@ -85,11 +92,16 @@ class BoucWen(eqx.Module):
         return z if _is_zero(slack) else jnp.where(jnp.abs(elongation) >= slack, z, 0.0)
 
     def _slots(self, elongation: Scalar, rate: Scalar, memory: Memory) -> Callable[[str], Scalar]:
-        strength = self.A / jnp.maximum(self.beta + self.gamma, 1e-12)
-        if not (isinstance(self.n, int | float) and self.n == 1):
-            strength = strength ** (1 / self.n)
-        point = SpringPoint(elongation, rate, memory["hysteretic"], memory, self.scales, strength)
+        point = self._point(elongation, rate, memory)
         return combine([effect.contribute(point) for effect in self.effects])
+
+    def _point(self, elongation: Scalar, rate: Scalar, memory: Memory) -> SpringPoint:
+        return SpringPoint(elongation, rate, memory["hysteretic"], memory, self.scales, self._strength())
+
+    def _strength(self) -> Scalar:
+        """Ultimate force of the virgin element [N]."""
+        strength = self.A / jnp.maximum(self.beta + self.gamma, 1e-12)
+        return strength if isinstance(self.n, int | float) and self.n == 1 else strength ** (1 / self.n)
 
 
 def _is_zero(value: Scalar) -> bool:

@@ -55,6 +55,25 @@ class Tabulated(AbstractForcing):
         return jax.tree.map(lambda samples: samples[index], self.samples)
 
 
+@final
+class Scaled(AbstractForcing):
+    """A forcing times a factor."""
+
+    forcing: AbstractForcing
+    factor: Scalar
+
+    def start(self) -> tuple[PyTree, PyTree]:
+        """The carry of the forcing and its first sample, scaled."""
+        return self._times(*self.forcing.start())
+
+    def advance(self, carry: PyTree, index: ArrayLike) -> tuple[PyTree, PyTree]:
+        """The carry of the forcing and its sample, scaled."""
+        return self._times(*self.forcing.advance(carry, index))
+
+    def _times(self, carry: PyTree, sample: PyTree) -> tuple[PyTree, PyTree]:
+        return carry, jax.tree.map(lambda values: values * self.factor, sample)
+
+
 class AbstractExcitation(eqx.Module):
     """A ground motion, as acceleration of the ground over time."""
 

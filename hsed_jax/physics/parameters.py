@@ -9,7 +9,7 @@ from typing import Any
 
 import equinox as eqx
 
-from hsed_jax.physics.scales import Scales
+from hsed_jax.physics.scales import Scalar, Scales
 
 _KEY = "parameter"
 
@@ -20,7 +20,7 @@ class PhysicalForm:
 
     name: str
     unit: str
-    factor: Callable[[Scales], float]
+    factor: Callable[[Scales], Scalar]
 
 
 @dataclasses.dataclass(frozen=True)

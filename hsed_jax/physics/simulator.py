@@ -8,11 +8,13 @@ import jax
 from jaxtyping import Array, Float
 
 from hsed_jax.physics.bouc_wen import BoucWen
-from hsed_jax.physics.effects import EFFECTS
-from hsed_jax.physics.excitations import AbstractExcitation, AbstractForcing
+from hsed_jax.physics.effects import EFFECTS, AbstractEffect, AbstractSetupEffect, AbstractSpringEffect
+from hsed_jax.physics.effects.base import Setup, combine
+from hsed_jax.physics.excitations import AbstractExcitation, AbstractForcing, Scaled, Tabulated
 from hsed_jax.physics.integrate import Response, integrate
 from hsed_jax.physics.parameters import dimensionless
 from hsed_jax.physics.scales import Scales
+from hsed_jax.physics.sensors import felt, measured
 from hsed_jax.physics.structures import Structure
 from hsed_jax.physics.systems import AbstractSystem, DrivenSpring, ShakenStructure
 
@@ -62,8 +64,8 @@ class Simulator(eqx.Module):
         structure: the numerical substructure; None for a component test.
         excitation: from inputs to a ground motion; None where every experiment brings its record.
         timeline: the grid of the integration.
-        effects: names of the effects of the spring.
-        scales: characteristic values for the effects.
+        effects: names of the effects, of spring, structure and test rig.
+        scales: characteristic values for the effects; leaves, so that one compiled program can serve any.
         constants: parameters that are fixed numbers (and constants of the compiled program).
         damping_follows_model: form the damping matrix with the model's own A instead of a reference stiffness.
     """
@@ -72,22 +74,15 @@ class Simulator(eqx.Module):
     excitation: Callable[[Mapping[str, Scalar]], AbstractExcitation] | None
     timeline: Timeline = eqx.field(static=True)
     effects: tuple[str, ...] = eqx.field(static=True, default=())
-    scales: Scales = eqx.field(static=True, default=Scales())
+    scales: Scales = Scales()
     constants: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
     damping_follows_model: bool = eqx.field(static=True, default=False)
 
     def spring(self, parameters: Mapping[str, Scalar]) -> BoucWen:
         """The spring law; parameters of effects are named `effect.parameter`, in dimensionless or physical form."""
-        law: dict[str, Scalar] = {}
-        of_effects: dict[str, dict[str, Scalar]] = {effect: {} for effect in self.effects}
-        for name, value in {**dict(self.constants), **parameters}.items():
-            effect, _, rest = name.rpartition(".")
-            if effect:
-                of_effects[effect].update(dimensionless(EFFECTS[effect], rest, value, self.scales))
-            else:
-                law[name] = value
-        effects = tuple(EFFECTS[effect](**values) for effect, values in of_effects.items())
-        return BoucWen(**law, effects=effects, scales=self.scales)
+        law, effects = self._given(parameters)
+        of_spring = tuple(effect for effect in effects if isinstance(effect, AbstractSpringEffect))
+        return BoucWen(**law, effects=of_spring, scales=self.scales)
 
     def system(self, parameters: Mapping[str, Scalar]) -> AbstractSystem:
         """What is integrated."""
@@ -97,7 +92,12 @@ class Simulator(eqx.Module):
         structure = self.structure
         if self.damping_follows_model:
             structure = eqx.tree_at(lambda s: s.damping.specimen_stiffness, structure, spring.A)
-        return ShakenStructure(structure, spring)
+        slots = self._setup(parameters)
+        if slots is None:
+            return ShakenStructure(structure, spring)
+        # C is what the model was built with: an error of mass or stiffness does not carry over to it.
+        damping = slots("damping") * structure.damping_matrix()
+        return ShakenStructure(structure.altered(slots("mass"), slots("support")), spring, damping)
 
     def respond(
         self,
@@ -105,7 +105,7 @@ class Simulator(eqx.Module):
         conditions: Conditions,
         channels: tuple[str, ...] = (),
     ) -> Response:
-        """The response of one experiment.
+        """The response of one experiment, as the test rig measures it.
 
         Arguments:
             parameters: by name, SI.
@@ -118,9 +118,40 @@ class Simulator(eqx.Module):
         else:
             assert self.excitation is not None
             forcing, length = self.excitation(conditions.inputs).forcing(step, steps), step
-        return integrate(self.system(parameters), forcing, length, steps, channels=channels, every=every)
+        slots = self._setup(parameters)
+        if slots is not None and self.structure is not None:
+            forcing = Scaled(forcing, slots("ground_motion"))
+        elif slots is not None:
+            assert isinstance(forcing, Tabulated)
+            forcing = felt(forcing, slots, jax.numpy.asarray(length))
+        response = integrate(self.system(parameters), forcing, length, steps, channels=channels, every=every)
+        if slots is None:
+            return response
+        return measured(response, slots, length, every, is_imposed=self.structure is None)
 
     def quantities(self, parameters: Mapping[str, Scalar], conditions: Conditions, names: tuple[str, ...]):
         """The named quantities of one experiment, shape (len(names),), and whether it converged."""
         response = self.respond(parameters, conditions)
         return jax.numpy.stack([response.quantities[name] for name in names]), response.ok
+
+    def _given(self, parameters: Mapping[str, Scalar]) -> tuple[dict[str, Scalar], list[AbstractEffect]]:
+        """Parameters of the spring law, and the effects."""
+        law: dict[str, Scalar] = {}
+        of_effects: dict[str, dict[str, Scalar]] = {effect: {} for effect in self.effects}
+        for name, value in {**dict(self.constants), **parameters}.items():
+            effect, _, rest = name.rpartition(".")
+            if effect:
+                of_effects[effect].update(dimensionless(EFFECTS[effect], rest, value, self.scales))
+            else:
+                law[name] = value
+        return law, [EFFECTS[effect](**values) for effect, values in of_effects.items()]
+
+    def _setup(self, parameters: Mapping[str, Scalar]) -> Callable[[str], Any] | None:
+        """The slots of structure and test rig; None where no effect writes to them."""
+        effects = [effect for effect in self._given(parameters)[1] if isinstance(effect, AbstractSetupEffect)]
+        if not effects:
+            return None
+        structure = self.structure
+        masses, supports = (0, 0) if structure is None else (len(structure.masses), len(structure.supports))
+        setup = Setup(self.scales, masses, supports)
+        return combine([effect.contribute(setup) for effect in effects])

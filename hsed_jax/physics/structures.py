@@ -6,7 +6,7 @@ with b = +1 at the specimen's second end and −1 at its first (0 for the ground
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, final
+from typing import final
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,10 +17,12 @@ Scalar = Float[Array, ""] | float
 End = int | None
 
 
-class Spring(NamedTuple):
+@final
+class Spring(eqx.Module):
     """A linear spring between two masses (numbered from 0) or the ground (None), stiffness [N/m]."""
 
-    ends: tuple[End, End]
+    # Static: where a spring is decides what is computed, so a traced structure must not trace it.
+    ends: tuple[End, End] = eqx.field(static=True)
     stiffness: Scalar
 
 
@@ -102,9 +104,9 @@ class Structure(eqx.Module):
     def stiffness_matrix(self, specimen_stiffness: Scalar = 0.0) -> Float[Array, "m m"]:
         """K [N/m], the specimen counted with the given stiffness [N/m]."""
         matrix = jnp.zeros((len(self.masses),) * 2)
-        for ends, stiffness in (*self.springs, Spring(self.specimen, specimen_stiffness)):
-            b = self._incidence(ends)
-            matrix = matrix + stiffness * jnp.outer(b, b)
+        for spring in (*self.springs, Spring(self.specimen, specimen_stiffness)):
+            b = self._incidence(spring.ends)
+            matrix = matrix + spring.stiffness * jnp.outer(b, b)
         return matrix
 
     def damping_matrix(self) -> Float[Array, "m m"]:
@@ -120,6 +122,21 @@ class Structure(eqx.Module):
     def elongation(self, displacement: Sequence[Scalar]) -> Scalar:
         """Δu [m] of the specimen from the displacements [m]; likewise its rate from the velocities."""
         return difference(displacement, self.specimen)
+
+    @property
+    def supports(self) -> tuple[int, ...]:
+        """Which of the springs go to the ground."""
+        return tuple(i for i, spring in enumerate(self.springs) if None in spring.ends)
+
+    def altered(self, masses: ArrayLike, supports: ArrayLike) -> "Structure":
+        """The structure with factors on its masses, shape () or (m,), and on the springs to the ground, () or (supports,)."""
+        of_mass = jnp.broadcast_to(jnp.asarray(masses), len(self.masses))
+        of_support = jnp.broadcast_to(jnp.asarray(supports), len(self.supports))
+        springs = list(self.springs)
+        for i, factor in zip(self.supports, of_support, strict=True):
+            springs[i] = Spring(springs[i].ends, springs[i].stiffness * factor)
+        changed = [mass * factor for mass, factor in zip(self.masses, of_mass, strict=True)]
+        return Structure(changed, springs, self.specimen, self.damping)
 
     def _incidence(self, ends: tuple[End, End]) -> Float[Array, " m"]:
         b = jnp.zeros(len(self.masses))

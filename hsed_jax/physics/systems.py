@@ -59,16 +59,22 @@ class AbstractSystem(eqx.Module):
 
 @final
 class ShakenStructure(AbstractSystem):
-    """The structure with the specimen in it, driven by a ground acceleration [m/s²]."""
+    """The structure with the specimen in it, driven by a ground acceleration [m/s²].
+
+    Arguments:
+        structure: masses and springs, and where the specimen sits.
+        spring: the specimen.
+        damping: C [N·s/m], shape (m, m); None: that of the structure.
+    """
 
     structure: Structure
     spring: BoucWen
     damping: tuple[tuple[Scalar, ...], ...]
 
-    def __init__(self, structure: Structure, spring: BoucWen):
+    def __init__(self, structure: Structure, spring: BoucWen, damping: Float[Array, "m m"] | None = None):
         self.structure = structure
         self.spring = spring
-        matrix = structure.damping_matrix()
+        matrix = structure.damping_matrix() if damping is None else damping
         count = len(structure.masses)
         self.damping = tuple(tuple(matrix[i, j] for j in range(count)) for i in range(count))
 

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 
 from hsed_jax.criticism.compare import Comparison
+from hsed_jax.criticism.findings import Diagnosis
+from hsed_jax.criticism.improve import Trail
 from hsed_jax.criticism.locate import Location
 from hsed_jax.design.sequential import DesignState, SequentialDesign
 from hsed_jax.design.space import InputSpace
@@ -30,7 +32,10 @@ class Outcome:
         campaign: the experiments.
         space: of the inputs.
         design: the sequential design, and its state, steps (as in the journal) and reason to stop, where it ran.
-        fit, comparison, location: results of the steps that ran.
+        fit, comparison, location, diagnosis: results of the steps that ran.
+        remaining: where the model with the named effects still fails.
+        trail, improved, improved_comparison: the fall of the error, the improved model, and how far it is from the
+            measurements.
     """
 
     study: str
@@ -49,6 +54,11 @@ class Outcome:
     fit: Fit | None
     comparison: Comparison | None
     location: Location | None
+    diagnosis: Diagnosis | None
+    remaining: Location | None
+    trail: Trail | None
+    improved: Fit | None
+    improved_comparison: Comparison | None
 
     @property
     def estimates(self) -> np.ndarray:
@@ -79,6 +89,19 @@ def summary(outcome: Outcome) -> dict[str, Any]:
         content["comparison"] = outcome.comparison.summary()
     if outcome.location is not None and "comparison" in content:
         content["comparison"]["where"] = outcome.location.summary()
+    if outcome.diagnosis is not None:
+        content["diagnosis"] = outcome.diagnosis.summary()
+        if outcome.remaining is not None:
+            content["diagnosis"]["remaining"] = outcome.remaining.summary()
+    if outcome.trail is not None:
+        content["improvement"] = outcome.trail.summary()
+        if outcome.improved is not None and outcome.improved_comparison is not None:
+            content["improvement"] |= {
+                "map": outcome.improved.map,
+                "posterior": outcome.improved.summary(),
+                "divergences": outcome.improved.convergence.divergences,
+                "comparison": outcome.improved_comparison.summary(),
+            }
     if state is not None:
         assert outcome.design is not None
         estimates = outcome.estimates.T.tolist()

@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -11,8 +11,15 @@ from hsed_jax.physics.scales import Scales
 
 Scalar = Float[Array, ""] | float
 
-MULTIPLIED = ("a", "nu", "eta", "h")
-ADDED = ("force", "n", "gamma", "compliance", "slack")
+# The first line of each belongs to the spring, the second to structure and test rig.
+MULTIPLIED = (
+    *("a", "nu", "eta", "h"),
+    *("mass", "support", "damping", "ground_motion", "force_gain", "elongation_gain"),
+)
+ADDED = (
+    *("force", "n", "gamma", "compliance", "slack"),
+    *("force_offset", "force_drift", "elongation_delay", "force_delay"),
+)
 
 
 class SpringPoint(NamedTuple):
@@ -35,30 +42,83 @@ class SpringPoint(NamedTuple):
     strength: Scalar
 
 
+class Setup(NamedTuple):
+    """What an effect outside the spring may look at.
+
+    Attributes:
+        scales: characteristic values.
+        masses: number of masses of the structure (none in a component test).
+        supports: number of its springs that go to the ground.
+    """
+
+    scales: Scales
+    masses: int
+    supports: int
+
+
 class AbstractEffect(eqx.Module):
-    """A physical effect of the spring.
+    """A physical effect: what every kind of it declares, so that a diagnosis selects candidates without knowing names.
 
     A subclass is final, declares its parameters as fields (`hsed_jax.physics.parameters.parameter`) and returns its
-    contributions to the slots of the law (`hsed_jax.physics.bouc_wen`): factors on `a`, `nu`, `eta`, `h`; addends to `force`
-    [N], to `n`, to `gamma` (in units of β), to `compliance` (of what is in series with the element [m/N]) and to `slack` (the
-    elongation without force to either side [m]).  Contributions of several effects to one slot multiply (or add), so effects
-    commute.  At the neutral value of its parameters an effect contributes exactly nothing.
+    contributions to named slots.  Contributions of several effects to one slot multiply (or add), so effects commute.  At the
+    neutral value of its parameters an effect contributes exactly nothing.
 
     Attributes:
         name: as it stands in studies and reports.
         family: the kind of physics.
         reference: where it comes from.
-        needs: states of the spring that it looks at besides force and energy: `largest_elongation` [m], `travel` [m] (the
-            length of the path of Δu); two effects that need one state share it.
+        place: where the physics sits.
+        needs_time: it depends on rates or on time, not on the path alone: a test without a time scale cannot show it.
+        histories_only: it changes channels but no quantity.
+        shaken_only: it means nothing in a component test, and does nothing there.
     """
 
     name: ClassVar[str]
     family: ClassVar[str]
     reference: ClassVar[str]
+    place: ClassVar[Literal["spring", "structure", "test rig"]]
+    needs_time: ClassVar[bool] = False
+    histories_only: ClassVar[bool] = False
+    shaken_only: ClassVar[bool] = False
+
+
+class AbstractSpringEffect(AbstractEffect):
+    """An effect in the law of the spring (`hsed_jax.physics.bouc_wen`).
+
+    Slots: factors on `a`, `nu`, `eta`, `h`; addends to `force` [N], to `n`, to `gamma` (in units of β), to `compliance` (of
+    what is in series with the element [m/N]) and to `slack` (the elongation without force to either side [m]).
+
+    Attributes:
+        needs: states of the spring that it looks at besides force and energy: `largest_elongation` [m], `travel` [m] (the
+            length of the path of Δu); two effects that need one state share it.
+        states: names of states of its own, zero in a virgin spring; their rates are its `flow`.
+    """
+
+    place: ClassVar[Literal["spring", "structure", "test rig"]] = "spring"
     needs: ClassVar[tuple[str, ...]] = ()
+    states: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
+        """Contributions by slot."""
+
+    def flow(self, point: SpringPoint) -> dict[str, Scalar]:
+        """Time derivatives of its own states, by name."""
+        del point
+        return {}
+
+
+class AbstractSetupEffect(AbstractEffect):
+    """An effect outside the spring: in the structure, or in the test rig.
+
+    Slots: factors on `mass` (one per mass, shape (masses,)), on `support` (one per spring that goes to the ground, in order,
+    shape (supports,)), on `damping` (all of C), on `ground_motion`, and on the measured force and elongation (`force_gain`,
+    `elongation_gain`); addends `force_offset` [N], `force_drift` [N/s], `elongation_delay` [s] and `force_delay` [s] (by how
+    much the measured signal is late; `hsed_jax.physics.sensors`).
+    """
+
+    @abstractmethod
+    def contribute(self, setup: Setup) -> dict[str, Any]:
         """Contributions by slot."""
 
 

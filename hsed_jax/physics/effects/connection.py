@@ -1,14 +1,14 @@
 """What lies between the specimen and the structure: slack, and flexibility."""
 
-from typing import ClassVar, final
+from typing import ClassVar, Literal, final
 
-from hsed_jax.physics.effects.base import AbstractEffect, Scalar, SpringPoint, register
+from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
 from hsed_jax.physics.parameters import PhysicalForm, parameter
 
 
 @register
 @final
-class Gap(AbstractEffect):
+class Gap(AbstractSpringEffect):
     r"""A slack: no force within $\delta u_c$ to either side of the origin."""
 
     name: ClassVar[str] = "gap"
@@ -33,12 +33,13 @@ class Gap(AbstractEffect):
 
 @register
 @final
-class SupportFlexibility(AbstractEffect):
+class SupportFlexibility(AbstractSpringEffect):
     r"""A linear spring in series with the specimen: compliance $\delta u_c/F_c$."""
 
     name: ClassVar[str] = "support_flexibility"
     family: ClassVar[str] = "structure"
     reference: ClassVar[str] = "Clough & Penzien 2003, section 2-2"
+    place: ClassVar[Literal["spring", "structure", "test rig"]] = "structure"
 
     delta: Scalar = parameter(
         r"\delta_s",

@@ -2,13 +2,13 @@
 
 from typing import ClassVar, final
 
-from hsed_jax.physics.effects.base import AbstractEffect, Scalar, SpringPoint, register
+from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
 from hsed_jax.physics.parameters import PhysicalForm, parameter
 
 
 @register
 @final
-class StiffnessDegradation(AbstractEffect):
+class StiffnessDegradation(AbstractSpringEffect):
     r"""Stiffness falls with absorbed energy: $\eta = 1 + \delta\,e/E_c$, and $\dot z \propto 1/\eta$.
 
     In the paper's form $\eta_{ref} = \delta/E_c$ [1/J] (Eq. 15), with e = ∫ r dΔu, the total work of the spring.
@@ -35,7 +35,7 @@ class StiffnessDegradation(AbstractEffect):
 
 @register
 @final
-class StrengthDegradation(AbstractEffect):
+class StrengthDegradation(AbstractSpringEffect):
     r"""Strength falls with absorbed energy: $\nu = 1 + \delta\,e/E_c$ multiplies β and γ.
 
     The ultimate force of the element is $[A/(\nu(\beta+\gamma))]^{1/n}$.

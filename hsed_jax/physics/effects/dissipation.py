@@ -4,7 +4,7 @@ from typing import ClassVar, final
 
 import jax.numpy as jnp
 
-from hsed_jax.physics.effects.base import AbstractEffect, Scalar, SpringPoint, register
+from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
 from hsed_jax.physics.parameters import PhysicalForm, parameter
 
 # Friction turns over within this share of the characteristic rate: a jump would stall any integrator.
@@ -13,12 +13,13 @@ _STICKING = 0.02
 
 @register
 @final
-class ViscousDamping(AbstractEffect):
+class ViscousDamping(AbstractSpringEffect):
     r"""A linear dashpot in parallel: $\delta\,F_c\,\Delta\dot u/v_c$."""
 
     name: ClassVar[str] = "viscous_damping"
     family: ClassVar[str] = "damping"
     reference: ClassVar[str] = "Chopra 2017, section 1.4"
+    needs_time: ClassVar[bool] = True
 
     delta: Scalar = parameter(
         r"\delta_v",
@@ -36,12 +37,13 @@ class ViscousDamping(AbstractEffect):
 
 @register
 @final
-class QuadraticDamping(AbstractEffect):
+class QuadraticDamping(AbstractSpringEffect):
     r"""Drag, quadratic in the rate: $\delta\,F_c\,|\Delta\dot u|\Delta\dot u/v_c^2$."""
 
     name: ClassVar[str] = "quadratic_damping"
     family: ClassVar[str] = "damping"
     reference: ClassVar[str] = "Nayfeh & Mook 1979"
+    needs_time: ClassVar[bool] = True
 
     delta: Scalar = parameter(
         r"\delta_d",
@@ -60,12 +62,13 @@ class QuadraticDamping(AbstractEffect):
 
 @register
 @final
-class PowerDamping(AbstractEffect):
+class PowerDamping(AbstractSpringEffect):
     r"""A fluid damper in parallel: $\delta\,F_c\,|\Delta\dot u/v_c|^\alpha\,\mathrm{sign}\,\Delta\dot u$."""
 
     name: ClassVar[str] = "power_damping"
     family: ClassVar[str] = "damping"
     reference: ClassVar[str] = "Symans & Constantinou 1998"
+    needs_time: ClassVar[bool] = True
 
     delta: Scalar = parameter(
         r"\delta_\alpha",
@@ -89,7 +92,7 @@ class PowerDamping(AbstractEffect):
 
 @register
 @final
-class CoulombFriction(AbstractEffect):
+class CoulombFriction(AbstractSpringEffect):
     r"""Dry friction in parallel: $\delta\,F_c\,\tanh(\Delta\dot u/v_s)$, $v_s = 0.02\,v_c$."""
 
     name: ClassVar[str] = "coulomb_friction"
@@ -113,7 +116,7 @@ class CoulombFriction(AbstractEffect):
 
 @register
 @final
-class StribeckFriction(AbstractEffect):
+class StribeckFriction(AbstractSpringEffect):
     r"""Friction that falls with speed: $\delta\,F_c\,[\mu + (1-\mu)e^{-|\Delta\dot u|/v_r}]\tanh(\Delta\dot u/v_s)$.
 
     $v_s = 0.02\,v_c$; the share μ remains at high speed, $v_r = 0.2\,v_c$.
@@ -122,6 +125,7 @@ class StribeckFriction(AbstractEffect):
     name: ClassVar[str] = "stribeck_friction"
     family: ClassVar[str] = "friction"
     reference: ClassVar[str] = "Constantinou, Mokha & Reinhorn 1990"
+    needs_time: ClassVar[bool] = True
 
     delta: Scalar = parameter(
         r"\delta_s",

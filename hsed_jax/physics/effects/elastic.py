@@ -4,13 +4,13 @@ from typing import ClassVar, final
 
 import jax.numpy as jnp
 
-from hsed_jax.physics.effects.base import AbstractEffect, Scalar, SpringPoint, register
+from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
 from hsed_jax.physics.parameters import PhysicalForm, parameter
 
 
 @register
 @final
-class Hardening(AbstractEffect):
+class Hardening(AbstractSpringEffect):
     r"""A linear spring in parallel: $\delta\,\frac{F_c}{u_c}\,\Delta u$; negative is P-Δ."""
 
     name: ClassVar[str] = "hardening"
@@ -35,7 +35,7 @@ class Hardening(AbstractEffect):
 
 @register
 @final
-class CubicStiffness(AbstractEffect):
+class CubicStiffness(AbstractSpringEffect):
     r"""A cubic spring in parallel (Duffing): $\delta\,F_c\,(\Delta u/u_c)^3$."""
 
     name: ClassVar[str] = "cubic_stiffness"
@@ -59,7 +59,7 @@ class CubicStiffness(AbstractEffect):
 
 @register
 @final
-class QuadraticStiffness(AbstractEffect):
+class QuadraticStiffness(AbstractSpringEffect):
     r"""A quadratic spring in parallel, which pulls both ways alike: $\delta\,F_c\,(\Delta u/u_c)^2$."""
 
     name: ClassVar[str] = "quadratic_stiffness"
@@ -83,7 +83,7 @@ class QuadraticStiffness(AbstractEffect):
 
 @register
 @final
-class ContactStiffening(AbstractEffect):
+class ContactStiffening(AbstractSpringEffect):
     r"""An elastic stop behind a clearance: $\delta\,\frac{F_c}{u_c}\,\mathrm{sign}(\Delta u)\max(|\Delta u| - c\,u_c, 0)$."""
 
     name: ClassVar[str] = "contact_stiffening"

@@ -1,17 +1,17 @@
-"""Effects that remember more than absorbed energy: the largest elongation, or the length of the path."""
+"""Effects that remember more than absorbed energy: the largest elongation, the length of the path, a relaxing force."""
 
 from typing import ClassVar, final
 
 import jax
 import jax.numpy as jnp
 
-from hsed_jax.physics.effects.base import AbstractEffect, Scalar, SpringPoint, register
+from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
 from hsed_jax.physics.parameters import PhysicalForm, parameter
 
 
 @register
 @final
-class PeakSoftening(AbstractEffect):
+class PeakSoftening(AbstractSpringEffect):
     r"""Stiffness falls with the largest elongation reached: $a = 1/(1+\delta\max|\Delta u|/u_c)$."""
 
     name: ClassVar[str] = "peak_softening"
@@ -36,7 +36,7 @@ class PeakSoftening(AbstractEffect):
 
 @register
 @final
-class Slip(AbstractEffect):
+class Slip(AbstractSpringEffect):
     r"""A slip-lock element in series, which opens with the largest elongation.
 
     Its compliance is $c(z) = \sqrt{2/\pi}\,\frac{\delta\max|\Delta u|}{\sigma}e^{-z^2/2\sigma^2}$ with $\sigma = w z_u$,
@@ -70,7 +70,7 @@ class Slip(AbstractEffect):
 
 @register
 @final
-class Fracture(AbstractEffect):
+class Fracture(AbstractSpringEffect):
     r"""Part of the element is lost at a critical length: $-\delta z\,\mathrm{logistic}((s-s_c)/0.02 s_c)$."""
 
     name: ClassVar[str] = "fracture"
@@ -101,3 +101,48 @@ class Fracture(AbstractEffect):
         """An addend to `force`."""
         used = point.memory["travel"] / (self.life * point.scales.elongation)
         return {"force": -self.delta * point.hysteretic * jax.nn.sigmoid((used - 1) / 0.02)}
+
+
+@register
+@final
+class Relaxation(AbstractSpringEffect):
+    r"""A Maxwell element in parallel: $\delta q$ with $\dot q = \frac{F_c}{u_c}\Delta\dot u - q/\tau$.
+
+    Its time constant is $\tau = t\,u_c/v_c$; explicit integration needs steps below 2.7 τ.
+    """
+
+    name: ClassVar[str] = "relaxation"
+    family: ClassVar[str] = "rate"
+    reference: ClassVar[str] = "Maxwell 1867"
+    needs_time: ClassVar[bool] = True
+    # The element at δ = 1: its force is linear in δ, so that δ = 0 contributes nothing whatever the state is.
+    states: ClassVar[tuple[str, ...]] = ("relaxing",)
+
+    delta: Scalar = parameter(
+        r"\delta_m",
+        "1",
+        "stiffness of the element over characteristic stiffness",
+        neutral=0.0,
+        lower=0.0,
+        prior={"half_normal": 0.3},
+        physical=PhysicalForm("k", "N/m", lambda scales: scales.force / scales.elongation),
+    )
+    time: Scalar = parameter(
+        "t",
+        "1",
+        "time constant over characteristic time (elongation over rate)",
+        neutral=1.0,
+        lower=0.05,
+        prior={"lognormal": [0.0, 0.7]},
+        physical=PhysicalForm("tau", "s", lambda scales: scales.elongation / scales.rate),
+    )
+
+    def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
+        """An addend to `force`."""
+        return {"force": self.delta * point.memory["relaxing"]}
+
+    def flow(self, point: SpringPoint) -> dict[str, Scalar]:
+        """The rate of `relaxing` [N/s]."""
+        scales = point.scales
+        tau = self.time * scales.elongation / scales.rate
+        return {"relaxing": scales.force / scales.elongation * point.rate - point.memory["relaxing"] / tau}

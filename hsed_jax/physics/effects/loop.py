@@ -4,14 +4,17 @@ from typing import ClassVar, final
 
 import jax.numpy as jnp
 
-from hsed_jax.physics.effects.base import AbstractEffect, Scalar, SpringPoint, register
+from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
 from hsed_jax.physics.parameters import PhysicalForm, parameter
 
 
 @register
 @final
-class YieldSharpness(AbstractEffect):
-    r"""The exponent differs from the assumed one: $n + \delta$; larger n yields more sharply."""
+class YieldSharpness(AbstractSpringEffect):
+    r"""The exponent differs from the assumed one: $|z|^n \to |z|^n(|z|/z_u)^\delta$; a larger one yields more sharply.
+
+    $z_u$ is the strength of the element, which stays: with $|z|^{n+\delta}$ and the same β the strength would fall, too.
+    """
 
     name: ClassVar[str] = "yield_sharpness"
     family: ClassVar[str] = "hysteresis"
@@ -27,13 +30,13 @@ class YieldSharpness(AbstractEffect):
     )
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
-        """An addend to `n`."""
+        """An addend to `n`: the power of |z|/z_u."""
         return {"n": self.delta}
 
 
 @register
 @final
-class LoopShape(AbstractEffect):
+class LoopShape(AbstractSpringEffect):
     r"""γ differs from the assumed one: $\gamma + \delta\beta$; positive makes the loop thinner on loading, negative fuller."""
 
     name: ClassVar[str] = "loop_shape"
@@ -56,7 +59,7 @@ class LoopShape(AbstractEffect):
 
 @register
 @final
-class Asymmetry(AbstractEffect):
+class Asymmetry(AbstractSpringEffect):
     r"""β and γ differ with the sign of the force: $\nu = 1 + \delta\,\mathrm{sign}\,z$."""
 
     name: ClassVar[str] = "asymmetry"
@@ -80,7 +83,7 @@ class Asymmetry(AbstractEffect):
 
 @register
 @final
-class IsotropicHardening(AbstractEffect):
+class IsotropicHardening(AbstractSpringEffect):
     r"""Strength grows with absorbed energy and saturates: $1/\nu = 1 + \delta\,(1-e^{-e/(wE_c)})$."""
 
     name: ClassVar[str] = "isotropic_hardening"
@@ -114,12 +117,13 @@ class IsotropicHardening(AbstractEffect):
 
 @register
 @final
-class RateDependence(AbstractEffect):
+class RateDependence(AbstractSpringEffect):
     r"""Stiffness, and with it strength, grows with speed: $a = 1 + \delta\ln(1+|\Delta\dot u|/v_c)$."""
 
     name: ClassVar[str] = "rate_dependence"
     family: ClassVar[str] = "rate"
     reference: ClassVar[str] = "Malvar & Crawford 1998"
+    needs_time: ClassVar[bool] = True
 
     delta: Scalar = parameter(
         r"\delta_r",
@@ -137,7 +141,7 @@ class RateDependence(AbstractEffect):
 
 @register
 @final
-class Pinching(AbstractEffect):
+class Pinching(AbstractSpringEffect):
     r"""The loop narrows near zero force, more so as energy is absorbed.
 
     $$h = 1-\zeta_1\exp\!\Big(-\frac{(z\,\mathrm{sign}\,\Delta\dot u - q z_u)^2}{\zeta_2^2 z_u^2}\Big),\quad

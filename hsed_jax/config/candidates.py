@@ -1,0 +1,167 @@
+"""From a study and a campaign to the large model that a diagnosis works on: the study's model with every candidate in it."""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hsed_jax.config.build import Built
+from hsed_jax.config.schema import ImproveEntry, ScalesEntry, Study
+from hsed_jax.criticism.compare import compare
+from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.criticism.problem import Problem
+from hsed_jax.criticism.search import Measured
+from hsed_jax.errors import UserError
+from hsed_jax.inference.box import Box
+from hsed_jax.inference.lanes import Lanes
+from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.nested import NestedModels
+from hsed_jax.inference.observation import conditions_of
+from hsed_jax.inference.priors import Prior
+from hsed_jax.measurements import Campaign, Experiment, Record
+from hsed_jax.physics.effects import EFFECTS
+from hsed_jax.physics.parameters import parameters_of
+from hsed_jax.physics.simulator import Conditions
+
+# Experiments that could be made, to look for one that tells rivals apart.
+_CANDIDATES = 32
+# The conditions are padded to a multiple of this, so that campaigns of similar size share a compiled program.
+_PADDING = 16
+
+
+def applicable(built: Built, campaign: Campaign) -> list[str]:
+    """Effects of the catalogue that the model lacks and the measurements could show."""
+    has_time = campaign.has_time or not built.component_test
+    quantities = built.study.observe == "quantities"
+    return [
+        name
+        for name, effect in EFFECTS.items()
+        if name not in built.study.model.effects
+        and (has_time or not effect.needs_time)
+        and not (quantities and effect.histories_only)
+        and not (built.component_test and effect.shaken_only)
+    ]
+
+
+def with_effects(built: Built, effects: Sequence[str]) -> Study:
+    """The study with these effects added to its model, each with the priors of the catalogue, and its scales as they are.
+
+    Raises:
+        UserError: there is no such effect, or the model has it.
+    """
+    study = built.study
+    for name in effects:
+        if name not in EFFECTS:
+            raise UserError(f"there is no effect {name!r}; the catalogue has {', '.join(sorted(EFFECTS))}")
+        if name in study.model.effects:
+            raise UserError(f"the model has {name} already")
+    model = study.model.model_copy(update={"effects": {**study.model.effects, **{name: {} for name in effects}}})
+    larger = study.model_copy(update={"model": model})
+    scales = Built(larger, built.campaign).scales
+    return larger.model_copy(update={"scales": ScalesEntry(**scales._asdict()), "improve": ImproveEntry()})
+
+
+def problem_of(built: Built, campaign: Campaign, effects: Sequence[str] | None = None) -> Problem:
+    """The large model and the measurements.
+
+    Arguments:
+        built: the study.
+        campaign: its experiments.
+        effects: candidates; by default all that apply.
+    """
+    names = applicable(built, campaign) if effects is None else list(effects)
+    large = Built(with_effects(built, names), built.campaign)
+    free, _ = large.parameters
+    train, test = campaign.train.experiments, campaign.test.experiments
+    experiments = (*train, *test)
+    data = large.data(campaign, experiments)
+    inputs, further = _candidates(large, campaign)
+    parts = [data.conditions, *([] if further is None else [further])]
+    conditions = _padded(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts))
+    neutral = _neutral(free, names)
+    models = NestedModels(Lanes(large.simulator, large.observation, tuple(free), conditions), Box(free), neutral)
+    order = tuple(free)
+    own = {name: np.asarray([order.index(f"{name}.{p}") for p in parameters_of(EFFECTS[name])]) for name in names}
+    of_effects = {int(k) for columns in own.values() for k in columns}
+    errors = large.errors[0]
+    declared = np.asarray([float("nan") if isinstance(e, Prior) else float(e) for e in errors])
+    size = len(train)
+    measured = [
+        _measured(large, data, part, rows, declared)
+        for part, rows in ((train, slice(0, size)), (test, slice(size, None)))
+        if part
+    ]
+    return Problem(
+        models=models,
+        names=order,
+        units=large.units,
+        law=np.asarray([k for k in range(len(order)) if k not in of_effects]),
+        effects=own,
+        scales=large.scales,
+        train=measured[0],
+        test=measured[1] if test else None,
+        experiments=tuple(train),
+        outputs=large.outputs,
+        candidates=inputs,
+        seed=built.study.seed,
+    )
+
+
+def _neutral(free: dict[str, Prior], effects: Sequence[str]) -> np.ndarray:
+    values = []
+    for name, prior in free.items():
+        effect, _, parameter = name.rpartition(".")
+        if effect in effects:
+            neutral = parameters_of(EFFECTS[effect])[parameter].neutral
+            assert neutral is not None
+            values.append(neutral)
+        else:
+            values.append(float(prior.quantile(0.5)))
+    return np.asarray(values)
+
+
+def _measured(
+    large: Built, data: Data, experiments: Sequence[Experiment], rows: slice, declared: np.ndarray
+) -> Measured:
+    values, scales, used = (np.asarray(table)[rows] for table in (data.values, data.scales, data.weights))
+    groups = np.asarray(large.observation.groups)
+    sigma = np.where(np.isnan(declared), 0.0, declared)[groups] * scales
+    itself = Prediction(
+        large.outputs,
+        groups,
+        tuple(experiments),
+        values,
+        used > 0,
+        values,
+        values,
+        sigma,
+        sigma,
+        np.ones(len(values), bool),
+    )
+    noise = compare(itself, None, ~np.isnan(declared), 0, []).train.noise_floor
+    return Measured(values, scales, used > 0, groups, declared, noise)
+
+
+def _candidates(built: Built, campaign: Campaign) -> tuple[list[dict[str, float]], Conditions | None]:
+    """Inputs of experiments that could be made, in declared units, and their conditions; none without an excitation of inputs."""
+    space = built.space
+    if built.excitation is None or not space.names or built.component_test:
+        return [], None
+    declared = space.declared(space.initial_design(_CANDIDATES))
+    si = space.si(declared)
+    longest = max(campaign.train.experiments, key=lambda e: 0 if e.record is None else len(e.record))
+    conditions = []
+    for number in range(_CANDIDATES):
+        inputs = dict(longest.inputs) | {name: float(values[number]) for name, values in si.items()}
+        record = None if longest.record is None else Record(longest.record.time, {})
+        experiment = Experiment(f"candidate {number + 1}", inputs, record=record)
+        conditions.append(conditions_of(experiment, campaign, built.grid, built.excitation))
+    stacked = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf, dtype=float) for leaf in leaves]), *conditions)
+    return [dict(zip(space.names, row.tolist(), strict=True)) for row in declared], stacked
+
+
+def _padded(conditions: Conditions) -> Conditions:
+    size = jax.tree.leaves(conditions)[0].shape[0]
+    more = -size % _PADDING
+    return jax.tree.map(lambda leaf: jnp.concatenate([leaf, jnp.repeat(leaf[-1:], more, axis=0)]), conditions)

@@ -1,0 +1,221 @@
+"""Which physical effect is missing, how large it is, how sure that is, and what would tell it from its look-alikes."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from hsed_jax.criticism.compare import discrepancy_p_value
+from hsed_jax.criticism.findings import SIGNIFICANT, Candidate, Diagnosis
+from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.criticism.problem import Problem
+from hsed_jax.criticism.rivals import difference, joined, look_alikes_of, next_experiment, rivals_of
+from hsed_jax.criticism.search import Model, Search, Set, score_p_value
+from hsed_jax.inference.evidence import Sampled, importance
+from hsed_jax.inference.nested import Descent
+from hsed_jax.physics.effects import EFFECTS
+from hsed_jax.physics.parameters import parameters_of
+
+# Models with at least this probability have their evidence confirmed by sampling.
+_CLOSE = 0.01
+_MOST_CLOSE = 8
+_DRAWS = 300
+
+
+def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None) -> Diagnosis:
+    """Look for missing effects.
+
+    Arguments:
+        problem: the measurements and the large model.
+        report: called with what is being done, for a progress bar.
+    """
+
+    def is_explained(fit: Descent) -> bool:
+        # Where the noise explains the residual nothing is named, however well something may fit it.
+        probability = _p_value(problem, fit)
+        return probability is not None and probability >= SIGNIFICANT
+
+    search = Search(problem.models, problem.train, problem.law, problem.effects, is_explained, report)
+    search.start()
+    p_value = _p_value(problem, search.model(()).fit)
+    search.run()
+    report("probabilities and sizes")
+    models = search.all()
+    best, sampled, models = _confirmed(problem, search, models)
+    search.best = best.effects
+    probabilities = search.probabilities(models)
+    ranking = _ranking(problem, search, models, probabilities, sampled)
+    none = search.model(())
+    rivals = rivals_of(models, best)
+    look_alikes = look_alikes_of(problem, search, best) if best.effects else []
+    chosen, worth = None, None
+    if not best.effects:
+        verdict = "adequate" if p_value is None or p_value >= SIGNIFICANT else "unexplained"
+    elif rivals:
+        verdict = "ambiguous"
+        look_alikes = joined([*look_alikes, *(difference(best.effects, rival.effects) for rival in rivals)])
+        chosen, worth = next_experiment(problem, search, [best, *rivals])
+    else:
+        verdict = "missing_effects"
+    named = [c.effect for c in ranking if c.effect in best.effects]
+    tests = _test_errors(problem, search, [none.effects, best.effects])
+    return Diagnosis(
+        verdict=verdict,
+        effects=named,
+        ranking=ranking,
+        look_alikes=look_alikes,
+        next_experiment=chosen,
+        expected_log_bayes_factor=worth,
+        p_value=p_value,
+        p_value_after=_p_value(problem, best.fit) if best.effects else p_value,
+        error=(problem.train.error(none.fit.predicted), tests[0]),
+        error_after=(problem.train.error(best.fit.predicted), tests[1]),
+        noise_floor=problem.train.noise,
+        parameters={
+            "before": _law(problem, _sample(problem, search, none)),
+            "after": _law(problem, sampled[best.effects]),
+        },
+        prediction=_prediction(problem, best.fit, search.target.sigma),
+    )
+
+
+# Probabilities and sizes.
+
+
+def _sample(problem: Problem, search: Search, model: Model) -> Sampled:
+    return importance(model.fit, problem.models, search.target, _DRAWS, problem.seed)
+
+
+def _confirmed(problem: Problem, search: Search, models: list[Model]) -> tuple[Model, dict[Set, Sampled], list[Model]]:
+    """The best model after close calls were confirmed by sampling, the samples, and all models with their evidence."""
+    shares = search.probabilities(models)
+    close = [m for m, share in zip(models, shares, strict=True) if share >= _CLOSE][:_MOST_CLOSE]
+    chosen = search.model(search.best)
+    if all(m.effects != chosen.effects for m in close):
+        close.append(chosen)
+    sampled = {m.effects: _sample(problem, search, m) for m in close}
+    confirmed = []
+    for m in models:
+        found = sampled.get(m.effects)
+        if found is not None and found.effective >= 30:
+            m = m._replace(
+                log_evidence=found.log_evidence,
+                log_posterior=m.log_posterior - m.log_evidence + found.log_evidence,
+            )
+        confirmed.append(m)
+    confirmed.sort(key=lambda m: -m.log_posterior)
+    # Only an exchange is left to be decided: whether there is one more effect was a matter of odds.
+    same_size = [m for m in confirmed if len(m.effects) == len(chosen.effects) and m.effects in sampled]
+    return same_size[0], sampled, confirmed
+
+
+def _ranking(
+    problem: Problem, search: Search, models: list[Model], probabilities: np.ndarray, sampled: dict[Set, Sampled]
+) -> list[Candidate]:
+    by_set = {m.effects: m for m in models}
+    best = search.best
+    shown: dict[str, tuple[Model, Model]] = {}
+    for effect in problem.effects:
+        if effect in best:
+            shown[effect] = by_set[best], by_set.get(best - {effect}) or search.model(best - {effect})
+            continue
+        # In place of what the best model has, else beside it.
+        options = [m for m in models if effect in m.effects and m.effects - {effect} in by_set]
+        instead = [m for m in options if len(m.effects) <= max(len(best), 1)] or options
+        shown[effect] = (instead[0], by_set[instead[0].effects - {effect}])
+    tests = _test_errors(problem, search, [m.effects for m, _ in shown.values()])
+    found = []
+    for (effect, (model, without)), test in zip(shown.items(), tests, strict=True):
+        inside = np.asarray([effect in m.effects for m in models])
+        sample = sampled.get(model.effects)
+        score = search.scores[effect]
+        found.append(
+            Candidate(
+                effect=effect,
+                family=EFFECTS[effect].family,
+                probability=min(float(probabilities[inside].sum()), 1.0),
+                log_evidence_gain=model.log_evidence - without.log_evidence,
+                score=score,
+                score_p_value=score_p_value(score),
+                estimate=_estimate(problem, effect, model.fit, sample),
+                error_train=problem.train.error(model.fit.predicted),
+                error_test=test,
+            )
+        )
+    # Named effects come first, by what the model would lose without them.
+    return sorted(found, key=lambda c: (c.effect not in best, -c.log_evidence_gain if c.effect in best else -c.probability,
+                                        -c.log_evidence_gain))  # fmt: skip
+
+
+def _estimate(problem: Problem, effect: str, fit: Descent, sample: Sampled | None) -> dict[str, dict[str, Any]]:
+    """Mean, sd and quantiles of an effect's parameters, from draws or else from the curvature at the fit."""
+    found: dict[str, dict[str, Any]] = {}
+    theta = problem.models.theta(fit.x, fit.free)
+    for known in parameters_of(EFFECTS[effect]).values():
+        column = problem.names.index(f"{effect}.{known.name}")
+        if sample is not None:
+            numbers = sample.moments(column)
+        else:
+            sd = _deviation(problem, fit, column)
+            mean = float(theta[column])
+            numbers = {
+                "mean": mean,
+                "sd": sd,
+                "q05": max(mean - 1.645 * sd, known.lower),
+                "q95": min(mean + 1.645 * sd, known.upper),
+            }
+        found[known.name] = numbers | {"unit": known.unit}
+        if known.physical is not None:
+            factor = known.physical.factor(problem.scales)
+            found[known.physical.name] = {k: v * factor for k, v in numbers.items()} | {"unit": known.physical.unit}
+    return found
+
+
+def _deviation(problem: Problem, fit: Descent, column: int) -> float:
+    """Sd of a parameter by linear propagation of the curvature, no wider than its prior."""
+    covariance = np.linalg.inv(fit.hessian + 1e-6 * np.eye(len(fit.free)))
+    place = int(np.flatnonzero(fit.free == column)[0])
+    step = min(math.sqrt(covariance[place, place]), 1.0)
+    moved = fit.x.copy()
+    moved[column] += step
+    box = problem.models.box
+    return float(abs(box.theta(moved)[column] - box.theta(fit.x)[column]))
+
+
+def _law(problem: Problem, sample: Sampled) -> dict[str, dict[str, float]]:
+    return {problem.names[k]: sample.moments(int(k)) for k in problem.law}
+
+
+def _test_errors(problem: Problem, search: Search, sets: Sequence[Set]) -> list[float]:
+    """Errors on experiments that were not used."""
+    if problem.test is None:
+        return search.held_out(sets)
+    rows = len(problem.train.values) + np.arange(len(problem.test.values))
+    fits = [search.model(s).fit for s in sets]
+    outputs, _ = problem.models.predict([(f.x, f.free) for f in fits], rows)
+    return [problem.test.error(predicted) for predicted in outputs]
+
+
+def _prediction(problem: Problem, fit: Descent, sigma: np.ndarray) -> Prediction:
+    train = problem.train
+    return Prediction(
+        problem.outputs,
+        train.groups,
+        problem.experiments,
+        train.values,
+        train.used,
+        fit.predicted,
+        fit.predicted,
+        sigma,
+        sigma,
+        np.ones(len(train.values), dtype=bool),
+    )
+
+
+def _p_value(problem: Problem, fit: Descent) -> float | None:
+    """Probability of the residual from the noise alone: the declared one, or else the residual's own size."""
+    train = problem.train
+    is_declared = ~np.isnan(train.declared)
+    errors = np.where(is_declared, train.declared, 1.0)[train.groups] * train.scales
+    return discrepancy_p_value(_prediction(problem, fit, errors), is_declared, len(fit.free))

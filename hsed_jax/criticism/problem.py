@@ -1,0 +1,58 @@
+"""What a diagnosis works on: the measurements, and the model with every candidate effect in it."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from hsed_jax.criticism.search import Measured
+from hsed_jax.inference.nested import NestedModels
+from hsed_jax.measurements import Experiment
+from hsed_jax.physics.scales import Scales
+
+
+class Problem(NamedTuple):
+    """What a diagnosis works on.
+
+    Attributes:
+        models: the model with every candidate effect in it.
+        names, units: of its parameters.
+        law: indices of the parameters that are free without any candidate.
+        effects: indices of the parameters of each candidate.
+        scales: characteristic values.
+        train, test: measured experiments; the first rows of the lanes' conditions, in this order.
+        experiments: the training experiments.
+        outputs: names of the outputs.
+        candidates: inputs of experiments that could be made, in declared units; the rows after those measured.
+        seed: of random numbers.
+    """
+
+    models: NestedModels
+    names: tuple[str, ...]
+    units: Mapping[str, str]
+    law: np.ndarray
+    effects: Mapping[str, np.ndarray]
+    scales: Scales
+    train: Measured
+    test: Measured | None
+    experiments: tuple[Experiment, ...]
+    outputs: tuple[str, ...]
+    candidates: Sequence[dict[str, float]]
+    seed: int
+
+    @property
+    def rows(self) -> int:
+        """How many experiments were measured."""
+        return len(self.train.values) + (0 if self.test is None else len(self.test.values))
+
+    def sigma(self, errors: Float[np.ndarray, " G"], predicted: Float[np.ndarray, "r J"]) -> Float[np.ndarray, "r J"]:
+        """Errors of experiments that were not made, from predictions: relative ones need a magnitude."""
+        groups, train = self.train.groups, self.train
+        sigma = np.empty_like(predicted)
+        for g in np.unique(groups):
+            own = groups == g
+            scale = np.sqrt(np.mean(predicted[:, own] ** 2, axis=1, keepdims=True))
+            is_absolute = bool(np.all(train.scales[:, own] == 1.0))
+            sigma[:, own] = errors[g] * (1.0 if is_absolute else np.maximum(scale, 1e-300))
+        return sigma

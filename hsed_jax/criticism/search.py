@@ -1,0 +1,362 @@
+r"""Which set of effects do the measurements support?  A search over nested models, by evidence.
+
+Forward steps add the effect that is supported best; after each, every model one change away (an effect less, one more, one
+exchanged for another) is fitted, so that a wrong first step is taken back.  Sets of k out of K effects share the prior
+probability of their size, $2^{-k-1}/\binom{K}{k}$: looking at thirty candidates does not invent physics.
+
+**How wrong a model may be is learned, not assumed.**  A real specimen follows no textbook formula.  All models of a round are
+therefore judged with the errors that the best of them leaves: the error of an output is the declared one or that model's
+residual, whichever is larger, and samples of a correlated residual count for what they are worth
+(`hsed_jax.inference.correlation`).  Where the noise is all there is, both are as declared.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.special import logsumexp
+from scipy.stats import chi2, qmc
+
+from hsed_jax.criticism.compare import normalised_error
+from hsed_jax.inference.correlation import worths
+from hsed_jax.inference.evidence import laplace
+from hsed_jax.inference.nested import Descent, NestedModels, Target, Task
+
+MOST_EFFECTS = 4
+# Posterior odds that a further effect needs.
+_ODDS = 10.0
+# Share of what the noise does not explain that a further effect takes away, unless nothing is left after it.
+_MATERIAL = 0.05
+# Nats by which a model may fit worse than one it contains, before it is fitted again from there.
+_CAUGHT = 5.0
+_FOLDS = 6
+_BLOCKS = 3
+
+Set = frozenset[str]
+
+
+class Measured(NamedTuple):
+    """The training experiments.
+
+    Attributes:
+        values, scales: measured outputs and c in σ = s·c, SI, (n, J).
+        used: where there is a measurement, (n, J).
+        groups: output of each column, (J,).
+        declared: s of each output, NaN where it is not declared, (G,).
+        noise: noise floor of the error (`hsed_jax.criticism.compare`).
+    """
+
+    values: Float[np.ndarray, "n J"]
+    scales: Float[np.ndarray, "n J"]
+    used: Bool[np.ndarray, "n J"]
+    groups: Int[np.ndarray, " J"]
+    declared: Float[np.ndarray, " G"]
+    noise: float
+
+    def error(self, predicted: np.ndarray) -> float:
+        """Normalised error of predictions (n, J)."""
+        return normalised_error(self.values, predicted, self.used, self.groups)
+
+
+class Model(NamedTuple):
+    """A set of effects, fitted.
+
+    Attributes:
+        effects: the set.
+        fit: where its fit ended.
+        log_evidence: log Z.
+        log_posterior: log Z plus the log prior of the set.
+    """
+
+    effects: Set
+    fit: Descent
+    log_evidence: float
+    log_posterior: float
+
+
+class Search:
+    """The search, and what it has found.
+
+    Arguments:
+        models: the large model.
+        measured: the experiments to fit.
+        law: indices of the parameters that every model has.
+        effects: indices of the parameters of each candidate, the amplitude first.
+        is_explained: whether the noise explains the residual of a fit; nothing is added to it then.
+        report: called with a line and the share done, for a progress bar.
+
+    Attributes:
+        target: what the last round was judged with; `errors` s and `worth` per output are what it was made of.
+        best: the set that is supported.
+        path: the sets that were best, from none on.
+    """
+
+    def __init__(
+        self,
+        models: NestedModels,
+        measured: Measured,
+        law: Int[np.ndarray, " p"],
+        effects: Mapping[str, Int[np.ndarray, " q"]],
+        is_explained: Callable[[Descent], bool],
+        report: Callable[[str], None] = lambda line: None,
+    ):
+        self._is_explained = is_explained
+        self.models, self.measured, self.law, self.effects = models, measured, law, dict(effects)
+        self._report = report
+        self._fits: dict[Set, Descent] = {}
+        self._uses = _uses(measured.used, measured.groups)
+        self.errors = np.where(np.isnan(measured.declared), 0.3, measured.declared)
+        self.worth = np.ones(len(self.errors))
+        self.target = self._target()
+        self.best: Set = frozenset()
+        self.path: list[Set] = [self.best]
+        self.scores: dict[str, float] = {}
+
+    def run(self) -> None:
+        """Search, from the model as it is."""
+        while True:
+            self._report(f"models around {_text(self.best)}")
+            self._fit(self._neighbours())
+            self._judge()
+            found = self._next()
+            if found == self.best:
+                return
+            if found in self.path:
+                self.best = found
+                self._judge()
+                return
+            self.best = found
+            self.path.append(found)
+
+    def model(self, effects: Iterable[str]) -> Model:
+        """A model that was fitted."""
+        chosen = frozenset(effects)
+        fit = self._fits[chosen]
+        log_evidence = laplace(fit, self.models)
+        return Model(chosen, fit, log_evidence, log_evidence + self._log_prior(len(chosen)))
+
+    def all(self) -> list[Model]:
+        """All models that were fitted to the end of the last round, the most probable first."""
+        found = [self.model(effects) for effects in self._around()]
+        return sorted(found, key=lambda m: -m.log_posterior)
+
+    def probabilities(self, models: Sequence[Model]) -> np.ndarray:
+        """Posterior probabilities of models, among themselves."""
+        heights = np.asarray([m.log_posterior for m in models])
+        return np.exp(heights - logsumexp(heights))
+
+    def held_out(self, chosen: Sequence[Set]) -> list[float]:
+        """Error on experiments left out in turn (blocks of time where there is one experiment), for several sets."""
+        tasks = [
+            Task(self._free(effects), self._fits[effects].x, use)
+            for effects in chosen
+            for use in range(1, len(self._uses))
+        ]
+        fits = self.models.fit(self.target, tasks)
+        rows = np.arange(len(self.measured.values))
+        everywhere, _ = self.models.predict([(f.x, f.free) for f in fits], rows)
+        errors = []
+        folds = len(self._uses) - 1
+        for number in range(len(chosen)):
+            predicted = np.zeros_like(self.measured.values)
+            for fold in range(folds):
+                left_out = self.measured.used & ~self._uses[fold + 1]
+                predicted = np.where(left_out, everywhere[number * folds + fold], predicted)
+            errors.append(self.measured.error(predicted))
+        return errors
+
+    # The rounds.
+
+    def start(self) -> None:
+        """The model without further effects, and a first look at every candidate from its gradient."""
+        self._report("the model as it is")
+        starts = np.tile(self.models.neutral, (8, 1))
+        shares = 0.1 + 0.8 * qmc.Sobol(len(self.law), scramble=True, rng=0).random_base2(3)
+        starts[1:, self.law] = self.models.box.quantiles(self.law, shares[1:])
+        none: Set = frozenset()
+        tasks = [Task(self.law, start, rivals=0) for start in starts]
+        for _ in range(2):
+            ends = self.models.fit(self.target, tasks)
+            self._fits[none] = min(ends, key=lambda f: f.cost)
+            self.target = self._judged_by(self._fits[none])
+            tasks = [Task(self.law, self._fits[none].x)]
+        self.scores = self._score_tests()
+
+    def _fit(self, sets: Iterable[Set]) -> None:
+        """Fit what has not been fitted, from several starts; the rest goes on from where it was."""
+        tasks, owners = [], []
+        for number, effects in enumerate(sets):
+            if effects in self._fits:
+                continue
+            for start in self._starts(effects):
+                tasks.append(Task(self._free(effects), start, rivals=number))
+                owners.append(effects)
+        for owner, fit in zip(owners, self.models.fit(self.target, tasks), strict=True):
+            if owner not in self._fits or fit.cost < self._fits[owner].cost:
+                self._fits[owner] = fit
+
+    def _judge(self) -> None:
+        """Take the errors from the best model of the round, and fit all again with them."""
+        around = self._around()
+        for _ in range(2):
+            lowest = min(around, key=lambda s: self._fits[s].cost - self._log_prior(len(s)))
+            self.target = self._judged_by(self._fits[lowest])
+            self._go_on(around, {s: self._fits[s].x for s in around})
+            # A model cannot fit worse than one that it contains: where it does, it was caught on the way.
+            caught = {s: x for s in around if (x := self._better_start(s)) is not None}
+            self._go_on(list(caught), caught)
+
+    def _go_on(self, sets: Sequence[Set], starts: Mapping[Set, np.ndarray]) -> None:
+        ends = self.models.fit(self.target, [Task(self._free(s), starts[s]) for s in sets])
+        self._fits |= dict(zip(sets, ends, strict=True))
+
+    def _better_start(self, effects: Set) -> np.ndarray | None:
+        """The end of a contained model that fits better, the further effects nearly absent; None where there is none."""
+        inside = [effects - {e} for e in effects if effects - {e} in self._fits]
+        if not inside:
+            return None
+        lowest = min(inside, key=lambda s: self._fits[s].cost)
+        if self._fits[effects].cost <= self._fits[lowest].cost + _CAUGHT:
+            return None
+        start = self._fits[effects].x.copy()
+        kept = self._free(lowest)
+        start[kept] = self._fits[lowest].x[kept]
+        for effect in effects - lowest:
+            start[self.effects[effect][0]] = self.models.neutral[self.effects[effect][0]]
+        return start
+
+    def _next(self) -> Set:
+        """The set to go on from: the best one, if it is supported, material and predicts what was left out."""
+        here = self.model(self.best)
+        ranked = sorted((self.model(s) for s in self._around()), key=lambda m: -m.log_posterior)
+        for candidate in ranked:
+            if candidate.log_posterior <= here.log_posterior:
+                break
+            if len(candidate.effects) <= len(self.best):
+                return candidate.effects
+            if self._is_explained(here.fit):
+                continue
+            odds = candidate.log_posterior - here.log_posterior
+            if odds > math.log(_ODDS) and self._is_material(candidate, here):
+                left_out = self.held_out([self.best, candidate.effects])
+                if left_out[1] < left_out[0]:
+                    return candidate.effects
+        return self.best
+
+    def _is_material(self, candidate: Model, here: Model) -> bool:
+        floor = self.measured.noise**2
+        before, now, then = (
+            max(self.measured.error(m.fit.predicted) ** 2 - floor, 0.0) for m in (self.model(()), here, candidate)
+        )
+        return now - then >= _MATERIAL * before
+
+    def _neighbours(self) -> list[Set]:
+        """The sets one change away from the best."""
+        best, others = self.best, [e for e in self.effects if e not in self.best]
+        fewer = [best - {e} for e in best]
+        exchanged = [best - {out} | {new} for out in best for new in others]
+        may_grow = len(best) < MOST_EFFECTS and (not best or not self._is_explained(self._fits[best]))
+        more = [best | {new} for new in others] if may_grow else []
+        return [best, *fewer, *exchanged, *more]
+
+    def _around(self) -> list[Set]:
+        return [s for s in dict.fromkeys([frozenset(), *self.path, *self._neighbours()]) if s in self._fits]
+
+    def _starts(self, effects: Set) -> list[np.ndarray]:
+        """Points to fit a set from: the best fitted subset, with what it lacks at several values."""
+        known = max((s for s in self._fits if s < effects), key=lambda s: (len(s), -self._fits[s].cost))
+        new = [k for effect in sorted(effects - known) for k in self.effects[effect]]
+        shares = _spread(len(new))
+        starts = np.tile(self._fits[known].x, (len(shares), 1))
+        starts[:, new] = self.models.box.quantiles(np.asarray(new), shares)
+        return list(starts)
+
+    def _score_tests(self) -> dict[str, float]:
+        r"""Rao's score statistic of each candidate's amplitude at its neutral value, $\chi^2_1$ where it is absent.
+
+        Source: Rao 1948; the law's parameters are projected out.
+        """
+        fit = self._fits[frozenset()]
+        amplitudes = [columns[0] for columns in self.effects.values()]
+        step = 1e-3
+        x = self.models.neutral.copy()
+        x[self.law] = fit.x[self.law]
+        points = [(x, self.law)]
+        for k in (*self.law, *amplitudes):
+            moved = x.copy()
+            moved[k] += -step if moved[k] + step > self.models.box.high[k] else step
+            points.append((moved, np.append(self.law, k)))
+        rows = np.arange(len(self.measured.values))
+        outputs, ok = self.models.predict(points, rows)
+        root = np.sqrt(self.target.weights[0]) / self.target.sigma
+        residual = (root * (self.measured.values - outputs[0])).ravel()
+        slopes = (root * (outputs[1:] - outputs[0]) * ok[1:, :, None]).reshape(len(points) - 1, -1) / step
+        basis, _ = np.linalg.qr(slopes[: len(self.law)].T)
+        found = {}
+        for effect, slope in zip(self.effects, slopes[len(self.law) :], strict=True):
+            own = slope - basis @ (basis.T @ slope)
+            power = float(own @ own)
+            found[effect] = (
+                float(own @ residual) ** 2 / power if power > 1e-12 * float(slope @ slope) and power > 0 else 0.0
+            )
+        return found
+
+    # What models are judged with.
+
+    def _judged_by(self, fit: Descent) -> Target:
+        residual = np.where(self.measured.used, (fit.predicted - self.measured.values) / self.measured.scales, 0.0)
+        outputs = range(len(self.measured.declared))
+        left = []
+        for output in outputs:
+            own = self.measured.used & (self.measured.groups == output)
+            left.append(float(np.sqrt(np.mean(residual[own] ** 2))) if own.any() else 1.0)
+        self.errors = np.fmax(self.measured.declared, np.maximum(left, 1e-9))
+        self.worth = worths(residual, self.measured.used.astype(float), self.measured.groups)
+        return self._target()
+
+    def _target(self) -> Target:
+        groups = self.measured.groups
+        sigma = np.where(self.measured.used, self.errors[groups] * self.measured.scales, 1.0)
+        return Target(self.measured.values, sigma, self._uses * self.worth[groups])
+
+    def _free(self, effects: Set) -> np.ndarray:
+        return np.concatenate([self.law, *(self.effects[e] for e in sorted(effects))]).astype(int)
+
+    def _log_prior(self, size: int) -> float:
+        return -(size + 1) * math.log(2) - math.log(math.comb(len(self.effects), size))
+
+
+def score_p_value(statistic: float) -> float:
+    """Probability of a score statistic like this where the effect is absent."""
+    return float(chi2.sf(statistic, 1))
+
+
+def _uses(used: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    """All the data, then the data without each fold: experiments in turn, or blocks of time of a single one."""
+    n = len(used)
+    if n > 1:
+        fold = np.broadcast_to((np.arange(n) % min(n, _FOLDS))[:, None], used.shape)
+    else:
+        fold = np.zeros(used.shape, dtype=int)
+        for own in (groups == g for g in np.unique(groups)):
+            order = np.cumsum(used[0, own]) - 1
+            fold[0, own] = np.clip(order * _BLOCKS // max(int(used[0, own].sum()), 1), 0, _BLOCKS - 1)
+    return np.stack([used, *(used & (fold != k) for k in range(int(fold.max()) + 1))])
+
+
+def _starts(parameters: int) -> int:
+    return 4 if parameters == 1 else 2 * (parameters + 1)
+
+
+def _spread(parameters: int) -> np.ndarray:
+    """Shares of the priors to start from, (starts, parameters)."""
+    if parameters == 1:
+        return np.asarray([[0.1], [0.35], [0.65], [0.9]])
+    count = _starts(parameters)
+    return 0.1 + 0.8 * qmc.Sobol(parameters, scramble=True, rng=1).random_base2(count.bit_length())[:count]
+
+
+def _text(effects: Set) -> str:
+    return " + ".join(sorted(effects)) or "the model as it is"

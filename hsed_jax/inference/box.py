@@ -1,0 +1,111 @@
+"""Standardised coordinates in a box: what a search over many nested models works in.
+
+Each parameter becomes a number of order one with a lower and an upper bound, either linear in θ or, where the prior lives on a
+logarithmic scale, in its logarithm.  A bound stays a bound: an amplitude that cannot be negative has its neutral value *on*
+it, which no unconstrained coordinate can hold.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.interpolate import CubicSpline
+
+from hsed_jax.inference.priors import Prior
+
+# A density is tabulated between these quantiles.
+_TAIL, _KNOTS = 1e-6, 257
+
+
+class Terms(NamedTuple):
+    """Log density of some coordinates, its slope and its curvature (minus the second derivative, not negative), (q,)."""
+
+    value: Float[np.ndarray, " q"]
+    slope: Float[np.ndarray, " q"]
+    curvature: Float[np.ndarray, " q"]
+
+
+class Box:
+    """Coordinates x of several parameters θ.
+
+    Attributes:
+        names: of the parameters, P of them.
+        low, high: bounds of x, (P,); infinite where there is none.
+    """
+
+    def __init__(self, priors: Mapping[str, Prior]):
+        self.names = tuple(priors)
+        self._priors = tuple(priors.values())
+        self._is_log = np.asarray([_is_logarithmic(prior) for prior in self._priors], dtype=bool)
+        shares = np.asarray([0.16, 0.5, 0.84])
+        rows = np.asarray([np.asarray(prior.quantile(shares), dtype=float) for prior in self._priors]).reshape(-1, 3)
+        rows = np.where(self._is_log[:, None], np.log(np.where(self._is_log[:, None], rows, 1.0)), rows)
+        self._middle, self._spread = rows[:, 1], 0.5 * (rows[:, 2] - rows[:, 0])
+        bounds = np.asarray([_bounds(prior) for prior in self._priors]).reshape(-1, 2)
+        bounds[self._is_log] = -np.inf, np.inf
+        self.low, self.high = ((side - self._middle) / self._spread for side in bounds.T)
+        self._quantiles: dict[tuple[int, tuple[float, ...]], np.ndarray] = {}
+        self._densities = [self._density(k) for k in range(len(self.names))]
+
+    def theta(self, x: np.ndarray) -> np.ndarray:
+        """θ(x), SI, last axis P."""
+        plain = self._middle + self._spread * x
+        return np.where(self._is_log, np.exp(np.where(self._is_log, plain, 0.0)), plain)
+
+    def x(self, theta: np.ndarray) -> np.ndarray:
+        """x(θ), last axis P."""
+        plain = np.where(self._is_log, np.log(np.where(self._is_log, theta, 1.0)), theta)
+        return (plain - self._middle) / self._spread
+
+    def quantiles(self, columns: np.ndarray, shares: np.ndarray) -> np.ndarray:
+        """x of the given columns (indices) below which these shares of their priors lie, (B, len(columns))."""
+        found = [self._quantile(int(k), tuple(s)) for k, s in zip(columns, shares.T, strict=True)]
+        theta = np.tile(self._middle, (len(shares), 1))
+        theta[:, columns] = np.stack(found, axis=1)
+        return self.x(np.where(self._is_log & (theta <= 0), 1.0, theta))[:, columns]
+
+    def log_density(self, x: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Log prior density in x of the given columns (indices), x of shape (B, P), result (B, len(columns))."""
+        return np.stack([self._densities[k](x[:, k]) for k in columns], axis=1)
+
+    def terms(self, x: np.ndarray, columns: np.ndarray) -> Terms:
+        """Log prior density in x, slope and curvature of the given columns, x of shape (P,), results (len(columns),)."""
+        value, slope, second = (
+            np.asarray([float(self._densities[k](x[k], order)) for k in columns]) for order in range(3)
+        )
+        return Terms(value, slope, np.maximum(-second, 0.0))
+
+    def _quantile(self, k: int, shares: tuple[float, ...]) -> np.ndarray:
+        if (k, shares) not in self._quantiles:
+            self._quantiles[k, shares] = np.asarray(self._priors[k].quantile(np.asarray(shares)), dtype=float)
+        return self._quantiles[k, shares]
+
+    def _density(self, k: int) -> CubicSpline:
+        """Log density of one coordinate as a spline over its prior, exact where that is normal or uniform."""
+        shares = np.asarray([_TAIL, 1 - _TAIL])
+        ends = self.quantiles(np.asarray([k]), shares[:, None])[:, 0]
+        low, high = np.clip(ends, self.low[k], self.high[k])
+        x = np.tile(np.zeros(len(self.names)), (_KNOTS, 1))
+        x[:, k] = np.linspace(low, high, _KNOTS)
+        theta = self.theta(x)[:, k]
+        values = np.asarray(self._priors[k].log_density(jnp.asarray(theta)), dtype=float) + np.log(self._spread[k])
+        if self._is_log[k]:
+            values += np.log(theta)
+        return CubicSpline(x[:, k], values)
+
+
+def _bounds(prior: Prior) -> tuple[float, float]:
+    low, high = prior.bounds
+    return (-np.inf if low is None else low), (np.inf if high is None else high)
+
+
+def _is_logarithmic(prior: Prior) -> bool:
+    """Whether a prior lives on a logarithmic scale: positive, without an upper bound, and without density at zero."""
+    low, high = prior.bounds
+    if low != 0.0 or high is not None:
+        return False
+    middle = float(prior.quantile(0.5))
+    near_zero, there = (float(prior.log_density(jnp.asarray(value))) for value in (1e-9 * middle, middle))
+    return near_zero < there - 20.0

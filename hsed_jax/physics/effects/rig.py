@@ -1,0 +1,185 @@
+"""Errors of the test rig: what was shaken is not what was wanted, what was measured is not what happened."""
+
+from typing import Any, ClassVar, Literal, final
+
+from hsed_jax.physics.effects.base import AbstractSetupEffect, Scalar, Setup, register
+from hsed_jax.physics.parameters import PhysicalForm, parameter
+from hsed_jax.physics.scales import Scales
+
+# A drift is told by what it adds up to over this many characteristic times.
+_DRIFTING = 100.0
+
+
+def _time(scales: Scales) -> Scalar:
+    """Characteristic time u_c/v_c [s]."""
+    return scales.elongation / scales.rate
+
+
+class _AbstractRigEffect(AbstractSetupEffect):
+    place: ClassVar[Literal["spring", "structure", "test rig"]] = "test rig"
+
+
+@register
+@final
+class GroundMotionGain(_AbstractRigEffect):
+    r"""The ground motion was scaled: $(1+\delta)\,a_g$."""
+
+    name: ClassVar[str] = "ground_motion_gain"
+    family: ClassVar[str] = "test rig"
+    reference: ClassVar[str] = "Conte & Trombetti 2000 (shaking tables)"
+    shaken_only: ClassVar[bool] = True
+
+    delta: Scalar = parameter(
+        r"\delta_g", "1", "relative error of the ground motion", neutral=0.0, lower=-0.9, prior={"normal": [0.0, 0.1]}
+    )
+
+    def contribute(self, setup: Setup) -> dict[str, Any]:
+        """A factor on `ground_motion`."""
+        return {"ground_motion": 1 + self.delta}
+
+
+@register
+@final
+class ForceGain(_AbstractRigEffect):
+    r"""The calibration factor of the load cell is off: $(1+\delta)\,r$, in histories and quantities, in energy as well."""
+
+    name: ClassVar[str] = "force_gain"
+    family: ClassVar[str] = "test rig"
+    reference: ClassVar[str] = "JCGM 100:2008 (GUM)"
+
+    delta: Scalar = parameter(
+        r"\delta_F", "1", "relative error of the measured force", neutral=0.0, lower=-0.9, prior={"normal": [0.0, 0.1]}
+    )
+
+    def contribute(self, setup: Setup) -> dict[str, Any]:
+        """A factor on `force_gain`."""
+        return {"force_gain": 1 + self.delta}
+
+
+@register
+@final
+class ElongationGain(_AbstractRigEffect):
+    r"""The calibration factor of the elongation is off: $(1+\delta)\,\Delta u$, in histories and quantities, energy as well.
+
+    In a component test the imposed elongation is the measured one: the specimen sees $\Delta u/(1+\delta)$.
+    """
+
+    name: ClassVar[str] = "elongation_gain"
+    family: ClassVar[str] = "test rig"
+    reference: ClassVar[str] = "JCGM 100:2008 (GUM)"
+
+    delta: Scalar = parameter(
+        r"\delta_u",
+        "1",
+        "relative error of the measured elongation",
+        neutral=0.0,
+        lower=-0.9,
+        prior={"normal": [0.0, 0.1]},
+    )
+
+    def contribute(self, setup: Setup) -> dict[str, Any]:
+        """A factor on `elongation_gain`."""
+        return {"elongation_gain": 1 + self.delta}
+
+
+@register
+@final
+class ForceOffset(_AbstractRigEffect):
+    r"""The zero of the load cell is off: $r + \delta\,F_c$."""
+
+    name: ClassVar[str] = "force_offset"
+    family: ClassVar[str] = "test rig"
+    reference: ClassVar[str] = "JCGM 100:2008 (GUM)"
+    histories_only: ClassVar[bool] = True
+
+    delta: Scalar = parameter(
+        r"\delta_0",
+        "1",
+        "zero shift over characteristic force",
+        neutral=0.0,
+        prior={"normal": [0.0, 0.1]},
+        physical=PhysicalForm("offset", "N", lambda scales: scales.force),
+    )
+
+    def contribute(self, setup: Setup) -> dict[str, Any]:
+        """An addend to `force_offset`."""
+        return {"force_offset": self.delta * setup.scales.force}
+
+
+@register
+@final
+class ForceDrift(_AbstractRigEffect):
+    r"""The zero of the load cell drifts: $r + \delta\,F_c\,\frac{t}{100\,u_c/v_c}$."""
+
+    name: ClassVar[str] = "force_drift"
+    family: ClassVar[str] = "test rig"
+    reference: ClassVar[str] = "JCGM 100:2008 (GUM)"
+    needs_time: ClassVar[bool] = True
+    histories_only: ClassVar[bool] = True
+
+    delta: Scalar = parameter(
+        r"\delta_{\dot 0}",
+        "1",
+        "zero shift after 100 characteristic times, over characteristic force",
+        neutral=0.0,
+        prior={"normal": [0.0, 0.1]},
+        physical=PhysicalForm("drift", "N/s", lambda scales: scales.force / (_DRIFTING * _time(scales))),
+    )
+
+    def contribute(self, setup: Setup) -> dict[str, Any]:
+        """An addend to `force_drift`."""
+        return {"force_drift": self.delta * (setup.scales.force / (_DRIFTING * _time(setup.scales)))}
+
+
+@register
+@final
+class ActuatorDelay(_AbstractRigEffect):
+    r"""The measured elongation lags: $\Delta u(t-\tau)$, $\tau = \delta\,u_c/v_c$.
+
+    In a component test the elongation is imposed as it was measured, and the force leads by τ instead.
+    """
+
+    name: ClassVar[str] = "actuator_delay"
+    family: ClassVar[str] = "test rig"
+    reference: ClassVar[str] = "Horiuchi, Inoue, Konno & Namita 1999"
+    needs_time: ClassVar[bool] = True
+    histories_only: ClassVar[bool] = True
+
+    delta: Scalar = parameter(
+        r"\delta_\tau",
+        "1",
+        "delay over characteristic time (elongation over rate)",
+        neutral=0.0,
+        lower=0.0,
+        prior={"half_normal": 0.1},
+        physical=PhysicalForm("tau", "s", _time),
+    )
+
+    def contribute(self, setup: Setup) -> dict[str, Any]:
+        """An addend to `elongation_delay`."""
+        return {"elongation_delay": self.delta * _time(setup.scales)}
+
+
+@register
+@final
+class TimeOffset(_AbstractRigEffect):
+    r"""The clock of the force differs from that of the elongation: $r(t-\tau)$, $\tau = \delta\,u_c/v_c$, either sign."""
+
+    name: ClassVar[str] = "time_offset"
+    family: ClassVar[str] = "test rig"
+    reference: ClassVar[str] = "Horiuchi, Inoue, Konno & Namita 1999"
+    needs_time: ClassVar[bool] = True
+    histories_only: ClassVar[bool] = True
+
+    delta: Scalar = parameter(
+        r"\delta_t",
+        "1",
+        "how late the force is, over characteristic time (elongation over rate)",
+        neutral=0.0,
+        prior={"normal": [0.0, 0.1]},
+        physical=PhysicalForm("tau", "s", _time),
+    )
+
+    def contribute(self, setup: Setup) -> dict[str, Any]:
+        """An addend to `force_delay`."""
+        return {"force_delay": self.delta * _time(setup.scales)}

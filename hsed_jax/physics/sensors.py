@@ -1,0 +1,120 @@
+r"""What the test rig makes of a response: gains, zero shifts and delays of the measured force and elongation.
+
+$$F_{meas}(t) = g_F\,r(t-\tau_F) + F_0 + \dot F_0\,t,\qquad \Delta u_{meas}(t) = g_u\,\Delta u(t-\tau_u)$$
+
+In a component test the imposed elongation is the measured one: what is known is $\Delta u_{meas}$, and the specimen feels
+$\Delta u_{meas}(t-\tau_F+\tau_u)/g_u$, on the clock of the force.  Gains act on the quantities as well; shifts of time and of
+zero act on histories alone, and none of them on energy.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from hsed_jax.physics.excitations import Imposed, Tabulated
+from hsed_jax.physics.integrate import Response
+
+Scalar = Float[Array, ""] | float
+
+
+def measured(
+    response: Response,
+    slots: Callable[[str], Any],
+    step_length: Float[Array, " steps"] | float,
+    every: int,
+    *,
+    is_imposed: bool,
+) -> Response:
+    """The response as it is measured.
+
+    Arguments:
+        response: as it is.
+        slots: what the effects contribute, by slot.
+        step_length: [s], one number or one per step.
+        every: histories are kept at every so many steps.
+        is_imposed: the elongation is imposed (a component test), as `felt` says.
+    """
+    of_force, of_elongation = slots("force_gain"), slots("elongation_gain")
+    gains = {
+        "force": of_force,
+        "elongation": of_elongation,
+        "elongation_rate": of_elongation,
+        "energy": of_force * of_elongation,
+        "peak_force": of_force,
+        "peak_elongation": of_elongation,
+        "dissipated_energy": of_force * of_elongation,
+    }
+    lag = slots("elongation_delay")
+    if is_imposed:
+        # Back from what the specimen felt to what was imposed.
+        ahead = lag - slots("force_delay")
+        delays = {"elongation": ahead, "elongation_rate": ahead}
+    else:
+        delays = {"force": slots("force_delay"), "elongation": lag, "elongation_rate": lag}
+
+    def sensed(name: str, values: Float[Array, " samples"]) -> Float[Array, " samples"]:
+        time = _times(step_length, every, values.shape[0])
+        delay = delays.get(name, 0.0)
+        if not (isinstance(delay, int | float) and delay == 0):
+            values = shifted(values, time, delay)
+        values = values * gains.get(name, 1.0)
+        return values + slots("force_offset") + slots("force_drift") * time if name == "force" else values
+
+    quantities = {name: value * gains[name] for name, value in response.quantities.items()}
+    channels = {name: sensed(name, values) for name, values in response.channels.items()}
+    return response._replace(quantities=quantities, channels=channels)
+
+
+def felt(forcing: Tabulated, slots: Callable[[str], Any], step_length: Float[Array, " steps"]) -> Tabulated:
+    """The elongation that the specimen feels in a component test, from the one that was measured and imposed."""
+    gain, delay = slots("elongation_gain"), slots("force_delay") - slots("elongation_delay")
+    samples = forcing.samples
+    if not (isinstance(delay, int | float) and delay == 0):
+        time = jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.repeat(0.5 * step_length, 2))])
+        # Rather the smooth elongation than the force, which has a corner at every reversal.
+        elongation, rate = (shifted(values, time, delay) for values in samples)
+        # Before the path begins and after it ends the specimen rests.
+        inside = (time - delay >= time[0]) & (time - delay <= time[-1])
+        samples = Imposed(elongation, jnp.where(inside, rate, 0.0))
+    return Tabulated(jax.tree.map(lambda values: values / gain, samples))
+
+
+def shifted(
+    values: Float[Array, " samples"], time: Float[Array, " samples"], delay: Scalar
+) -> Float[Array, " samples"]:
+    """A history later by `delay` [s] (either sign), constant beyond its ends.
+
+    Cubic Hermite interpolation, the slope at a sample that of the parabola through it and its neighbours.  Samples may be
+    uneven, and times may repeat (a padded step has length zero).  No delay gives the same values to the last bit.
+    """
+    gaps = jnp.diff(time)
+    is_padding = gaps == 0
+    lengths = jnp.where(is_padding, 1.0, gaps)
+    rises = jnp.diff(values) / lengths
+    before, after = gaps[:-1], gaps[1:]
+    both = jnp.where(is_padding[:-1] & is_padding[1:], 1.0, before + after)
+    inner = (after * rises[:-1] + before * rises[1:]) / both
+    # Beside padding the slope is that of the one side that has a length.
+    inner = jnp.where(is_padding[1:], rises[:-1], jnp.where(is_padding[:-1], rises[1:], inner))
+    slopes = jnp.concatenate([rises[:1], inner, rises[-1:]])
+    wanted = jnp.clip(time - delay, time[0], time[-1])
+    i = jnp.clip(jnp.searchsorted(time, wanted, side="right") - 1, 0, gaps.shape[0] - 1)
+    share = (wanted - time[i]) / lengths[i]
+    rest = 1 - share
+    # Written so that share 0 and 1 give the sample itself, without rounding.
+    return (
+        values[i] * (rest * rest * (1 + 2 * share))
+        + values[i + 1] * (share * share * (3 - 2 * share))
+        + lengths[i] * share * rest * (rest * slopes[i] - share * slopes[i + 1])
+    )
+
+
+def _times(step_length: Float[Array, " steps"] | float, every: int, samples: int) -> Float[Array, " samples"]:
+    """When histories were kept [s]."""
+    lengths = jnp.asarray(step_length)
+    if lengths.ndim == 0:
+        return lengths * every * jnp.arange(samples)
+    return jnp.concatenate([jnp.zeros(1), jnp.cumsum(lengths)])[::every]

@@ -1,0 +1,134 @@
+"""Learn which physical effect is missing, add it, and see the error fall: the second half of the sentence in Python."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import yaml
+
+from hsed_jax.analysis import Calibration, calibrate_built, compare
+from hsed_jax.config.build import Built
+from hsed_jax.config.candidates import problem_of, with_effects
+from hsed_jax.config.schema import Study
+from hsed_jax.criticism import diagnose as diagnosing
+from hsed_jax.criticism.compare import Comparison
+from hsed_jax.criticism.findings import Diagnosis
+from hsed_jax.criticism.improve import Step, Trail, step_of
+from hsed_jax.criticism.problem import Problem
+from hsed_jax.errors import UserError
+from hsed_jax.inference.nested import Target, Task
+from hsed_jax.measurements import Campaign
+
+
+def diagnose(
+    calibration: Calibration, campaign: Campaign | None = None, report: Callable[[str], None] | None = None
+) -> Diagnosis:
+    """Which physical effects of the catalogue the calibrated model lacks.
+
+    Arguments:
+        calibration: the calibrated model.
+        campaign: experiments to look at; by default those it was calibrated on.  Only the training split is fitted.
+        report: called with what is being done.
+    """
+    campaign = calibration.campaign if campaign is None else campaign
+    return diagnosing.diagnose(problem_of(calibration.built, campaign), report or (lambda line: None))
+
+
+@dataclass(frozen=True)
+class Improvement:
+    """A model with effects added, calibrated again.
+
+    Attributes:
+        study: with the effects in its model, ready to run or to improve again.
+        calibration: of the improved model.
+        before, after: the model as it was and the improved one against the same measurements.
+        trail: the error after each added effect.
+    """
+
+    study: Study
+    calibration: Calibration
+    before: Comparison
+    after: Comparison
+    trail: Trail
+
+    def write(self, path: str | Path) -> None:
+        """Write the improved study as YAML."""
+        text = yaml.safe_dump(self.study.written(), sort_keys=False, allow_unicode=True)
+        Path(path).write_text(text, encoding="utf-8")
+
+    def __repr__(self) -> str:
+        return f"{self.trail!r}\n{self.after.verdict}"
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        return f"<pre>{escape(repr(self))}</pre>"
+
+
+def improve(calibration: Calibration, campaign: Campaign | None = None, *, effects: Sequence[str]) -> Improvement:
+    """Add effects to a calibrated model and calibrate it again, MAP and posterior.
+
+    Arguments:
+        calibration: the model as it is.
+        campaign: experiments; by default those it was calibrated on.
+        effects: names of effects of the catalogue, in the order to add them.
+
+    Raises:
+        UserError: no effect is given, or one is unknown, there already, or given twice.
+    """
+    campaign = calibration.campaign if campaign is None else campaign
+    if not effects:
+        raise UserError("there is no effect to add; name at least one (hsed effects lists the catalogue)")
+    for name in effects:
+        if list(effects).count(name) > 1:
+            raise UserError(f"{name} is to be added twice")
+    study = with_effects(calibration.built, effects)
+    study = study.model_copy(update={"study": f"{calibration.built.study.study.removesuffix('_improved')}_improved"})
+    problem = problem_of(calibration.built, campaign, effects)
+    before = compare(calibration, campaign)
+    thetas = _fits(problem, calibration, effects)
+    steps = [step_of([], before, calibration.map)]
+    for count in range(1, len(effects)):
+        steps.append(_between(problem, thetas[count - 1], effects[:count]))
+    built = Built(study, calibration.built.campaign)
+    better = calibrate_built(built, campaign, start=jnp.asarray(thetas[-1]))
+    after = compare(better)
+    steps.append(step_of(effects, after, better.map))
+    return Improvement(study, better, before, after, Trail(steps, after.train.noise_floor))
+
+
+def _fits(problem: Problem, calibration: Calibration, effects: Sequence[str]) -> list[np.ndarray]:
+    """θ of the model with the first, the first two, … effects, at their best fit."""
+    train, models = problem.train, problem.models
+    left = np.where(train.used, calibration.train.predicted - train.values, 0.0) / train.scales
+    size = [np.sqrt(np.mean(left[train.used & (train.groups == g)] ** 2)) for g in range(len(train.declared))]
+    errors = np.where(np.isnan(train.declared), np.maximum(size, 1e-9), train.declared)
+    sigma = np.where(train.used, errors[train.groups] * train.scales, 1.0)
+    target = Target(train.values, sigma, train.used[None].astype(float))
+    law = [calibration.map[problem.names[k]] for k in problem.law]
+    theta = models.box.theta(models.neutral)
+    theta[problem.law] = law
+    x, free, found = models.box.x(theta), problem.law, []
+    for effect in effects:
+        own = problem.effects[effect]
+        free = np.concatenate([free, own])
+        starts = np.tile(x, (8, 1))
+        shares = 0.1 + 0.8 * (np.arange(8)[:, None] * (0.5 + np.sqrt(np.arange(len(own)) + 2.0)) % 1.0)
+        starts[:, own] = models.box.quantiles(own, shares)
+        ends = models.fit(target, [Task(free, start, rivals=0) for start in starts])
+        x = min(ends, key=lambda f: f.cost).x
+        found.append(models.theta(x, free))
+    return found
+
+
+def _between(problem: Problem, theta: np.ndarray, effects: Sequence[str]) -> Step:
+    """A step of the trail between the model as it was and the improved one."""
+    columns = [*problem.law, *(k for effect in effects for k in problem.effects[effect])]
+    rows = np.arange(len(problem.train.values) + (0 if problem.test is None else len(problem.test.values)))
+    outputs, _ = problem.models.lanes(np.repeat(theta[None], len(rows), axis=0), rows)
+    size = len(problem.train.values)
+    test = None if problem.test is None else problem.test.error(outputs[size:])
+    parameters = {problem.names[k]: float(theta[k]) for k in columns}
+    return Step(list(effects), problem.train.error(outputs[:size]), test, parameters)
