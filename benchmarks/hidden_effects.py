@@ -158,27 +158,22 @@ def score(found: dict[str, Any], truth: dict[str, Any]) -> dict[str, Any]:
 def table(rows: Sequence[dict[str, Any]]) -> str:
     """The results as a Markdown table."""
     head = (
-        "| group | cases | named first | family first | exact set | verdict missing / ambiguous / unexplained / adequate | "
+        "| group | cases | noise explains it | named first | family first | exact set | ambiguous | unexplained | "
         "error before → after (noise) | interval covers | s |"
     )
-    lines = [head, "|" + " --- |" * 9]
+    lines = [head, "|" + " --- |" * 11]
     for group in dict.fromkeys(row["group"] for row in rows):
         own = [row for row in rows if row["group"] == group and "skipped" not in row]
         if not own:
             continue
-        verdicts = [
-            sum(row["verdict"] == v for row in own) for v in ("missing_effects", "ambiguous", "unexplained", "adequate")
-        ]
+        # What a refit of the law absorbs down to the noise is there for nobody to see.
+        seen = [row for row in own if row["verdict"] != "adequate"]
         errors = np.median(np.asarray([row["error"] for row in own]), axis=0)
-        covered = [c for row in own for c in row["covered"]]
-        shares = (
-            ("–",) * 3
-            if "control" in group
-            else tuple(_share([row[k] for row in own]) for k in ("first", "family", "exact"))
-        )
+        shares = [_share([row[key] for row in seen]) for key in ("first", "family", "exact")]
+        counts = [str(sum(row["verdict"] == verdict for row in own)) for verdict in ("ambiguous", "unexplained")]
         lines.append(
-            f"| {group} | {len(own)} | {' | '.join(shares)} | {' / '.join(map(str, verdicts))} | "
-            f"{errors[0]:.3f} → {errors[1]:.3f} ({errors[2]:.3f}) | {_share(covered)} | "
+            f"| {group} | {len(own)} | {len(own) - len(seen)} | {' | '.join(shares)} | {' | '.join(counts)} | "
+            f"{errors[0]:.3f} → {errors[1]:.3f} ({errors[2]:.3f}) | {_share([c for row in own for c in row['covered']])} | "
             f"{np.median([row['seconds'] for row in own]):.0f} |"
         )
     return "\n".join(lines)

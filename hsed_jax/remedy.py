@@ -81,11 +81,8 @@ def improve(calibration: Calibration, campaign: Campaign | None = None, *, effec
     campaign = calibration.campaign if campaign is None else campaign
     if not effects:
         raise UserError("there is no effect to add; name at least one (hsed effects lists the catalogue)")
-    for name in effects:
-        if list(effects).count(name) > 1:
-            raise UserError(f"{name} is to be added twice")
     study = with_effects(calibration.built, effects)
-    study = study.model_copy(update={"study": f"{calibration.built.study.study.removesuffix('_improved')}_improved"})
+    study = study.model_copy(update={"study": f"{study.study.removesuffix('_improved')}_improved"})
     problem = problem_of(calibration.built, campaign, effects)
     before = compare(calibration, campaign)
     thetas = _fits(problem, calibration, effects)

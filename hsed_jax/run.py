@@ -61,6 +61,7 @@ def _parser() -> argparse.ArgumentParser:
     text = "the catalogue of physical effects"
     effects = commands.add_parser("effects", help=text, description=text.capitalize() + ".")
     effects.add_argument("name", nargs="?", metavar="NAME", help="show one effect: equation, parameters, reference")
+    effects.add_argument("--study", metavar="STUDY.yaml", help="with the effects of this study's own")
     effects.set_defaults(command=_effects)
     return parser
 
@@ -96,6 +97,11 @@ def _guarded(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -
 def _effects(options: Any) -> int:
     from hsed_jax.reporting.catalogue import catalogue, entry
 
+    if options.study:
+        from hsed_jax.config.load import load_study
+        from hsed_jax.config.own_effects import load_own_effects
+
+        load_own_effects(load_study(options.study))
     print(entry(options.name) if options.name else catalogue())
     return 0
 

@@ -123,12 +123,13 @@ def _asymmetric_stiffness(x, s, p):
 
 
 def _sharp_power(x, s, p):
-    s.phi = np.maximum(np.abs(x.z), 1e-12) ** (1 + p["delta"])
-
-
-def _sharp_normalised(x, s, p):
-    """φ = z_u |z/z_u|^(1+δ): the sharpness alone, the ultimate force A/β kept (normalised Bouc–Wen)."""
+    """φ = z_u |z/z_u|^(1+δ): the sharpness alone, the ultimate force A/β kept."""
     s.phi = x.strength * np.maximum(np.abs(x.z) / x.strength, 1e-12) ** (1 + p["delta"])
+
+
+def _sharp_sinh(x, s, p):
+    """φ = z_u sinh(δ|z|/z_u)/sinh(δ): an exponential approach to the same ultimate force."""
+    s.phi = x.strength * np.sinh(p["delta"] * np.minimum(np.abs(x.z) / x.strength, 3.0)) / np.sinh(p["delta"])
 
 
 def _gamma(x, s, p):
@@ -148,7 +149,7 @@ add("slip", "other", _slip_linear, 1.0, draws={"width": (0.03, 0.08)})
 add("asymmetry", "same", _asymmetric_strength, 0.95, is_signed=True)
 add("asymmetry", "other", _asymmetric_stiffness, 0.8, is_signed=True)
 add("yield_sharpness", "same", _sharp_power, 6.0)
-add("yield_sharpness", "other", _sharp_normalised, 6.0)
+add("yield_sharpness", "other", _sharp_sinh, 8.0)
 add("loop_shape", "same", _gamma, 4.0)
 add("loop_shape", "other", _fullness, 0.95)
 

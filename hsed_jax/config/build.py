@@ -4,11 +4,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
 from hsed_jax.config import parts
+from hsed_jax.config.own_effects import load_own_effects
+from hsed_jax.config.plan import check_plan
 from hsed_jax.config.schema import ErrorEntry, Study
 from hsed_jax.design.sequential import SequentialDesign
 from hsed_jax.design.space import InputSpace
@@ -56,6 +57,10 @@ class Built:
 
     study: Study
     campaign: Campaign | None = None
+
+    def __post_init__(self):
+        """Let the study's own effects join the catalogue."""
+        load_own_effects(self.study)
 
     @cached_property
     def measured(self) -> Campaign | None:
@@ -336,51 +341,14 @@ class Built:
         """
         needed = ["space", "structure", "parameters", "excitation", "outputs", "timeline", "simulator", "errors"]
         if self.study.experiments.virtual is not None or "design" in self.study.steps:
-            if not self.study.inputs:
-                raise UserError(
-                    f"{self._file}inputs: a design needs at least one input, such as V_P: {{uniform: [1.5, 3.0], unit: m/s}}"
-                )
             needed.append("laboratory")
-            self._check_design()
-        self._check_steps()
         try:
+            check_plan(self.study)
             for part in needed:
                 getattr(self, part)
         except UserError as error:
-            raise UserError(f"{self._file}{error}") from None
-
-    @property
-    def _file(self) -> str:
-        """The study's file, to put in front of a message; nothing where the study was made in Python."""
-        return f"{self.study.file}: " if self.study.file is not None else ""
-
-    def _check_steps(self) -> None:
-        steps = self.study.steps
-        order = ["design", "calibrate", "compare", "diagnose", "improve"]
-        for before, step in pairwise(steps):
-            if order.index(before) >= order.index(step):
-                raise UserError(f"{self._file}steps: {before} stands before {step}; the order is {', '.join(order)}")
-        if "compare" in steps and "calibrate" not in steps:
-            raise UserError(f"{self._file}steps: compare needs a calibrated model; put calibrate before it")
-        if {"diagnose", "improve"} & set(steps) and "compare" not in steps:
-            raise UserError(
-                f"{self._file}steps: diagnose and improve need the comparison; put calibrate, compare before"
-            )
-        if "improve" in steps and "diagnose" not in steps and self.study.improve.add is None:
-            raise UserError(f"{self._file}steps: improve needs diagnose before it, or improve.add: [an effect]")
-
-    def _check_design(self) -> None:
-        entry, d = self.study.design, len(self.study.inputs)
-        needed = {"constant": 1, "linear": 1 + d, "quadratic": (d + 1) * (d + 2) // 2}[entry.kriging.trend] + 1
-        if "design" in self.study.steps and entry.initial < needed:
-            raise UserError(
-                f"{self._file}design.initial: a {entry.kriging.trend} trend in {d} inputs needs at least {needed} "
-                f"experiments, but it is {entry.initial}"
-            )
-        if entry.candidates < entry.initial + entry.iterations:
-            raise UserError(
-                f"{self._file}design.candidates: {entry.candidates} are too few to choose {entry.iterations} experiments from"
-            )
+            file = f"{self.study.file}: " if self.study.file is not None else ""
+            raise UserError(f"{file}{error}") from None
 
     def _declared_error(self, name: str) -> ErrorEntry:
         """The noise that the campaign declares, and where it declares none, inferred."""

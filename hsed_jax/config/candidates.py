@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from hsed_jax.config.build import Built
+from hsed_jax.config.plan import ORDER, check_added
 from hsed_jax.config.schema import ImproveEntry, ScalesEntry, Study
 from hsed_jax.criticism.compare import compare
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.criticism.problem import Problem
 from hsed_jax.criticism.search import Measured
-from hsed_jax.errors import UserError
 from hsed_jax.inference.box import Box
 from hsed_jax.inference.lanes import Lanes
 from hsed_jax.inference.likelihood import Data
@@ -48,18 +48,16 @@ def with_effects(built: Built, effects: Sequence[str]) -> Study:
     """The study with these effects added to its model, each with the priors of the catalogue, and its scales as they are.
 
     Raises:
-        UserError: there is no such effect, or the model has it.
+        UserError: there is no such effect, the model has it, or it stands twice.
     """
     study = built.study
-    for name in effects:
-        if name not in EFFECTS:
-            raise UserError(f"there is no effect {name!r}; the catalogue has {', '.join(sorted(EFFECTS))}")
-        if name in study.model.effects:
-            raise UserError(f"the model has {name} already")
+    check_added(study.model, effects)
     model = study.model.model_copy(update={"effects": {**study.model.effects, **{name: {} for name in effects}}})
-    larger = study.model_copy(update={"model": model})
+    # Ready to be improved again: what was chosen by hand this time is for the diagnosis to find next time.
+    steps = [step for step in ORDER if step in study.steps or (step == "diagnose" and "improve" in study.steps)]
+    larger = study.model_copy(update={"model": model, "steps": steps, "improve": ImproveEntry()})
     scales = Built(larger, built.campaign).scales
-    return larger.model_copy(update={"scales": ScalesEntry(**scales._asdict()), "improve": ImproveEntry()})
+    return larger.model_copy(update={"scales": ScalesEntry(**scales._asdict())})
 
 
 def problem_of(built: Built, campaign: Campaign, effects: Sequence[str] | None = None) -> Problem:

@@ -147,6 +147,8 @@ class ModelEntry(Section):
     spring: Literal["bouc_wen"] = "bouc_wen"
     parameters: dict[str, ParameterEntry]
     effects: dict[str, dict[str, ParameterEntry]] = {}
+    own_effects: list[str] = []
+    """Python files with effects of your own, relative to the study; they join the catalogue."""
 
 
 class ErrorEntry(Section):
@@ -307,6 +309,7 @@ class Study(Section):
         # Written elsewhere, a relative path would lead elsewhere.
         if self.experiments.campaign is not None:
             plain["experiments"]["campaign"] = str((self.folder / self.experiments.campaign).absolute())
+        plain["model"]["own_effects"] = [str((self.folder / name).absolute()) for name in self.model.own_effects]
         if self.excitation is not None and self.excitation.recorded is not None:
             plain["excitation"]["recorded"]["file"] = str((self.folder / self.excitation.recorded.file).absolute())
         return plain

@@ -20,7 +20,9 @@ from hsed_jax.physics.parameters import parameters_of
 # Models with at least this probability have their evidence confirmed by sampling.
 _CLOSE = 0.01
 _MOST_CLOSE = 8
-_DRAWS = 300
+_DRAWS = 240
+# Draws that must count before a sample is believed.
+_ENOUGH = 30
 
 
 def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None) -> Diagnosis:
@@ -73,8 +75,8 @@ def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None
         error_after=(problem.train.error(best.fit.predicted), tests[1]),
         noise_floor=problem.train.noise,
         parameters={
-            "before": _law(problem, _sample(problem, search, none)),
-            "after": _law(problem, sampled[best.effects]),
+            "before": _law(problem, none.fit, _sample(problem, search, none)),
+            "after": _law(problem, best.fit, sampled[best.effects]),
         },
         prediction=_prediction(problem, best.fit, search.target.sigma),
     )
@@ -98,7 +100,7 @@ def _confirmed(problem: Problem, search: Search, models: list[Model]) -> tuple[M
     confirmed = []
     for m in models:
         found = sampled.get(m.effects)
-        if found is not None and found.effective >= 30:
+        if found is not None and found.effective >= _ENOUGH:
             m = m._replace(
                 log_evidence=found.log_evidence,
                 log_posterior=m.log_posterior - m.log_evidence + found.log_evidence,
@@ -124,17 +126,17 @@ def _ranking(
         options = [m for m in models if effect in m.effects and m.effects - {effect} in by_set]
         instead = [m for m in options if len(m.effects) <= max(len(best), 1)] or options
         shown[effect] = (instead[0], by_set[instead[0].effects - {effect}])
-    tests = _test_errors(problem, search, [m.effects for m, _ in shown.values()])
+    tests = _test_errors(problem, search, [model.effects for model, _ in shown.values()])
     found = []
     for (effect, (model, without)), test in zip(shown.items(), tests, strict=True):
-        inside = np.asarray([effect in m.effects for m in models])
+        with_it = [p for m, p in zip(models, probabilities, strict=True) if effect in m.effects]
         sample = sampled.get(model.effects)
         score = search.scores[effect]
         found.append(
             Candidate(
                 effect=effect,
                 family=EFFECTS[effect].family,
-                probability=min(float(probabilities[inside].sum()), 1.0),
+                probability=min(float(sum(with_it)), 1.0),
                 log_evidence_gain=model.log_evidence - without.log_evidence,
                 score=score,
                 score_p_value=score_p_value(score),
@@ -151,25 +153,25 @@ def _ranking(
 def _estimate(problem: Problem, effect: str, fit: Descent, sample: Sampled | None) -> dict[str, dict[str, Any]]:
     """Mean, sd and quantiles of an effect's parameters, from draws or else from the curvature at the fit."""
     found: dict[str, dict[str, Any]] = {}
-    theta = problem.models.theta(fit.x, fit.free)
     for known in parameters_of(EFFECTS[effect]).values():
         column = problem.names.index(f"{effect}.{known.name}")
-        if sample is not None:
-            numbers = sample.moments(column)
-        else:
-            sd = _deviation(problem, fit, column)
-            mean = float(theta[column])
-            numbers = {
-                "mean": mean,
-                "sd": sd,
-                "q05": max(mean - 1.645 * sd, known.lower),
-                "q95": min(mean + 1.645 * sd, known.upper),
-            }
+        numbers = _moments(problem, fit, sample, column)
         found[known.name] = numbers | {"unit": known.unit}
         if known.physical is not None:
             factor = known.physical.factor(problem.scales)
             found[known.physical.name] = {k: v * factor for k, v in numbers.items()} | {"unit": known.physical.unit}
     return found
+
+
+def _moments(problem: Problem, fit: Descent, sample: Sampled | None, column: int) -> dict[str, float]:
+    """Mean, sd, 5 % and 95 % quantile of a parameter."""
+    if sample is not None and sample.effective >= _ENOUGH:
+        return sample.moments(column)
+    mean, sd = float(problem.models.theta(fit.x, fit.free)[column]), _deviation(problem, fit, column)
+    box = problem.models.box
+    low, high = (float(box.theta(side)[column]) for side in (box.low, box.high))
+    q05, q95 = np.clip([mean - 1.645 * sd, mean + 1.645 * sd], low, high)
+    return {"mean": mean, "sd": sd, "q05": float(q05), "q95": float(q95)}
 
 
 def _deviation(problem: Problem, fit: Descent, column: int) -> float:
@@ -183,8 +185,8 @@ def _deviation(problem: Problem, fit: Descent, column: int) -> float:
     return float(abs(box.theta(moved)[column] - box.theta(fit.x)[column]))
 
 
-def _law(problem: Problem, sample: Sampled) -> dict[str, dict[str, float]]:
-    return {problem.names[k]: sample.moments(int(k)) for k in problem.law}
+def _law(problem: Problem, fit: Descent, sample: Sampled) -> dict[str, dict[str, float]]:
+    return {problem.names[k]: _moments(problem, fit, sample, int(k)) for k in problem.law}
 
 
 def _test_errors(problem: Problem, search: Search, sets: Sequence[Set]) -> list[float]:

@@ -109,7 +109,10 @@ class Diagnosis:
         if self.verdict == "ambiguous":
             rivals = "; ".join(" or ".join(group) for group in self.look_alikes)
             return f"missing is {rivals}, which these measurements cannot tell apart; with {named}, {fall}{left}"
-        return f"missing is {named}: {fall}{left}"
+        alike = "".join(
+            f"; {group[0]} looks like {' or '.join(group[1:])} within the noise" for group in self.look_alikes
+        )
+        return f"missing is {named}: {fall}{left}{alike}"
 
     def __repr__(self) -> str:
         shown = [c for c in self.ranking if c.effect in self.effects or c.probability >= 0.001][:8] or self.ranking[:3]

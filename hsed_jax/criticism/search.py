@@ -20,6 +20,7 @@ from scipy.special import logsumexp
 from scipy.stats import chi2, qmc
 
 from hsed_jax.criticism.compare import normalised_error
+from hsed_jax.errors import UserError
 from hsed_jax.inference.correlation import worths
 from hsed_jax.inference.evidence import laplace
 from hsed_jax.inference.nested import Descent, NestedModels, Target, Task
@@ -27,12 +28,14 @@ from hsed_jax.inference.nested import Descent, NestedModels, Target, Task
 MOST_EFFECTS = 4
 # Posterior odds that a further effect needs.
 _ODDS = 10.0
-# Share of what the noise does not explain that a further effect takes away, unless nothing is left after it.
+# Share of the squared held-out error, less the noise, that a further effect takes away.
 _MATERIAL = 0.05
 # Nats by which a model may fit worse than one it contains, before it is fitted again from there.
 _CAUGHT = 5.0
+# Of the most probable models so many are considered to go on from.
+_TRIED = 5
 _FOLDS = 6
-_BLOCKS = 3
+_BLOCKS = 4
 
 Set = frozenset[str]
 
@@ -55,9 +58,9 @@ class Measured(NamedTuple):
     declared: Float[np.ndarray, " G"]
     noise: float
 
-    def error(self, predicted: np.ndarray) -> float:
-        """Normalised error of predictions (n, J)."""
-        return normalised_error(self.values, predicted, self.used, self.groups)
+    def error(self, predicted: np.ndarray, scored: np.ndarray | None = None) -> float:
+        """Normalised error of predictions (n, J), where something is scored (by default wherever it was measured)."""
+        return normalised_error(self.values, predicted, self.used if scored is None else scored, self.groups)
 
 
 class Model(NamedTuple):
@@ -106,7 +109,7 @@ class Search:
         self.models, self.measured, self.law, self.effects = models, measured, law, dict(effects)
         self._report = report
         self._fits: dict[Set, Descent] = {}
-        self._uses = _uses(measured.used, measured.groups)
+        self._fitted, self._left_out = _folds(measured.used, measured.groups)
         self.errors = np.where(np.isnan(measured.declared), 0.3, measured.declared)
         self.worth = np.ones(len(self.errors))
         self.target = self._target()
@@ -148,23 +151,23 @@ class Search:
         return np.exp(heights - logsumexp(heights))
 
     def held_out(self, chosen: Sequence[Set]) -> list[float]:
-        """Error on experiments left out in turn (blocks of time where there is one experiment), for several sets."""
+        """Error on experiments left out in turn (on what comes later, where there is one experiment), for several sets."""
         tasks = [
             Task(self._free(effects), self._fits[effects].x, use)
             for effects in chosen
-            for use in range(1, len(self._uses))
+            for use in range(1, len(self._fitted))
         ]
         fits = self.models.fit(self.target, tasks)
         rows = np.arange(len(self.measured.values))
         everywhere, _ = self.models.predict([(f.x, f.free) for f in fits], rows)
         errors = []
-        folds = len(self._uses) - 1
+        folds = len(self._fitted) - 1
+        scored = self._left_out.any(axis=0)
         for number in range(len(chosen)):
             predicted = np.zeros_like(self.measured.values)
             for fold in range(folds):
-                left_out = self.measured.used & ~self._uses[fold + 1]
-                predicted = np.where(left_out, everywhere[number * folds + fold], predicted)
-            errors.append(self.measured.error(predicted))
+                predicted = np.where(self._left_out[fold + 1], everywhere[number * folds + fold], predicted)
+            errors.append(self.measured.error(predicted, scored))
         return errors
 
     # The rounds.
@@ -180,6 +183,10 @@ class Search:
         for _ in range(2):
             ends = self.models.fit(self.target, tasks)
             self._fits[none] = min(ends, key=lambda f: f.cost)
+            if not np.isfinite(self._fits[none].cost):
+                raise UserError(
+                    "the model's simulation diverges wherever a fit was started; check parameters and priors"
+                )
             self.target = self._judged_by(self._fits[none])
             tasks = [Task(self.law, self._fits[none].x)]
         self.scores = self._score_tests()
@@ -228,10 +235,10 @@ class Search:
         return start
 
     def _next(self) -> Set:
-        """The set to go on from: the best one, if it is supported, material and predicts what was left out."""
+        """The set to go on from: the most probable that is supported and predicts what was not used."""
         here = self.model(self.best)
         ranked = sorted((self.model(s) for s in self._around()), key=lambda m: -m.log_posterior)
-        for candidate in ranked:
+        for candidate in ranked[:_TRIED]:
             if candidate.log_posterior <= here.log_posterior:
                 break
             if len(candidate.effects) <= len(self.best):
@@ -239,18 +246,17 @@ class Search:
             if self._is_explained(here.fit):
                 continue
             odds = candidate.log_posterior - here.log_posterior
-            if odds > math.log(_ODDS) and self._is_material(candidate, here):
-                left_out = self.held_out([self.best, candidate.effects])
-                if left_out[1] < left_out[0]:
-                    return candidate.effects
+            if odds > math.log(_ODDS) and self._is_material(candidate):
+                return candidate.effects
         return self.best
 
-    def _is_material(self, candidate: Model, here: Model) -> bool:
+    def _is_material(self, candidate: Model) -> bool:
+        """Whether a further effect improves the prediction of what was not used: by a share of what is wrong with it, or
+        by the last of it, so that the noise is all that is left."""
         floor = self.measured.noise**2
-        before, now, then = (
-            max(self.measured.error(m.fit.predicted) ** 2 - floor, 0.0) for m in (self.model(()), here, candidate)
-        )
-        return now - then >= _MATERIAL * before
+        before, now, then = (e**2 - floor for e in self.held_out([frozenset(), self.best, candidate.effects]))
+        share = 0.0 if self._is_explained(candidate.fit) else _MATERIAL
+        return then < now and now - then >= share * before
 
     def _neighbours(self) -> list[Set]:
         """The sets one change away from the best."""
@@ -319,7 +325,7 @@ class Search:
     def _target(self) -> Target:
         groups = self.measured.groups
         sigma = np.where(self.measured.used, self.errors[groups] * self.measured.scales, 1.0)
-        return Target(self.measured.values, sigma, self._uses * self.worth[groups])
+        return Target(self.measured.values, sigma, self._fitted * self.worth[groups])
 
     def _free(self, effects: Set) -> np.ndarray:
         return np.concatenate([self.law, *(self.effects[e] for e in sorted(effects))]).astype(int)
@@ -333,17 +339,25 @@ def score_p_value(statistic: float) -> float:
     return float(chi2.sf(statistic, 1))
 
 
-def _uses(used: np.ndarray, groups: np.ndarray) -> np.ndarray:
-    """All the data, then the data without each fold: experiments in turn, or blocks of time of a single one."""
+def _folds(used: np.ndarray, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What to fit and what to predict from it, (F, n, J) each, the first fold being all the data and nothing left out.
+
+    Several experiments are left out in turn.  Of a single one the past predicts the future: the blocks of time before each
+    block are fitted, since a specimen that has been damaged is another one.
+    """
     n = len(used)
     if n > 1:
         fold = np.broadcast_to((np.arange(n) % min(n, _FOLDS))[:, None], used.shape)
+        fitted = [used & (fold != k) for k in range(int(fold.max()) + 1)]
+        left_out = [used & (fold == k) for k in range(int(fold.max()) + 1)]
     else:
-        fold = np.zeros(used.shape, dtype=int)
+        block = np.zeros(used.shape, dtype=int)
         for own in (groups == g for g in np.unique(groups)):
             order = np.cumsum(used[0, own]) - 1
-            fold[0, own] = np.clip(order * _BLOCKS // max(int(used[0, own].sum()), 1), 0, _BLOCKS - 1)
-    return np.stack([used, *(used & (fold != k) for k in range(int(fold.max()) + 1))])
+            block[0, own] = np.clip(order * _BLOCKS // max(int(used[0, own].sum()), 1), 0, _BLOCKS - 1)
+        fitted = [used & (block < k) for k in range(1, _BLOCKS)]
+        left_out = [used & (block == k) for k in range(1, _BLOCKS)]
+    return np.stack([used, *fitted]), np.stack([np.zeros_like(used), *left_out])
 
 
 def _starts(parameters: int) -> int:

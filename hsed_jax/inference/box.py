@@ -12,11 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
+from scipy.special import expit
 
 from hsed_jax.inference.priors import Prior
 
-# A density is tabulated between these quantiles.
-_TAIL, _KNOTS = 1e-6, 257
+# A density is tabulated at so many quantiles, up to this log odds to either side, and no closer than this.
+_TAIL, _KNOTS, _APART = 14.0, 257, 1e-4
 
 
 class Terms(NamedTuple):
@@ -44,7 +45,8 @@ class Box:
         rows = np.where(self._is_log[:, None], np.log(np.where(self._is_log[:, None], rows, 1.0)), rows)
         self._middle, self._spread = rows[:, 1], 0.5 * (rows[:, 2] - rows[:, 0])
         bounds = np.asarray([_bounds(prior) for prior in self._priors]).reshape(-1, 2)
-        bounds[self._is_log] = -np.inf, np.inf
+        with np.errstate(divide="ignore"):
+            bounds = np.where(self._is_log[:, None], np.log(np.where(self._is_log[:, None], bounds, 1.0)), bounds)
         self.low, self.high = ((side - self._middle) / self._spread for side in bounds.T)
         self._quantiles: dict[tuple[int, tuple[float, ...]], np.ndarray] = {}
         self._densities = [self._density(k) for k in range(len(self.names))]
@@ -84,16 +86,18 @@ class Box:
 
     def _density(self, k: int) -> CubicSpline:
         """Log density of one coordinate as a spline over its prior, exact where that is normal or uniform."""
-        shares = np.asarray([_TAIL, 1 - _TAIL])
-        ends = self.quantiles(np.asarray([k]), shares[:, None])[:, 0]
-        low, high = np.clip(ends, self.low[k], self.high[k])
-        x = np.tile(np.zeros(len(self.names)), (_KNOTS, 1))
-        x[:, k] = np.linspace(low, high, _KNOTS)
+        shares = expit(np.linspace(-_TAIL, _TAIL, _KNOTS))
+        found = self.quantiles(np.asarray([k]), shares[:, None])[:, 0]
+        knots = np.unique(np.clip(found, self.low[k], self.high[k]))
+        # Where quantiles lie close together, the slopes between them are rounding.
+        knots = knots[np.concatenate([[True], np.diff(knots) > _APART])]
+        x = np.zeros((len(knots), len(self.names)))
+        x[:, k] = knots
         theta = self.theta(x)[:, k]
         values = np.asarray(self._priors[k].log_density(jnp.asarray(theta)), dtype=float) + np.log(self._spread[k])
         if self._is_log[k]:
             values += np.log(theta)
-        return CubicSpline(x[:, k], values)
+        return CubicSpline(knots, values)
 
 
 def _bounds(prior: Prior) -> tuple[float, float]:
@@ -103,6 +107,8 @@ def _bounds(prior: Prior) -> tuple[float, float]:
 
 def _is_logarithmic(prior: Prior) -> bool:
     """Whether a prior lives on a logarithmic scale: positive, without an upper bound, and without density at zero."""
+    if prior.name.lower().replace("_", "") == "loguniform":
+        return True
     low, high = prior.bounds
     if low != 0.0 or high is not None:
         return False

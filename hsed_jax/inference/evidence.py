@@ -17,6 +17,7 @@ from hsed_jax.inference.nested import Descent, NestedModels, Target
 
 _FLOOR = 1e-6
 _DEGREES = 5
+_MOST_ROUNDS = 5
 
 
 class Sampled(NamedTuple):
@@ -50,61 +51,93 @@ class Sampled(NamedTuple):
 
 
 def laplace(fit: Descent, models: NestedModels) -> float:
-    """log Z of a fit; −∞ where its simulation diverged."""
+    """log Z of a fit; −∞ where its simulation diverged.
+
+    A coordinate that the slope of φ holds at its bound contributes the integral of its own tail, the others their Gaussian.
+    """
     if not np.isfinite(fit.cost):
         return -np.inf
-    center, covariance = _gaussian(fit)
-    low, high = models.box.low[fit.free], models.box.high[fit.free]
-    deviation = np.sqrt(np.diag(covariance))
-    inside = _log_interval((low - center) / deviation, (high - center) / deviation)
-    gain = 0.5 * float(fit.gradient @ covariance @ fit.gradient)
-    log_volume = 0.5 * float(np.linalg.slogdet(2 * np.pi * covariance)[1])
-    return -fit.cost + gain + log_volume + float(inside.sum())
+    low, high, x = models.box.low[fit.free], models.box.high[fit.free], fit.x[fit.free]
+    hessian = fit.hessian + _FLOOR * np.eye(len(x))
+    is_held = ((x <= low) & (fit.gradient > 0)) | ((x >= high) & (fit.gradient < 0))
+    loose, held = np.flatnonzero(~is_held), np.flatnonzero(is_held)
+    log_z = -fit.cost
+    if loose.size:
+        covariance = np.linalg.inv(hessian[np.ix_(loose, loose)])
+        slope = fit.gradient[loose]
+        center, deviation = x[loose] - covariance @ slope, np.sqrt(np.diag(covariance))
+        inside = _log_interval((low[loose] - center) / deviation, (high[loose] - center) / deviation)
+        log_z += 0.5 * float(slope @ covariance @ slope) + float(inside.sum())
+        log_z += 0.5 * float(np.linalg.slogdet(2 * np.pi * covariance)[1])
+        across = hessian[np.ix_(held, loose)]
+        stiffness = np.diag(hessian[np.ix_(held, held)] - across @ covariance @ across.T)
+        slopes = np.abs(fit.gradient[held] - across @ covariance @ slope)
+    else:
+        stiffness, slopes = np.diag(hessian)[held], np.abs(fit.gradient[held])
+    # ∫ exp(−g d − h d²/2) over d > 0, up to the other bound.
+    stiffness = np.maximum(stiffness, _FLOOR)
+    deviation, width = 1 / np.sqrt(stiffness), (high - low)[held]
+    tail = _log_interval(slopes * deviation, slopes * deviation + width / deviation)
+    log_z += float(np.sum(0.5 * (slopes * deviation) ** 2 + 0.5 * np.log(2 * np.pi * deviation**2) + tail))
+    return log_z
 
 
 def importance(fit: Descent, models: NestedModels, target: Target, draws: int, seed: int) -> Sampled:
     """log Z and a weighted sample of a fit's posterior.
 
+    The proposal learns from its own draws, with their weights flattened as far as it takes for enough of them to count.
+
     Arguments:
         fit: where it is.
         models: of the fit.
         target: what was fitted.
-        draws: number of draws in each of the two rounds.
+        draws: in each round, besides some for every parameter.
         seed: of the random numbers.
     """
     random = np.random.default_rng(seed)
+    size = len(fit.free)
     center, covariance = _gaussian(fit)
     low, high = models.box.low[fit.free], models.box.high[fit.free]
     # A coordinate nobody holds is spread over its box, and no further.
-    finite = np.isfinite(low) & np.isfinite(high)
-    width = np.where(finite, 0.5 * (np.where(finite, high, 1.0) - np.where(finite, low, 0.0)), 10.0)
+    width = np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (high - low), 10.0)
     shrink = np.minimum(1.0, width / np.sqrt(np.diag(covariance)))
-    covariance = covariance * np.outer(shrink, shrink)
-    center = np.clip(center, low, high)
-    points, log_weight = np.zeros((0, len(fit.free))), np.zeros(0)
-    for round_number in range(2):
-        proposal = multivariate_t(center, covariance, df=_DEGREES, allow_singular=True)
-        drawn: Any = proposal.rvs(draws * (1 + round_number), random_state=random)
-        points = np.reshape(drawn, (-1, len(fit.free)))
+    covariance, center = covariance * np.outer(shrink, shrink), np.clip(center, low, high)
+    enough = 4 * size + 20
+    points, log_weight = np.empty((0, size)), np.empty(0)
+    for number in range(_MOST_ROUNDS):
+        shape: Any = covariance
+        proposal = multivariate_t(center, shape, df=_DEGREES, allow_singular=True)
+        drawn: Any = proposal.rvs(draws + 40 * size, random_state=random)
+        points = np.asarray(drawn).reshape(-1, size)
         inside = np.all((points >= low) & (points <= high), axis=1)
         log_weight = np.full(len(points), -np.inf)
         if inside.any():
-            log_weight[inside] = -_costs(fit, models, target, points[inside]) - np.atleast_1d(
-                proposal.logpdf(points[inside])
-            )
-        share = np.exp(log_weight - logsumexp(log_weight)) if np.isfinite(log_weight).any() else None
-        if share is None:
+            density = np.atleast_1d(proposal.logpdf(points[inside]))
+            log_weight[inside] = -_costs(fit, models, target, points[inside]) - density
+        if not np.isfinite(log_weight).any():
+            return Sampled(-np.inf, 0.0, models.theta(fit.x, fit.free)[None], np.ones(1))
+        flatness, shares = _flattened(log_weight, enough)
+        if number > 0 and flatness == 1.0 and 1 / np.sum(shares**2) > 3 * enough:
             break
-        if round_number == 0 and 1 / np.sum(share**2) > 3 * len(fit.free):
-            center = share @ points
-            spread = np.sqrt(share)[:, None] * (points - center)
-            covariance = 1.2 * (spread.T @ spread) + 1e-12 * np.eye(len(center))
+        if number < _MOST_ROUNDS - 1:
+            center = shares @ points
+            spread = np.sqrt(shares)[:, None] * (points - center)
+            covariance = 1.1 * (spread.T @ spread) + 1e-14 * np.eye(size)
     total = float(np.asarray(logsumexp(log_weight)))
-    if not np.isfinite(total):
-        return Sampled(-np.inf, 0.0, models.theta(fit.x, fit.free)[None], np.ones(1))
     weights = np.exp(log_weight - total)
     thetas = np.stack([models.theta(_at(fit, point), fit.free) for point in points])
     return Sampled(total - float(np.log(len(points))), float(1 / np.sum(weights**2)), thetas, weights)
+
+
+def _flattened(log_weight: np.ndarray, enough: float) -> tuple[float, np.ndarray]:
+    """The largest power up to one of the weights with which enough draws count, and the shares with it."""
+    power = 1.0
+    while True:
+        shares = np.exp(power * (log_weight - log_weight.max()))
+        shares /= shares.sum()
+        if 1 / np.sum(shares**2) >= enough or power < 1e-6:
+            return power, shares
+        power *= 0.7
 
 
 def _gaussian(fit: Descent) -> tuple[np.ndarray, np.ndarray]:

@@ -17,6 +17,7 @@ from jaxtyping import Float, Int
 
 from hsed_jax.inference.observation import Histories, Observation, Quantities
 from hsed_jax.physics.batch import tiled_map
+from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.simulator import Conditions, Simulator
 
 _CHUNK = 256
@@ -39,7 +40,9 @@ class Lanes:
             if isinstance(observation, Quantities)
             else Histories(observation.names, observation.samples)
         )
-        self._run = partial(_outputs, bare, names)
+        # So are effects of a user's own, which may have changed under the same name.
+        classes = tuple(EFFECTS[name] for name in simulator.effects)
+        self._run = partial(_outputs, bare, names, classes)
         self._operands = (
             jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, simulator),
             conditions,
@@ -70,7 +73,8 @@ class Lanes:
 
 
 @eqx.filter_jit
-def _outputs(observation, names, simulator, conditions, thetas, experiments, count):
+def _outputs(observation, names, classes, simulator, conditions, thetas, experiments, count):
+    del classes
     respond = observation.respond(simulator)
 
     def one(lane):

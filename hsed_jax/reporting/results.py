@@ -1,6 +1,7 @@
 """`results.nc`: posterior, statistics of the sampler, predictions, design and surrogate as one xarray DataTree.
 
-The groups `posterior`, `sample_stats` and `observed_data` are ArviZ's, so ArviZ opens the file as it is.
+The groups `posterior`, `sample_stats` and `observed_data` are ArviZ's, so ArviZ opens the file as it is; `posterior_improved`
+and `sample_stats_improved` are the same of the improved model, and `ranking` is the table of the diagnosis.
 """
 
 import jax.numpy as jnp
@@ -8,7 +9,9 @@ import numpy as np
 import xarray as xr
 
 from hsed_jax.criticism.compare import Comparison
+from hsed_jax.criticism.findings import Diagnosis
 from hsed_jax.criticism.locate import Location
+from hsed_jax.inference.fit import Fit
 from hsed_jax.physics.outputs import output as output_of
 from hsed_jax.reporting.outcome import Outcome
 
@@ -19,12 +22,16 @@ def results_tree(outcome: Outcome) -> xr.DataTree:
     """Collect the results of a run; groups of steps that did not run are absent."""
     groups: dict[str, xr.Dataset] = {}
     if outcome.fit is not None:
-        groups |= _posterior(outcome)
+        groups |= _posterior(outcome.fit)
     groups["observed_data"] = _observed(outcome)
     if outcome.comparison is not None:
         groups |= _predictions(outcome.comparison)
     if outcome.location is not None and outcome.location.places:
         groups["where"] = _where(outcome.location)
+    if outcome.diagnosis is not None and outcome.diagnosis.ranking:
+        groups["ranking"] = _ranking(outcome.diagnosis)
+    if outcome.improved is not None:
+        groups |= {f"{name}_improved": group for name, group in _posterior(outcome.improved).items()}
     if outcome.steps:
         groups["design"] = _design(outcome)
         groups["surrogate"] = _surrogate(outcome)
@@ -33,13 +40,13 @@ def results_tree(outcome: Outcome) -> xr.DataTree:
     return tree
 
 
-def _posterior(outcome: Outcome) -> dict[str, xr.Dataset]:
-    assert outcome.fit is not None
-    chains = outcome.fit.chains
+def _posterior(fit: Fit) -> dict[str, xr.Dataset]:
+    """Draws of every parameter, and statistics of the sampler."""
+    chains = fit.chains
     dims = ("chain", "draw")
     draws = {
-        name: (dims, np.asarray(chains.theta[..., i]), {"units": outcome.units.get(name, "1")})
-        for i, name in enumerate(outcome.posterior.names)
+        name: (dims, np.asarray(chains.theta[..., i]), {"units": fit.units.get(name, "1")})
+        for i, name in enumerate(fit.names)
     }
     stats = {
         "lp": (dims, np.asarray(chains.log_density)),
@@ -95,6 +102,21 @@ def _where(location: Location) -> xr.Dataset:
         },
         {"rank": np.arange(1, len(places) + 1)},
     )
+
+
+def _ranking(diagnosis: Diagnosis) -> xr.Dataset:
+    """The candidates of a diagnosis, ranked; the amplitude is the first parameter of an effect, dimensionless."""
+    candidates = diagnosis.ranking
+    table: dict = {
+        key: ("rank", [getattr(c, key) for c in candidates])
+        for key in ("effect", "family", "probability", "log_evidence_gain", "score", "score_p_value", "error_train",
+                    "error_test")
+    }  # fmt: skip
+    amplitudes = [next(iter(c.estimate.values())) for c in candidates]
+    for statistic in ("mean", "sd", "q05", "q95"):
+        table[f"amplitude_{statistic}"] = ("rank", [amplitude[statistic] for amplitude in amplitudes])
+    table["named"] = ("rank", [c.effect in diagnosis.effects for c in candidates])
+    return xr.Dataset(table, {"rank": np.arange(1, len(candidates) + 1)}, {"verdict": diagnosis.verdict})
 
 
 def _observed(outcome: Outcome) -> xr.Dataset:

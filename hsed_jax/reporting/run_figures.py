@@ -4,6 +4,7 @@ from itertools import chain
 from pathlib import Path
 
 from hsed_jax.reporting.design_figures import design_pictures
+from hsed_jax.reporting.diagnosis_figures import diagnosis_pictures
 from hsed_jax.reporting.figures import save
 from hsed_jax.reporting.misfit_figures import misfit_pictures
 from hsed_jax.reporting.outcome import Outcome
@@ -14,5 +15,5 @@ def draw(outcome: Outcome, folder: Path) -> None:
     misfit = ()
     if outcome.comparison is not None:
         misfit = misfit_pictures(outcome.comparison, outcome.location, outcome.campaign)
-    for name, picture in chain(design_pictures(outcome), misfit):
+    for name, picture in chain(design_pictures(outcome), misfit, diagnosis_pictures(outcome)):
         save(picture, folder, name)

@@ -1,0 +1,310 @@
+"""Writes the catalogue of effects: `docs/effects.md` and a figure of each in `docs/images/effects/`.
+
+    python docs/effects.py
+
+Everything in it is read from the effects themselves; `--text` leaves the figures as they are.
+"""
+
+import argparse
+import inspect
+import io
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from PIL import Image
+
+from hsed_jax.config.build import Built
+from hsed_jax.config.load import load_study
+from hsed_jax.inference.priors import Prior
+from hsed_jax.physics.effects import EFFECTS, AbstractEffect
+from hsed_jax.physics.excitations import Imposed, Tabulated
+from hsed_jax.physics.parameters import Parameter, PhysicalForm, parameters_of
+from hsed_jax.physics.scales import Scales
+from hsed_jax.physics.simulator import Conditions, Recorded, Simulator, Timeline
+from hsed_jax.reporting import style
+from hsed_jax.reporting.style import Picture
+
+DOCS = Path(__file__).resolve().parent
+PAGE, IMAGES = DOCS / "effects.md", DOCS / "images" / "effects"
+
+# The component test of the figures: cycles of growing amplitude.
+A, BETA = 2.0e6, 40.0  # N/m, 1/m: a strength of 50 kN, reached around 25 mm
+AMPLITUDES, PERIOD, STEP = (0.02, 0.04, 0.06), 1.0, 0.005  # m, s, s
+# The size that is shown: this quantile of the prior of the first parameter.
+SIZE = 0.9
+# … or these, where that would show little here, or too much.
+SHOWN: dict[str, dict[str, float]] = {
+    "slip": {"delta": 0.4},
+    "fracture": {"delta": 0.7, "life": 5.0},
+    "force_drift": {"delta": 1.0},
+    "force_gain": {"delta": 0.2},
+    "elongation_gain": {"delta": 0.3},
+    "ground_motion_gain": {"delta": 0.3},
+}
+
+SYMBOLS = ("F_c", "u_c", "v_c", "E_c")
+
+HEAD = """\
+# The catalogue of physical effects
+
+*Written by `python docs/effects.py` from the code; not to be edited by hand.*
+
+What a model may lack. Any of these can stand in a study under `model: effects:`, such as
+`effects: {{stiffness_degradation: {{}}}}`; a diagnosis looks for all of them that the measurements could show;
+`hsed effects NAME` prints the same in a terminal.
+
+The plain law is that of Bouc and Wen with the force $r = z$. Effects write to named places in it,
+
+$$\\dot z = h\\,\\frac{{a A - \\nu\\,(\\beta\\,\\mathrm{{sign}}(\\Delta\\dot u\\,z)+\\gamma)\\,|z|^n}}{{\\eta}}\\,\\Delta\\dot u,
+\\qquad r = z + \\sum \\text{{force}},$$
+
+or to structure and test rig. What several effects write to one place multiplies or adds, so their order does not matter, and
+at its neutral value an effect does exactly nothing.
+
+- **Two forms.** Amplitudes are dimensionless by default, made so by characteristic values of the campaign: force $F_c$ [N],
+  elongation $u_c$ [m], rate of elongation $v_c$ [m/s] and absorbed energy $E_c$ [J]. Where a physical form is given, a study may
+  name it instead, in SI units. Energy is the total work of the spring, $e = \\int r\\,d\\Delta u$ [J]; other authors leave out
+  the elastic part or divide by the mass, and their numbers differ accordingly.
+- **Priors** are defaults; a study may give others.
+- **Figures.** Grey: the plain law; blue: with the effect, its first parameter at the {share:.0f} % quantile of its prior,
+  the others at their defaults, or as said below it. Loops are of a component test with three cycles of growing amplitude
+  (A = 2000 kN/m, β = 40 1/m, γ = 0, n = 1). Effects that mean nothing in a component test are shown by the elongation of the
+  specimen in the shaken structure of `configs/hidden_effect.yaml`.
+"""
+
+LOOK_ALIKES = """\
+## What looks like what
+
+Some effects cannot be told apart by some measurements, however good. A diagnosis says so (`ambiguous`, with the rivals and the
+experiment that would separate them) rather than pick one by luck. Where to be careful:
+
+- **Stiffness against strength.** A decay of A, as in `peak_softening`, lowers the initial slope and the ultimate force
+  together: to first order it is `strength_degradation` and `stiffness_degradation` at once. Loops well beyond yield separate
+  them.
+- **A delay against damping.** At one frequency a delay acts as a dashpot does: a negative one where a late signal is fed back
+  to the structure, as in hybrid simulation. So `actuator_delay`, `time_offset` and `viscous_damping` need more than one
+  frequency, or a known clock.
+- **A wrong load cell against a wrong specimen.** With n = 1 `force_gain` is A times a factor and nothing else; for another n
+  it carries β and γ along. Only a second measure of the force decides.
+- **β, γ and n at one amplitude.** They shape one loop nearly alike; correlations of 0.998 and more are published. So
+  `loop_shape` and `yield_sharpness` need cycles of several amplitudes.
+- **Pinching against softness.** As long as cycles are small, `pinching` and `slip` are just a softer spring.
+- **Friction against a small loop.** `coulomb_friction` is the limit of a very stiff hysteretic spring that yields at once; its
+  corners, or a change of speed (`stribeck_friction`, `viscous_damping`), tell them apart.
+"""
+
+
+def effects() -> dict[str, type[AbstractEffect]]:
+    """The catalogue of the package, without effects of a user."""
+    return {name: e for name, e in EFFECTS.items() if e.__module__.startswith("hsed_jax.physics.effects.")}
+
+
+def page() -> str:
+    """The text of `docs/effects.md`."""
+    families: dict[str, list[str]] = {}
+    for name, effect in effects().items():
+        families.setdefault(effect.family, []).append(name)
+    index = ["| family | effects |", "|---|---|"]
+    index += [f"| {f} | {', '.join(f'[`{n}`](#{n})' for n in names)} |" for f, names in families.items()]
+    parts = [HEAD.format(share=100 * SIZE), "\n".join(index) + "\n", LOOK_ALIKES]
+    for family, names in families.items():
+        parts.append(f"## Family: {family}\n")
+        parts += [_entry(name) for name in names]
+    return _for_markdown("\n".join(parts))
+
+
+def _for_markdown(text: str) -> str:
+    """Spaces in formulas by name: Markdown would eat the backslash before punctuation."""
+    return text.replace("\\,", "\\thinspace ").replace("\\!", "\\negthinspace ")
+
+
+def _entry(name: str) -> str:
+    effect = EFFECTS[name]
+    known = parameters_of(effect)
+    shown = ", ".join(f"${known[key].symbol}$ = {value:.2g}" for key, value in medium(name).items())
+    alt = f"Plain law in grey and with {name} in blue"
+    rows = [
+        "| parameter | symbol | meaning | neutral | range | prior | physical form |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    rows += [_row(parameter) for parameter in known.values()]
+    limits = [
+        said
+        for is_so, said in (
+            (effect.shaken_only, "does nothing in a component test"),
+            (effect.needs_time, "needs a time scale"),
+            (effect.histories_only, "shows in histories, not in quantities"),
+        )
+        if is_so
+    ]
+    return "\n".join(
+        [
+            f"### {name}",
+            "",
+            f"![{alt}](images/effects/{name}.png)",
+            "",
+            inspect.cleandoc(effect.__doc__ or ""),
+            "",
+            *rows,
+            "",
+            f"Place: {effect.place}{''.join(f'; {said}' for said in limits)}. Reference: {effect.reference}. "
+            f"Shown: {shown}.",
+            "",
+        ]
+    )
+
+
+def _row(known: Parameter) -> str:
+    low, high = (f"{bound:g}" if math.isfinite(bound) else "∞" for bound in (known.lower, known.upper))
+    low = "−∞" if low == "∞" else low
+    bounds = "any" if (low, high) == ("−∞", "∞") else f"{low} to {high}"
+    prior = ", ".join(f"`{kind}` {_arguments(given)}" for kind, given in (known.prior or {}).items())
+    physical = "–" if known.physical is None else _physical(known, known.physical)
+    meaning = known.meaning.replace("|", "\\|")
+    cells = (f"`{known.name}`", f"${known.symbol}$", meaning, f"{known.neutral:g}", bounds, prior, physical)
+    return f"| {' | '.join(cells)} |"
+
+
+def _arguments(given: object) -> str:
+    if isinstance(given, Mapping):
+        return ", ".join(f"{key} {value:g}" for key, value in given.items())
+    return ", ".join(f"{value:g}" for value in given) if isinstance(given, list | tuple) else f"{given:g}"
+
+
+def _physical(known: Parameter, form: PhysicalForm) -> str:
+    """``eta`` = δ/E_c [1/J]: the factor is a product of powers of the characteristic values, found by doubling each."""
+    ones = np.ones(len(SYMBOLS))
+    coefficient = float(form.factor(Scales(*ones)))
+    powers = [
+        round(math.log2(float(form.factor(Scales(*np.where(np.arange(4) == i, 2.0, 1.0)))) / coefficient))
+        for i in range(len(SYMBOLS))
+    ]
+
+    def product(sign: int) -> list[str]:
+        return [f"{s}^{{{abs(p)}}}" if abs(p) > 1 else s for s, p in zip(SYMBOLS, powers, strict=True) if sign * p > 0]
+
+    above, below = product(1), product(-1)
+    if coefficient < 1:
+        below = [f"{1 / coefficient:g}", *below]
+    elif coefficient > 1:
+        above = [f"{coefficient:g}", *above]
+    over = "\\,".join([known.symbol, *above])
+    under = "" if not below else "/" + (below[0] if len(below) == 1 else f"({'\\,'.join(below)})")
+    return f"`{form.name}` = ${over}{under}$ [{form.unit}]"
+
+
+def medium(name: str) -> dict[str, float]:
+    """The size at which an effect is shown, by parameter."""
+    if name in SHOWN:
+        return SHOWN[name]
+    first = next(iter(parameters_of(EFFECTS[name]).values()))
+    ((kind, given),) = (first.prior or {}).items()
+    return {first.name: float(Prior(kind, given).quantile(SIZE))}
+
+
+def draw() -> None:
+    """Write the figure of every effect."""
+    IMAGES.mkdir(parents=True, exist_ok=True)
+    for old in IMAGES.glob("*.png"):
+        old.unlink()
+    test, shaken = ComponentTest(), Shaken()
+    for name, effect in effects().items():
+        size = {f"{name}.{key}": value for key, value in medium(name).items()}
+        picture = (shaken if effect.shaken_only else test).picture(name, size)
+        buffer = io.BytesIO()
+        picture.figure.savefig(buffer, format="png", dpi=120)
+        # Few colours in a palette: a quarter of the size.
+        Image.open(buffer).convert("RGB").quantize(48).save(IMAGES / f"{name}.png", optimize=True)
+
+
+class ComponentTest:
+    """The spring alone, cycled."""
+
+    def __init__(self):
+        steps = round(len(AMPLITUDES) * PERIOD / STEP)
+        time = 0.5 * STEP * np.arange(2 * steps + 1)
+        omega = 2 * np.pi / PERIOD
+        size = np.asarray(AMPLITUDES)[np.minimum((time / PERIOD).astype(int), len(AMPLITUDES) - 1)]
+        path = Imposed(jnp.asarray(size * np.sin(omega * time)), jnp.asarray(size * omega * np.cos(omega * time)))
+        self.conditions = Conditions({}, Recorded(Tabulated(path), jnp.full(steps, STEP)))
+        self.constants = (("A", A), ("beta", BETA), ("gamma", 0.0), ("n", 1.0))
+        self.simulator = Simulator(None, None, Timeline(STEP, steps), (), Scales(), self.constants)
+        self.plain = _respond(self.simulator, {}, self.conditions)
+        self.scales = _scales(self.plain)
+
+    def picture(self, name: str, size: Mapping[str, float]) -> Picture:
+        """The loop, plain and with the effect."""
+        simulator = replace(self.simulator, effects=(name,), scales=self.scales)
+        changed = _respond(simulator, size, self.conditions)
+        curves = [(channels["elongation"], channels["force"]) for channels in (self.plain, changed)]
+        return _picture(name, curves, ("elongation", "m"), ("force", "N"))
+
+
+class Shaken:
+    """The specimen in the structure of the paper, at the central inputs."""
+
+    def __init__(self):
+        study = load_study(DOCS.parent / "configs" / "hidden_effect.yaml")
+        built = Built(study)
+        space = built.space
+        middle = space.si(space.declared(np.full((1, len(space.names)), 0.5)))
+        self.conditions = Conditions({key: jnp.asarray(values[0]) for key, values in middle.items()})
+        self.law = {k: v for k, v in built.laboratory.parameters.items() if "." not in k}
+        self.simulator = replace(built.simulator, effects=(), constants=())
+        self.plain = _respond(self.simulator, self.law, self.conditions)
+        step, _, every = self.simulator.timeline
+        self.time = step * every * np.arange(len(self.plain["elongation"]))
+
+    def picture(self, name: str, size: Mapping[str, float]) -> Picture:
+        """The elongation over time, plain and with the effect."""
+        simulator = replace(self.simulator, effects=(name,), scales=_scales(self.plain))
+        changed = _respond(simulator, {**self.law, **size}, self.conditions)
+        return _picture(
+            name, [(self.time, c["elongation"]) for c in (self.plain, changed)], ("time", "s"), ("elongation", "m")
+        )
+
+
+def _respond(simulator: Simulator, parameters: Mapping[str, float], conditions: Conditions) -> dict[str, np.ndarray]:
+    names = ("elongation", "elongation_rate", "force", "energy")
+    known = {key: jnp.asarray(value) for key, value in parameters.items()}
+    channels = jax.jit(lambda p, c: simulator.respond(p, c, names).channels)(known, conditions)
+    return {key: np.asarray(values) for key, values in channels.items()}
+
+
+def _scales(channels: Mapping[str, np.ndarray]) -> Scales:
+    force, elongation, rate = (float(np.max(np.abs(channels[k]))) for k in ("force", "elongation", "elongation_rate"))
+    return Scales(force, elongation, rate, float(channels["energy"][-1]))
+
+
+@style.in_house_style
+def _picture(name: str, curves: list, x: tuple[str, str], y: tuple[str, str]) -> Picture:
+    figure = style.new_figure(2.1)
+    figure.set_size_inches(3.0 if x[0] == "elongation" else 4.4, 2.1)
+    panel = figure.subplots()
+    labels = []
+    for channel, unit, values in ((*x, [c[0] for c in curves]), (*y, [c[1] for c in curves])):
+        divisor, shown = style.readable(unit, *values)
+        labels.append((divisor, "Time [s]" if channel == "time" else style.channel_label(channel, shown)))
+    looks = ({"color": style.GREY, "linewidth": 1.0}, {"color": style.BLUE, "linewidth": 1.2})
+    for (u, v), look in zip(curves, looks, strict=True):
+        panel.plot(u / labels[0][0], v / labels[1][0], **look)
+    panel.set(xlabel=labels[0][1], ylabel=labels[1][1])
+    return Picture(figure, f"{name}: plain law (grey) and with the effect (blue).", f"Two curves, {name}.")
+
+
+def main() -> None:
+    """Write the page and, unless `--text` is given, the figures."""
+    parser = argparse.ArgumentParser(description="Write docs/effects.md and its figures.")
+    parser.add_argument("--text", action="store_true", help="the page alone, without the figures")
+    if not parser.parse_args().text:
+        draw()
+    PAGE.write_text(page(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,370 @@
+"""The figures of a diagnosis and of what became of the model: the candidates, the fall of the error, before and after."""
+
+import textwrap
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from hsed_jax.criticism.compare import Comparison
+from hsed_jax.criticism.findings import Candidate, Diagnosis
+from hsed_jax.criticism.improve import Trail
+from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.measurements import Campaign
+from hsed_jax.physics.outputs import output
+from hsed_jax.reporting import style
+from hsed_jax.reporting.misfit_figures import _loop
+from hsed_jax.reporting.misfit_maps import splits
+from hsed_jax.reporting.outcome import Outcome
+from hsed_jax.reporting.style import Picture
+
+_SHOWN = 12
+_90 = 1.6448536  # standard deviations on both sides hold 90 %
+_DASHES = (0, (4, 1.6))
+_PALE = "#9ecae1"
+_BEFORE = {"color": style.RED, "linestyle": (0, (6, 1.2, 1, 1.2)), "linewidth": 0.9, "label": "model as it was",
+           "zorder": 2}  # fmt: skip
+_AFTER = {"color": style.BLUE, "linestyle": "-", "linewidth": 1.2, "label": "improved model", "zorder": 2.5}
+_MEASURED = {**style.MEASURED, "label": "measured", "linewidth": 0.9}
+
+
+def diagnosis_pictures(outcome: Outcome) -> Iterator[tuple[str, Picture]]:
+    """Every figure of the diagnosis and the improvement that there is material for, with the name of its file."""
+    diagnosis, trail = outcome.diagnosis, outcome.trail
+    if diagnosis is not None and diagnosis.ranking:
+        yield "ranking", ranking(diagnosis)
+    if trail is not None and len(trail.steps) > 1:
+        yield "error_fall", error_fall(trail)
+    if outcome.comparison is not None and outcome.improved_comparison is not None:
+        picture = before_after(outcome.comparison, outcome.improved_comparison, outcome.campaign)
+        if picture is not None:
+            yield "before_after", picture
+    if outcome.fit is not None and outcome.improved is not None:
+        truth = {} if outcome.laboratory is None else outcome.laboratory.parameters
+        picture = parameters_before_after(
+            outcome.fit.summary(), outcome.improved.summary(), outcome.improved.units, truth
+        )
+        if picture is not None:
+            yield "parameters_before_after", picture
+
+
+@style.in_house_style
+def ranking(diagnosis: Diagnosis) -> Picture:
+    """The best candidates: log-evidence gain as bars, probability beside them; what is named and its look-alikes stand out.
+
+    Arguments:
+        diagnosis: `ranking` with at least one candidate.
+    """
+    shown = _best(diagnosis)
+    alike = {effect for group in diagnosis.look_alikes for effect in group} - set(diagnosis.effects)
+    figure = style.new_figure(0.22 * len(shown) + 1.0)
+    panel = figure.subplots()
+    looks: dict[str, dict] = {
+        "named": {"color": style.BLUE},
+        "look-alike of what is named": {"facecolor": _PALE, "edgecolor": style.BLUE, "hatch": "////", "linewidth": 0.5},
+        "other candidates": {"color": "#c8c8c8"},
+    }
+    kinds = [_kind(candidate, diagnosis, alike) for candidate in shown]
+    places = -np.arange(len(shown), dtype=float)
+    for kind, (text, look) in enumerate(looks.items()):
+        own = [i for i, k in enumerate(kinds) if k == kind]
+        if own:
+            panel.barh(places[own], [shown[i].log_evidence_gain for i in own], height=0.68, label=text, **look)
+    panel.set_xscale("symlog", linthresh=1.0, linscale=0.5)
+    panel.axvline(0.0, color=style.BLACK, linewidth=0.8)
+    panel.set_yticks(places, [candidate.effect.replace("_", " ") for candidate in shown])
+    panel.tick_params(axis="y", length=0)
+    for tick, kind in zip(panel.get_yticklabels(), kinds, strict=True):
+        tick.set_fontweight("bold" if kind == 0 else "normal")
+    panel.grid(False, axis="y")
+    panel.set_ylim(places[-1] - 0.6, 0.6)
+    panel.set_xlabel("Log-evidence gain [nats], logarithmic beyond ±1")
+    for place, *texts in [
+        (0.9, "gain", "probability"),
+        *(
+            (p, f"{c.log_evidence_gain:,.1f}".replace(",", "\u2009"), _probability(c.probability))
+            for p, c in zip(places, shown, strict=True)
+        ),
+    ]:
+        for text, right in zip(texts, (48, 108), strict=True):
+            panel.annotate(text.replace("-", "−"), (1.0, place), xycoords=panel.get_yaxis_transform(),
+                           xytext=(right, 0), textcoords="offset points", ha="right", va="center", fontsize=8,
+                           annotation_clip=False)  # fmt: skip
+    style.legend(figure, panel)
+    rest = len(diagnosis.ranking) - len(shown)
+    groups = "; ".join(" or ".join(name.replace("_", " ") for name in group) for group in diagnosis.look_alikes)
+    first = shown[0]
+    return Picture(
+        figure,
+        "Candidates for what is missing: how much the logarithm of the evidence gains with each of them, and the "
+        "probability that it takes part."
+        + (f"  The noise hides from one another: {groups}." if groups else "")
+        + (f"  {rest} weaker candidates are not shown." if rest else ""),
+        f"{len(shown)} horizontal bars. Verdict: {diagnosis.verdict.replace('_', ' ')}. First is "
+        f"{first.effect.replace('_', ' ')} with a gain of {style.amount(first.log_evidence_gain)} and a probability of "
+        f"{_probability(first.probability)}.",
+    )
+
+
+def _best(diagnosis: Diagnosis) -> list[Candidate]:
+    """What is named, in its order, then what gains most."""
+    known = [c for c in diagnosis.ranking if np.isfinite(c.log_evidence_gain)] or diagnosis.ranking
+    named = [c for c in known if c.effect in diagnosis.effects]
+    others = sorted((c for c in known if c not in named), key=lambda c: -c.log_evidence_gain)
+    return [*named, *others][: max(_SHOWN, len(named))]
+
+
+def _kind(candidate: Candidate, diagnosis: Diagnosis, alike: set[str]) -> int:
+    return 0 if candidate.effect in diagnosis.effects else 1 if candidate.effect in alike else 2
+
+
+def _probability(value: float) -> str:
+    return "< 0.001" if value < 0.001 else "> 0.999" if value > 0.999 else f"{value:.3f}"
+
+
+@style.in_house_style
+def error_fall(trail: Trail) -> Picture:
+    """The error after each added effect as a staircase, on the fitted and the held-out experiments, above the noise."""
+    steps = trail.steps
+    train = np.asarray([step.error_train for step in steps], dtype=float)
+    test = np.asarray([np.nan if step.error_test is None else step.error_test for step in steps], dtype=float)
+    edges = np.arange(len(steps) + 1) - 0.5
+    figure = style.new_figure(2.7)
+    panel = figure.subplots()
+    panel.axhspan(0.0, trail.noise_floor, color=style.GREY, alpha=0.18, linewidth=0)
+    panel.stairs(train, edges, baseline=None, color=style.BLUE, linewidth=3.5, alpha=0.45, label="train: fitted")
+    if np.isfinite(test).any():
+        panel.stairs(test, edges, baseline=None, color=style.BLACK, linewidth=1.2, linestyle=_DASHES,
+                     label="test: not used")  # fmt: skip
+    panel.axhline(trail.noise_floor, color=style.DARK_GREY, linestyle=":", linewidth=1.3, zorder=1, label="noise floor")
+    for place, (fitted, held) in enumerate(zip(train, test, strict=True)):
+        both = [value for value in (fitted, held) if np.isfinite(value)]
+        if both:
+            text = f"train {fitted:.3f}" + (f"\ntest {held:.3f}" if np.isfinite(held) else "")
+            panel.annotate(text, (place, max(both)), xytext=(0, 4), textcoords="offset points", ha="center", va="bottom",
+                           fontsize=8, linespacing=1.1)  # fmt: skip
+    words = ["model as it was", *("+ " + step.effects[-1].replace("_", " ") for step in steps[1:])]
+    panel.set_xticks(range(len(steps)), ["\n".join(textwrap.wrap(word, 16)) for word in words])
+    panel.tick_params(axis="x", length=0)
+    panel.grid(False, axis="x")
+    highest = np.nanmax([*train, *test, trail.noise_floor, 1e-9])
+    panel.set(ylabel="Normalised error [–]", xlim=(edges[0], edges[-1]), ylim=(0.0, 1.28 * highest))
+    style.legend(figure, panel)
+    said = [
+        f"{word}: train {style.amount(a)}" + (f", test {style.amount(b)}" if np.isfinite(b) else "")
+        for word, a, b in zip(words, train, test, strict=True)
+    ]
+    return Picture(
+        figure,
+        "Normalised error of the model as it was and after each added effect, on the experiments that were fitted and on "
+        "those that were not used, against what the noise alone leaves (shaded).",
+        f"A falling staircase of {len(steps)} steps. {'; '.join(said)}; noise floor {style.amount(trail.noise_floor)}.",
+    )
+
+
+@style.in_house_style
+def before_after(before: Comparison, after: Comparison, campaign: Campaign) -> Picture | None:
+    """What the added effects changed, where they changed most.
+
+    Of histories: the experiment whose error fell most, of the test split where there is one; its hysteresis loop before and
+    after, and its histories.  Of quantities: predicted against measured, all experiments.
+
+    Arguments:
+        before, after: the model as it was and the improved one against the same measurements.
+        campaign: whether it has a time, and whether the elongation was imposed.
+
+    Returns:
+        The picture; None where no experiment of histories has errors of its own.
+    """
+    if before.train_prediction.groups.size == len(before.train_prediction.outputs):
+        return _scatter(before, after)
+    found = _most_improved(before, after)
+    if found is None:
+        return None
+    split, id, old, new = found
+    pair = []
+    for comparison in (before, after):
+        prediction = dict((name, p) for name, _, p in splits(comparison))[split]
+        pair.append((prediction, [e.id for e in prediction.experiments].index(id)))
+    (first, row), (second, other) = pair
+    names = first.outputs
+    loops = [_loop(prediction, index, campaign) for prediction, index in pair]
+    has_loops = all(loop is not None for loop in loops)
+    figure = style.new_figure((2.7 if has_loops else 0.0) + 1.45 * len(names) + 0.6)
+    grid = figure.add_gridspec(len(names) + has_loops, 2, height_ratios=[2.7] * has_loops + [1.45] * len(names))
+    panels: list[Axes] = []
+    if has_loops:
+        panels.append(figure.add_subplot(grid[0, 0]))
+        panels.append(figure.add_subplot(grid[0, 1], sharex=panels[0], sharey=panels[0]))
+        _draw_loops(panels, [loop for loop in loops if loop is not None])
+        for panel, text, error in zip(panels, ("as it was", "improved"), (old, new), strict=True):
+            panel.set_title(f"{text}: error {error:.3f}", loc="right")
+    histories = [figure.add_subplot(grid[index + has_loops, :]) for index in range(len(names))]
+    for panel, name in zip(histories, names, strict=True):
+        _history(panel, name, first, row, second, other)
+        panel.set_xlabel("Time [s]" if campaign.has_time else "Row")
+    for panel in histories[:-1]:
+        panel.set_xlabel("")
+        panel.sharex(histories[-1])
+        panel.tick_params(labelbottom=False)
+    figure.align_ylabels([*panels[:1], *histories])
+    panels += histories
+    style.panel_titles(panels)
+    style.legend(figure, *panels)
+    figure.legends[0].set_title(style.plain(f"{id} ({split})", 90))
+    which = id.replace("$", "")
+    return Picture(
+        figure,
+        f"Experiment {which} ({split}), whose error fell most: measured, predicted by the model as it was, and by the "
+        "improved model." + ("  a) and b) hysteresis loops before and after." if has_loops else ""),
+        f"{'Hysteresis loops and histories' if has_loops else 'Histories'} of {', '.join(names)}. The error is "
+        f"{style.amount(old)} before and {style.amount(new)} after.",
+    )
+
+
+def _most_improved(before: Comparison, after: Comparison) -> tuple[str, str, float, float] | None:
+    """Split, experiment, error before and after of the largest fall; of the test split if that has errors."""
+    later = {name: split for name, split, _ in splits(after)}
+    for name, split, _ in sorted(splits(before), key=lambda entry: entry[0] != "test"):
+        falls = []
+        for id, errors in split.per_experiment.items():
+            if name in later and id in later[name].per_experiment:
+                pair = _error(errors), _error(later[name].per_experiment[id])
+                if np.isfinite(pair).all():
+                    falls.append((id, *pair))
+        if falls:
+            return name, *max(falls, key=lambda fall: fall[1] - fall[2])
+    return None
+
+
+def _error(outputs: Mapping[str, Mapping[str, float]]) -> float:
+    """Error over the outputs of one experiment, averaged in the square."""
+    return float(np.sqrt(np.mean([values["nrmse"] ** 2 for values in outputs.values()])))
+
+
+def _draw_loops(panels: list[Axes], loops: list[tuple[np.ndarray, ...]]) -> None:
+    x, x_unit = style.readable("m", *(values for loop in loops for values in loop[::2]))
+    y, y_unit = style.readable("N", *(values for loop in loops for values in loop[1::2]))
+    for panel, (there, force, ours, predicted), look in zip(panels, loops, (_BEFORE, _AFTER), strict=True):
+        panel.plot(there / x, force / y, **_MEASURED)
+        panel.plot(ours / x, predicted / y, **look)
+        panel.set_xlabel(style.channel_label("elongation", x_unit))
+    panels[0].set_ylabel(style.channel_label("force", y_unit))
+    panels[1].tick_params(labelleft=False)
+
+
+def _history(panel: Axes, name: str, first: Prediction, row: int, second: Prediction, other: int) -> None:
+    record = first.experiments[row].record
+    assert record is not None
+    measured, before, _, _ = first.histories(row, name)
+    after = second.histories(other, name)[1]
+    used = first.used[row, first.columns(name)][: len(record)]
+    # What is not scored was measured all the same.
+    measured = record.channels.get(name, np.where(used, measured, np.nan))
+    divisor, unit = style.readable(output(name).unit, measured, before, after)
+    if used.any() and not used.all():
+        top = panel.get_xaxis_transform()
+        panel.fill_between(record.time, 0, 1, where=used, transform=top, color=style.GREY, alpha=0.18, linewidth=0,
+                           label="scored", zorder=0)  # fmt: skip
+    for values, look in ((measured, _MEASURED), (before, _BEFORE), (after, _AFTER)):
+        panel.plot(record.time, values / divisor, **look)
+    panel.margins(x=0.0)
+    panel.set_ylabel(style.channel_label(name, unit))
+
+
+def _scatter(before: Comparison, after: Comparison) -> Picture:
+    names = before.train_prediction.outputs
+    figure, panels = style.panels(len(names), 3.0)
+    said = []
+    for panel, name in zip(panels, names, strict=True):
+        known = [
+            (look, split, _quantity(prediction, name))
+            for comparison, look in ((before, "as it was"), (after, "improved"))
+            for split, _, prediction in splits(comparison)
+        ]
+        divisor, unit = style.readable(output(name).unit, *(v for *_, values in known for v in values[:2]))
+        for look, split, values in known:
+            measured, predicted, mean, sd = (v / divisor for v in values)
+            colour, marker = (style.RED, "v") if look == "as it was" else (style.BLUE, "o")
+            fill = colour if split == "train" else "white"
+            panel.vlines(measured, mean - _90 * sd, mean + _90 * sd, color=colour, alpha=0.35, linewidth=0.9)
+            panel.plot(measured, predicted, marker, ms=4.5, mfc=fill, mec=colour, mew=0.8, zorder=3,
+                       label=f"{look}, {split}")  # fmt: skip
+        both = np.concatenate([v for *_, values in known for v in values[:2]]) / divisor
+        both = both[np.isfinite(both)]
+        ends = [float(both.min(initial=np.inf)), float(both.max(initial=-np.inf))] if both.size else [0.0, 1.0]
+        panel.plot(ends, ends, color=style.BLACK, linewidth=0.8, zorder=1, label="equal")
+        words = f"{name.replace('_', ' ').capitalize()} ${output(name).symbol}$"
+        panel.set(xlabel=f"{words}, measured [{style.unit_text(unit)}]", ylabel=f"predicted [{style.unit_text(unit)}]")
+        pair = [comparison.train.per_output.get(name, {}).get("nrmse", np.nan) for comparison in (before, after)]
+        said.append(f"{name.replace('_', ' ')}: error {style.amount(pair[0])} before, {style.amount(pair[1])} after")
+    style.panel_titles(panels)
+    style.legend(figure, *panels)
+    return Picture(
+        figure,
+        "Predicted against measured quantities with 90 % predictive bars, by the model as it was (triangles) and the "
+        f"improved model (circles): {style.lettered(names)}.  Filled: train; open: test.",
+        f"Scatter plots beside the line of equality. {'; '.join(said)}.",
+    )
+
+
+def _quantity(prediction: Prediction, name: str) -> list[np.ndarray]:
+    """Measured, predicted, predictive mean and sd of a quantity where it was measured."""
+    column = int(np.flatnonzero(prediction.columns(name))[0])
+    used = prediction.used[:, column]
+    tables = (prediction.measured, prediction.predicted, prediction.mean, prediction.sd)
+    return [table[used, column] for table in tables]
+
+
+@style.in_house_style
+def parameters_before_after(
+    before: Mapping[str, Mapping[str, float]],
+    after: Mapping[str, Mapping[str, float]],
+    units: Mapping[str, str],
+    truth: Mapping[str, float],
+) -> Picture | None:
+    """Posterior means and 90 % intervals of the law's parameters, before and after effects were added.
+
+    Arguments:
+        before, after: `mean`, `q05` and `q95` by parameter, SI, as `Fit.summary` gives them.
+        units: SI unit by parameter.
+        truth: values of the virtual specimen where there is one, drawn as a line.
+
+    Returns:
+        The picture; None where the two have no parameter of the law in common.
+    """
+    names = [name for name in before if name in after and "." not in name]
+    if not names:
+        return None
+    figure, panels = style.panels(len(names), 1.25)
+    said = []
+    for panel, name in zip(panels, names, strict=True):
+        true = truth.get(name)
+        both = (before[name], after[name])
+        ends = [s[key] for s in both for key in ("mean", "q05", "q95")]
+        divisor, unit = style.readable(units.get(name, "1"), ends, [] if true is None else [true])
+        if true is not None:
+            panel.axvline(true / divisor, color=style.BLACK, linestyle=_DASHES, linewidth=1.1, label="true value")
+        for place, s, look, marker in ((1, both[0], _BEFORE, "v"), (0, both[1], _AFTER, "o")):
+            low, mean, high = (s[key] / divisor for key in ("q05", "mean", "q95"))
+            panel.plot([low, high], [place, place], color=look["color"], linewidth=2.2, solid_capstyle="butt")
+            panel.plot([low, high], [place, place], "|", color=look["color"], ms=8)
+            panel.plot(mean, place, marker, color=look["color"], ms=6, mec="white", mew=0.6, zorder=4)
+        panel.set_yticks([1, 0], ["as it was", "improved"])
+        panel.tick_params(axis="y", length=0)
+        panel.grid(False, axis="y")
+        panel.margins(x=0.12)
+        panel.set(xlabel=style.label(name, unit), ylim=(-0.6, 1.6))
+        means = [style.amount(s["mean"] / divisor, unit) for s in both]
+        known = "" if true is None else f" (true value {style.amount(true / divisor, unit)})"
+        said.append(f"{name} {means[0]} before, {means[1]} after{known}")
+    style.panel_titles(panels)
+    style.legend(figure, *panels)
+    has_truth = any(name in truth for name in names)
+    return Picture(
+        figure,
+        "Parameters of the law in the model as it was and in the improved one, posterior mean and 90 % interval: "
+        + style.lettered(names)
+        + (".  Dashed: true value of the virtual specimen." if has_truth else "."),
+        f"Two intervals per parameter. {'; '.join(said)}.",
+    )

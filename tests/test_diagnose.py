@@ -1,0 +1,415 @@
+"""Which effect is missing: the search on a dictionary of known functions, and diagnoses of tests made by other programs."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import hsed_jax as hx
+from hsed_jax.config.build import Built
+from hsed_jax.config.candidates import problem_of
+from hsed_jax.criticism.diagnose import diagnose
+from hsed_jax.criticism.search import Measured, Search, score_p_value
+from hsed_jax.inference.box import Box
+from hsed_jax.inference.lanes import Lanes
+from hsed_jax.inference.nested import NestedModels
+from hsed_jax.inference.priors import Prior
+from hsed_jax.measurements import Campaign, Channel, Experiment, Noise, Record
+
+# --- a dictionary: law + sum of amplitude × function, so that every answer is known in closed form -----------------------
+
+N, J, K, SIGMA = 6, 40, 8, 0.5
+RANDOM = np.random.default_rng(11)
+# White, so that nothing is like anything else: (2 + K, N, J).
+FUNCTIONS = RANDOM.standard_normal((2 + K, N, J))
+EFFECTS = {f"effect_{k}": np.array([2 + k]) for k in range(K)}
+LAW = np.arange(2)
+
+
+class Dictionary(Lanes):
+    """Outputs are linear in θ."""
+
+    def __init__(self, functions):
+        self.functions = functions
+
+    def __call__(self, thetas, experiments):
+        return np.einsum("lk,klj->lj", thetas, self.functions[:, experiments]), np.ones(len(experiments))
+
+
+PRIORS = {"a": Prior("normal", [0.0, 3.0]), "b": Prior("normal", [0.0, 3.0])} | {
+    name: Prior("normal", [0.0, 1.0]) for name in EFFECTS
+}
+BOX = Box(PRIORS)
+
+
+def measured_of(values, used=None, declared=SIGMA):
+    used = np.ones(values.shape, dtype=bool) if used is None else used
+    noise = 0.0 if math.isnan(declared) else declared / float(np.std(values[used]))
+    groups = np.zeros(values.shape[1], dtype=int)
+    return Measured(values, np.ones(values.shape), used, groups, np.array([declared]), noise)
+
+
+def search_of(values, is_explained=lambda fit: False, functions=FUNCTIONS, **more):
+    models = NestedModels(Dictionary(functions), BOX, np.zeros(2 + K))
+    search = Search(models, measured_of(values, **more), LAW, EFFECTS, is_explained)
+    search.start()
+    return search
+
+
+def found_in(values, **more):
+    search = search_of(values, **more)
+    search.run()
+    return search
+
+
+def data_of(seed, **amplitudes):
+    theta = np.zeros(2 + K)
+    theta[:2] = 1.5, -0.7
+    for name, value in amplitudes.items():
+        theta[EFFECTS[name]] = value
+    noise = SIGMA * np.random.default_rng(seed).standard_normal((N, J))
+    return np.einsum("k,knj->nj", theta, FUNCTIONS) + noise
+
+
+def test_noise_alone_names_nothing():
+    # By evidence alone, without the guard that stops where the noise explains the residual.
+    named = [set(found_in(data_of(seed)).best) for seed in range(40)]
+    assert sum(map(bool, named)) <= 2, named
+
+
+def test_the_effect_that_is_there_is_named():
+    # The residual's standard deviation grows by the half of an amplitude of 0.5.
+    for number in range(K):
+        search = found_in(data_of(number, **{f"effect_{number}": 0.5}))
+        assert search.best == {f"effect_{number}"}
+        model = search.model(search.best)
+        assert search.all()[0].effects == search.best
+        inside = [f"effect_{number}" in m.effects for m in search.all()]
+        assert search.probabilities(search.all())[inside].sum() > 0.999
+        amplitude = search.models.theta(model.fit.x, model.fit.free)[2 + number]
+        assert amplitude == pytest.approx(0.5, abs=4 * SIGMA / math.sqrt(N * J))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_both_effects_that_are_there_are_named(seed):
+    first, second = np.random.default_rng(seed).choice(K, 2, replace=False)
+    search = found_in(data_of(seed, **{f"effect_{first}": 0.5, f"effect_{second}": -0.3}))
+    assert search.best == {f"effect_{first}", f"effect_{second}"}
+    # The stronger one came first.
+    assert search.path[1] == {f"effect_{first}"}
+
+
+def test_a_wrong_first_step_is_taken_back():
+    # effect_7 is much like the sum of two others: the best single effect, and none of those that are there.
+    functions = FUNCTIONS.copy()
+    functions[9] = functions[2] + functions[3] + 0.8 * RANDOM.standard_normal((N, J))
+    theta = np.zeros(2 + K)
+    theta[2:4] = 0.6
+    values = np.einsum("k,knj->nj", theta, functions) + SIGMA * np.random.default_rng(0).standard_normal((N, J))
+    search = found_in(values, functions=functions)
+    assert search.path[1] == {"effect_7"}
+    assert search.best == {"effect_0", "effect_1"}
+
+
+def test_nothing_is_added_where_the_noise_explains_the_residual():
+    search = found_in(data_of(0, effect_3=0.5), is_explained=lambda fit: True)
+    assert search.best == frozenset() and search.path == [frozenset()]
+    # What else there is is ranked all the same.
+    assert search.all()[0].effects == {"effect_3"}
+
+    def is_explained(fit):
+        # The first effect is let in, after it the residual passes for noise.
+        return len(fit.free) > 2
+
+    search = found_in(data_of(0, effect_3=0.5, effect_5=0.3), is_explained=is_explained)
+    assert search.best == {"effect_3"}
+
+
+def test_an_error_that_is_not_declared_is_learned():
+    search = found_in(data_of(0, effect_3=0.5), declared=math.nan)
+    assert search.best == {"effect_3"}
+    assert search.errors[0] == pytest.approx(SIGMA, rel=0.12)
+
+
+def test_evidence_gain_of_an_effect_is_the_exact_marginal_likelihoods():
+    values = data_of(4, effect_2=0.3)
+    search = found_in(values)
+    sigma = float(search.errors[0])
+    np.testing.assert_allclose(search.target.sigma, sigma)
+    np.testing.assert_array_equal(search.worth, 1.0)
+
+    def exact(columns, deviations):
+        X = FUNCTIONS[columns].reshape(len(columns), -1).T
+        covariance = X @ np.diag(np.square(deviations)) @ X.T + sigma**2 * np.eye(N * J)
+        return stats.multivariate_normal(np.zeros(N * J), covariance).logpdf(values.ravel())
+
+    gain = search.model({"effect_2"}).log_evidence - search.model(()).log_evidence
+    assert gain == pytest.approx(exact([0, 1, 4], [3, 3, 1]) - exact([0, 1], [3, 3]), abs=0.02)
+
+
+def test_sets_of_one_size_share_their_probability():
+    search = found_in(data_of(0, effect_3=0.5, effect_5=0.4))
+    priors = {len(m.effects): m.log_posterior - m.log_evidence for m in search.all()}
+    for size in (0, 1, 2):
+        assert priors[size] == pytest.approx(-math.log(2 ** (size + 1) * math.comb(K, size)))
+
+
+def by_hand(values, used, free, sigma, weights):
+    """Ridge regression with the priors, by its normal equations."""
+    deviations = np.where(np.asarray(free) < 2, 3.0, 1.0)
+    X = FUNCTIONS[free]
+    inside = used * weights / sigma**2
+    hessian = np.einsum("anj,nj,bnj->ab", X, inside, X) + np.diag(1 / deviations**2)
+    theta = np.linalg.solve(hessian, np.einsum("anj,nj,nj->a", X, inside, values))
+    return np.einsum("a,anj->nj", theta, X)
+
+
+def test_errors_on_what_was_left_out_are_those_of_fits_made_by_hand():
+    values = data_of(2, effect_1=0.4)
+    used = np.random.default_rng(0).random((N, J)) < 0.9
+    search = found_in(values, used=used)
+    sets = [frozenset(), frozenset({"effect_1"}), frozenset({"effect_1", "effect_6"})]
+    found = search.held_out(sets)
+    scale = np.std(values[used])
+    for effects, error in zip(sets, found, strict=True):
+        free = np.concatenate([LAW, *(EFFECTS[e] for e in sorted(effects))])
+        squares = np.zeros((N, J))
+        for out in range(N):
+            keep = used.copy()
+            keep[out] = False
+            predicted = by_hand(values, keep, free, search.errors[0], search.worth[0])
+            squares[out] = (predicted - values)[out] ** 2
+        assert error == pytest.approx(np.sqrt(np.mean(squares[used])) / scale, rel=2e-3)
+
+
+def test_of_one_experiment_the_past_predicts_the_future():
+    values = data_of(2, effect_1=0.4)[:1]
+    search = found_in(values)
+    (error,) = search.held_out([frozenset()])
+    whole = np.pad(values, ((0, N - 1), (0, 0)))
+    block = np.arange(J) * 4 // J
+    predicted = np.zeros(J)
+    for number in (1, 2, 3):
+        past = np.pad((block < number)[None], ((0, N - 1), (0, 0)))
+        found = by_hand(whole, past, LAW, search.errors[0], search.worth[0])[0]
+        predicted[block == number] = found[block == number]
+    scored = block > 0
+    squares = (predicted - values[0])[scored] ** 2
+    # A fit may stop 0.02 nats above its end.
+    assert error == pytest.approx(np.sqrt(np.mean(squares)) / np.std(values[0, scored]), rel=1e-2)
+
+
+def test_scores_are_chi_square_where_the_effect_is_absent():
+    scores = np.array([list(search_of(data_of(1000 + seed)).scores.values()) for seed in range(50)])
+    # 400 of them: the standard deviation of the mean is 0.07.
+    assert scores.mean() == pytest.approx(1.0, abs=0.22)
+    assert stats.kstest(scores.ravel(), stats.chi2(1).cdf).pvalue > 0.005
+    assert score_p_value(3.841) == pytest.approx(0.05, abs=1e-3)
+
+
+def test_scores_are_those_of_the_projected_gradient():
+    values = data_of(7, effect_4=0.3)
+    search = search_of(values)
+    X = FUNCTIONS.reshape(2 + K, -1)
+    sigma = search.errors[0]
+    theta = np.linalg.solve(X[:2] @ X[:2].T / sigma**2 + np.eye(2) / 9, X[:2] @ values.ravel() / sigma**2)
+    residual = values.ravel() - theta @ X[:2]
+    basis, _ = np.linalg.qr(X[:2].T)
+    for name, (column,) in EFFECTS.items():
+        own = X[column] - basis @ (basis.T @ X[column])
+        exact = (own @ residual) ** 2 / (own @ own) / sigma**2
+        assert search.scores[name] == pytest.approx(exact, rel=0.03, abs=0.02)
+    assert max(search.scores, key=lambda name: search.scores[name]) == "effect_4"
+
+
+# --- component tests made by another program --------------------------------------------------------------------------
+
+A, BETA, C = 2.0e7, 200.0, 3.0e5  # strength 100 kN, yield elongation 5 mm; the dashpot carries up to 30 kN
+NOISE = 1.5e3
+SAMPLES = 120
+FEW = ("viscous_damping", "hardening", "coulomb_friction", "stiffness_degradation")
+
+
+def exact_force(time, elongation, rate, c, parts=50):
+    """Bouc–Wen with γ = 0, n = 1: on a monotone step z relaxes to ±A/β over the way; and a dashpot beside it."""
+    dense = np.linspace(time[0], time[-1], (time.size - 1) * parts + 1)
+    z = np.zeros(dense.size)
+    for k, du in enumerate(np.diff(elongation(dense))):
+        limit = np.sign(du) * A / BETA
+        z[k + 1] = limit + (z[k] - limit) * np.exp(-BETA * abs(du))
+    return z[::parts] + c * rate(time)
+
+
+def spring_campaign(c, seed=0, noise=NOISE) -> Campaign:
+    """Cyclic tests of different speed and amplitude, the last of them kept for testing."""
+    experiments = []
+    for number, (frequency, amplitude) in enumerate(((0.4, 0.02), (1.0, 0.014), (0.2, 0.03), (0.7, 0.018))):
+        time = np.linspace(0.0, 5.0 / frequency, SAMPLES)
+        omega, growth = 2 * np.pi * frequency, frequency / 5.0
+
+        def elongation(t, a=amplitude, w=omega, g=growth):
+            return a * (0.2 + 0.8 * g * t) * np.sin(w * t)
+
+        def rate(t, a=amplitude, w=omega, g=growth):
+            return a * (0.8 * g * np.sin(w * t) + (0.2 + 0.8 * g * t) * w * np.cos(w * t))
+
+        force = exact_force(time, elongation, rate, c)
+        force += noise * np.random.default_rng([seed, number]).standard_normal(SAMPLES)
+        record = Record(time, {"elongation": elongation(time), "force": force})
+        experiments.append(Experiment(f"E0{number + 1}", record=record, split="test" if number == 3 else "train"))
+    channels = {
+        "time": Channel("time", "s"),
+        "elongation": Channel("elongation", "mm"),
+        "force": Channel("force", "kN", noise=Noise(absolute=noise)),
+    }
+    return Campaign("springs", "displacement", {}, channels, {}, tuple(experiments))
+
+
+def spring_study(**changes):
+    return hx.load_study(
+        {
+            "study": "springs",
+            "model": {
+                "parameters": {
+                    "A": {"lognormal": [np.log(1.4 * A), 0.7]},
+                    "beta": {"lognormal": [np.log(0.7 * BETA), 0.7]},
+                    "gamma": 0.0,
+                    "n": 1.0,
+                }
+            },
+            "experiments": {"campaign": "nowhere"},
+            "observe": "histories",
+            "steps": ["calibrate", "compare"],
+            **changes,
+        }
+    )
+
+
+def diagnosed(c, effects=FEW, seed=0, **changes):
+    campaign = spring_campaign(c, seed)
+    return diagnose(problem_of(Built(spring_study(**changes), campaign), campaign, list(effects)))
+
+
+@pytest.fixture(scope="module")
+def damped():
+    return diagnosed(C)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return diagnosed(0.0)
+
+
+def test_the_hidden_dashpot_is_found_with_its_size(damped):
+    assert damped.verdict == "missing_effects" and damped.effects == ["viscous_damping"]
+    first = damped.ranking[0]
+    assert first.effect == "viscous_damping" and first.family == "damping"
+    assert first.probability > 0.99 and first.log_evidence_gain > 50 and first.score_p_value < 1e-6
+    size = first.estimate["c"]
+    assert size["unit"] == "N*s/m"
+    # Between 24 samples per cycle the model's rate is that of an interpolant: 3 % of the size; its sd is 1.7 %.
+    assert size["q05"] - 0.03 * C < C < size["q95"] + 0.03 * C and 0.005 * C < size["sd"] < 0.03 * C
+    # The two forms of the parameter are one number.
+    delta = first.estimate["delta"]
+    for key in ("mean", "sd", "q05", "q95"):
+        assert size[key] / delta[key] == pytest.approx(size["mean"] / delta["mean"])
+
+
+def test_the_law_is_right_again_once_the_dashpot_is_there(damped):
+    for name, truth in (("A", A), ("beta", BETA)):
+        after = damped.parameters["after"][name]
+        assert abs(after["mean"] - truth) < 3 * after["sd"] + 0.005 * truth
+    before = damped.parameters["before"]["beta"]["mean"]
+    assert abs(before - BETA) > 2 * abs(damped.parameters["after"]["beta"]["mean"] - BETA)
+
+
+def test_errors_fall_to_the_noise(damped):
+    campaign = spring_campaign(C)
+    for number, split in enumerate((campaign.train, campaign.test)):
+        floor = NOISE / np.std(np.concatenate([e.record["force"] for e in split]))
+        assert damped.error[number] > 2 * floor
+        assert damped.error_after[number] == pytest.approx(floor, rel=0.15)
+        if number == 0:
+            assert damped.noise_floor == pytest.approx(floor, rel=1e-6)
+    assert damped.p_value < 1e-6 and damped.p_value_after > 0.01
+    (first, *_) = damped.ranking
+    assert (first.error_train, first.error_test) == pytest.approx(damped.error_after)
+
+
+def test_the_prediction_is_that_of_the_model_with_the_dashpot(damped):
+    rms = np.sqrt(np.mean(damped.prediction.residual[damped.prediction.used] ** 2))
+    assert rms == pytest.approx(NOISE, rel=0.15)
+    assert [e.id for e in damped.prediction.experiments] == ["E01", "E02", "E03"]
+
+
+def test_a_model_that_lacks_nothing_is_adequate(plain):
+    assert plain.verdict == "adequate" and plain.effects == [] and plain.look_alikes == []
+    assert plain.p_value > 0.01 and plain.p_value_after == plain.p_value
+    assert plain.error == pytest.approx(plain.error_after)
+    assert plain.next_experiment is None
+    assert {c.effect for c in plain.ranking} == set(FEW)
+    assert max(c.log_evidence_gain for c in plain.ranking) < 3
+
+
+def test_what_the_catalogue_cannot_mend_is_unexplained():
+    found = diagnosed(C, effects=["asymmetry"])
+    assert found.verdict == "unexplained" and found.effects == []
+    assert "nothing in the catalogue mends it" in found.sentence
+
+
+KEYS = {"verdict", "effects", "ranking", "look_alikes"}
+RANKED = {"effect", "family", "probability", "log_evidence_gain", "estimate", "error_train", "error_test"}
+
+
+def numbers_of(content):
+    if isinstance(content, dict):
+        return [n for value in content.values() for n in numbers_of(value)]
+    if isinstance(content, list | tuple):
+        return [n for value in content for n in numbers_of(value)]
+    return [content] if isinstance(content, float | int) else []
+
+
+@pytest.mark.parametrize("name", ["damped", "plain"])
+def test_the_summary_has_the_keys_of_its_contract_and_only_finite_numbers(name, request):
+    diagnosis = request.getfixturevalue(name)
+    text = json.dumps(diagnosis.summary(), allow_nan=False)
+    content = json.loads(text)
+    assert content.keys() >= KEYS
+    assert content["verdict"] in ("adequate", "missing_effects", "ambiguous", "unexplained")
+    assert {entry["effect"] for entry in content["ranking"]} == set(FEW)
+    for entry in content["ranking"]:
+        assert entry.keys() >= RANKED and 0 <= entry["probability"] <= 1
+        for size in entry["estimate"].values():
+            assert size.keys() == {"mean", "sd", "q05", "q95", "unit"}
+            assert size["q05"] <= size["mean"] <= size["q95"]
+    assert np.isfinite(numbers_of(content)).all()
+    probabilities = [entry["probability"] for entry in content["ranking"] if entry["effect"] not in content["effects"]]
+    assert probabilities == sorted(probabilities, reverse=True)
+
+
+def test_it_reads_as_a_sentence_and_a_table(damped, plain):
+    text = repr(damped)
+    assert text.startswith("missing_effects: missing is viscous_damping: the error on experiments that were not used")
+    assert f"from {damped.error[1]:.3f} to {damped.error_after[1]:.3f}" in text
+    assert all(len(line) <= 200 for line in text.splitlines()) and "nan" not in text
+    assert "nothing is missing" in repr(plain)
+    assert "<pre>" in damped._repr_html_() and "missing is viscous_damping" in damped._repr_html_()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(1, 9))
+def test_verdicts_hold_over_noise(seed):
+    assert diagnosed(C, seed=seed).effects == ["viscous_damping"]
+    # The guard lets one control in a hundred pass it; the evidence has its say then.
+    assert diagnosed(0.0, seed=seed).effects == []
+
+
+@pytest.mark.slow
+def test_the_dashpot_is_found_among_the_whole_catalogue():
+    campaign = spring_campaign(C)
+    found = diagnose(problem_of(Built(spring_study(), campaign), campaign))
+    alike = {name for group in found.look_alikes for name in group}
+    assert found.effects == ["viscous_damping"] or "viscous_damping" in alike
+    assert found.error_after[0] < 1.1 * found.noise_floor

@@ -1,0 +1,245 @@
+"""Adding effects to a calibrated model: the fall of the error, the improved study, and the same from the command line."""
+
+import json
+
+import numpy as np
+import pytest
+from test_diagnose import BETA, NOISE, A, C, spring_campaign, spring_study
+
+import hsed_jax as hx
+from hsed_jax.config.build import Built
+from hsed_jax.config.candidates import with_effects
+from hsed_jax.errors import UserError
+from hsed_jax.measurements import Campaign, Experiment, Record, write_campaign
+from hsed_jax.run import main
+
+HARDENING = 8.0e5  # N/m: 24 kN at the largest elongation
+SMALL = {"starts": 1, "chains": 2, "warmup": 10, "draws": 20}
+
+
+def stiffened(campaign: Campaign) -> Campaign:
+    """The same springs, each with a linear one beside it."""
+    experiments = []
+    for e in campaign.experiments:
+        channels = dict(e.record.channels)
+        channels["force"] = channels["force"] + HARDENING * channels["elongation"]
+        experiments.append(Experiment(e.id, record=Record(e.record.time, channels), split=e.split))
+    return Campaign("springs", "displacement", {}, campaign.channels, {}, tuple(experiments))
+
+
+def small_study(**changes):
+    return spring_study(calibration=SMALL, **changes)
+
+
+@pytest.fixture(scope="module")
+def campaign():
+    return stiffened(spring_campaign(C))
+
+
+@pytest.fixture(scope="module")
+def calibration(campaign):
+    return hx.calibrate(small_study(), campaign)
+
+
+@pytest.fixture(scope="module")
+def better(calibration):
+    return hx.improve(calibration, effects=["viscous_damping", "hardening"])
+
+
+def floor(experiments):
+    return NOISE / np.std(np.concatenate([e.record["force"] for e in experiments]))
+
+
+def test_the_trail_goes_from_the_model_as_it_was_to_the_one_with_all_effects(better, calibration):
+    steps = better.trail.steps
+    assert [s.effects for s in steps] == [[], ["viscous_damping"], ["viscous_damping", "hardening"]]
+    errors = [s.error_train for s in steps]
+    assert errors[0] > errors[1] > errors[2]
+    assert errors[0] == better.before.train.error == hx.compare(calibration).train.error
+    assert errors[2] == better.after.train.error
+    assert [s.error_test for s in steps][::2] == [better.before.test.error, better.after.test.error]
+    assert steps[0].parameters == calibration.map and steps[2].parameters == better.calibration.map
+    assert set(steps[1].parameters) == {"A", "beta", "viscous_damping.delta"}
+
+
+def test_the_error_falls_to_the_noise(better, campaign):
+    last = better.trail.steps[-1]
+    assert last.error_train == pytest.approx(floor(campaign.train), rel=0.15)
+    assert last.error_test == pytest.approx(floor(campaign.test), rel=0.2)
+    assert better.trail.noise_floor == pytest.approx(floor(campaign.train), rel=1e-6)
+    assert better.trail.steps[0].error_train > 3 * last.error_train
+    assert not better.before.adequate and better.after.adequate
+
+
+def test_parameters_of_law_and_effects_are_the_true_ones(better):
+    scales = better.calibration.built.scales
+    truth = {
+        "A": A,
+        "beta": BETA,
+        "viscous_damping.delta": C * scales.rate / scales.force,
+        "hardening.delta": HARDENING * scales.elongation / scales.force,
+    }
+    assert set(better.calibration.map) == set(truth)
+    for name, value in truth.items():
+        summary = better.calibration.fit.summary()[name]
+        # Between 24 samples per cycle the model's rate is that of an interpolant: 3 % of the damping.
+        assert abs(better.calibration.map[name] - value) < 4 * summary["sd"] + 0.03 * value, name
+
+
+def test_the_trail_shows_itself(better):
+    text = repr(better)
+    lines = text.splitlines()
+    assert [line.split("  ")[0].strip() for line in lines[1:5]] == [
+        "model as it was",
+        "+ viscous_damping",
+        "+ hardening",
+        "noise",
+    ]
+    assert "explained by the noise" in text and "nan" not in text and "<pre>" in better._repr_html_()
+    summary = json.loads(json.dumps(better.trail.summary(), allow_nan=False))
+    assert summary.keys() == {"steps", "noise_floor"}
+    assert all(step.keys() >= {"effects", "error_train", "error_test"} for step in summary["steps"])
+
+
+def test_the_improved_study_is_read_back_as_it_is(better, tmp_path, campaign):
+    path = tmp_path / "improved.yaml"
+    better.write(path)
+    again = hx.load_study(path)
+    assert again.written() == better.study.written()
+    assert list(again.model.effects) == ["viscous_damping", "hardening"]
+    assert again.study == "springs_improved"
+    # Amplitudes mean what they meant, on whatever data it is run.
+    assert Built(again, spring_campaign(0.0)).scales == better.calibration.built.scales
+    assert tuple(Built(again, campaign).parameters[0]) == tuple(better.calibration.map)
+
+
+@pytest.mark.parametrize(
+    ("effects", "message"),
+    [
+        ([], "no effect to add"),
+        (["viscous_dampin"], "no effect 'viscous_dampin'.*viscous_damping"),
+        (["hardening", "hardening"], "hardening is to be added twice"),
+    ],
+)
+def test_what_cannot_be_added_is_said(calibration, effects, message):
+    with pytest.raises(UserError, match=message):
+        hx.improve(calibration, effects=effects)
+
+
+def test_what_is_there_already_is_not_added_again(better):
+    with pytest.raises(UserError, match="has hardening already"):
+        hx.improve(better.calibration, effects=["hardening"])
+
+
+def test_an_improved_model_lacks_nothing(better, monkeypatch):
+    monkeypatch.setattr("hsed_jax.config.candidates.EFFECTS", few())
+    found = hx.diagnose(better.calibration)
+    assert found.verdict == "adequate" and {c.effect for c in found.ranking} == {"coulomb_friction"}
+
+
+# --- the command line ------------------------------------------------------------------------------------------------
+
+
+def few():
+    from hsed_jax.physics.effects import EFFECTS
+
+    return {name: EFFECTS[name] for name in ("viscous_damping", "hardening", "coulomb_friction")}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A campaign folder with a study in it."""
+    write_campaign(spring_campaign(C), tmp_path / "springs")
+    path = tmp_path / "springs" / "study.yaml"
+    content = small_study(experiments={"campaign": "."}).written()
+    content["experiments"]["campaign"] = "."
+    path.write_text(json.dumps(content))
+    return path
+
+
+def refuse(word):
+    raise AssertionError(word)
+
+
+def summary_of(folder):
+    return json.loads((folder / "summary.json").read_text(), parse_constant=refuse)
+
+
+def test_diagnose_and_improve_from_the_command_line(folder, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("hsed_jax.config.candidates.EFFECTS", few())
+    assert main(["diagnose", str(folder), "--output", str(tmp_path / "run")]) == 0, capsys.readouterr().err
+    summary = summary_of(tmp_path / "run")
+    assert summary["status"] == "complete" and summary.keys() >= {"calibration", "comparison", "diagnosis"}
+    assert summary["diagnosis"]["verdict"] == "missing_effects"
+    assert summary["diagnosis"]["effects"] == ["viscous_damping"]
+    assert "improvement" not in summary and not (tmp_path / "run" / "improved.yaml").exists()
+    assert "missing is viscous_damping" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_a_chosen_effect_is_added_from_the_command_line(folder, tmp_path, capsys):
+    words = ["improve", str(folder), "--add", "viscous_damping", "--output", str(tmp_path / "run")]
+    assert main(words) == 0, capsys.readouterr().err
+    summary = summary_of(tmp_path / "run")
+    steps = summary["improvement"]["steps"]
+    assert [step["effects"] for step in steps] == [[], ["viscous_damping"]]
+    assert steps[1]["error_train"] == pytest.approx(summary["improvement"]["noise_floor"], rel=0.15)
+    assert steps[0]["error_train"] > 2 * steps[1]["error_train"]
+    improved = tmp_path / "run" / "improved.yaml"
+    assert str(improved) in capsys.readouterr().out
+    study = hx.load_study(improved)
+    assert list(study.model.effects) == ["viscous_damping"] and study.improve.add is None
+
+
+@pytest.mark.parametrize(
+    ("steps", "words"),
+    [
+        ("diagnose", "put calibrate, compare before"),
+        ("improve", "put calibrate, compare before"),
+        ("calibrate, diagnose", "put calibrate, compare before"),
+        ("calibrate, compare, improve", "improve needs diagnose before it, or improve.add"),
+        ("calibrate, diagnose, compare", "the order is"),
+    ],
+)
+def test_steps_that_lack_what_they_need_are_the_users_to_mend(folder, tmp_path, capsys, steps, words):
+    assert main(["run", str(folder), f"steps=[{steps}]", "--output", str(tmp_path / "run")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: ") and str(folder) in line and words in line
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("effect", "words"),
+    [("viscos_damping", "there is no effect 'viscos_damping'"), ("hardening", "has hardening already")],
+)
+def test_an_effect_that_cannot_be_added_is_refused_before_anything_is_computed(
+    folder, tmp_path, capsys, monkeypatch, effect, words
+):
+    monkeypatch.setattr("hsed_jax.workflow.calibrate_built", lambda *_, **__: pytest.fail("calibrated"))
+    more = ["model.effects={hardening: {}}"]
+    assert main(["improve", str(folder), *more, "--add", effect, "--output", str(tmp_path / "run")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: ") and words in line
+    assert not (tmp_path / "run").exists()
+
+
+def test_what_becomes_of_a_study_with_a_chosen_effect_is_a_valid_study(campaign):
+    steps = ["calibrate", "compare", "improve"]
+    chosen = Built(small_study(steps=steps, improve={"add": ["hardening"]}), campaign)
+    chosen.check()
+    Built(with_effects(chosen, ["hardening"]), campaign).check()
+
+
+@pytest.mark.slow
+def test_the_whole_sentence_on_the_command_line(folder, tmp_path, capsys):
+    assert main(["improve", str(folder), "--output", str(tmp_path / "run")]) == 0, capsys.readouterr().err
+    summary = summary_of(tmp_path / "run")
+    # A fluid damper whose exponent is nearly one is a dashpot, too, and takes up what the interpolated rate lacks.
+    (name,) = summary["diagnosis"]["effects"]
+    assert name in ("viscous_damping", "power_damping")
+    last = summary["improvement"]["steps"][-1]
+    assert last["effects"] == [name]
+    assert last["error_train"] == pytest.approx(summary["improvement"]["noise_floor"], rel=0.15)
+    improved = tmp_path / "run" / "improved.yaml"
+    assert main(["diagnose", str(improved), "--output", str(tmp_path / "again")]) == 0, capsys.readouterr().err
+    assert summary_of(tmp_path / "again")["diagnosis"]["effects"] == []

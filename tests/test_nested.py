@@ -1,0 +1,408 @@
+"""Coordinates in a box, and fits of nested models side by side: against SciPy's densities and SciPy's bounded least squares."""
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.optimize import least_squares
+
+from hsed_jax.inference.box import Box
+from hsed_jax.inference.lanes import Lanes
+from hsed_jax.inference.nested import NestedModels, Target, Task
+from hsed_jax.inference.priors import Prior
+
+LAWS = {
+    "uniform": ([2e5, 9e5], stats.uniform(2e5, 7e5)),
+    "normal": ([0.4, 0.3], stats.norm(0.4, 0.3)),
+    "half_normal": (1.5, stats.halfnorm(scale=1.5)),
+    "truncated_normal": ({"loc": 0.0, "scale": 0.3, "low": -0.5, "high": 3.0}, stats.truncnorm(-5 / 3, 10, 0, 0.3)),
+    "lognormal": ([13.0, 0.7], stats.lognorm(0.7, scale=np.exp(13.0))),
+    "exponential": (2.0, stats.expon(scale=0.5)),
+    "beta": ([2.0, 5.0], stats.beta(2, 5)),
+    "gamma": ([4.0, 3.0], stats.gamma(4, scale=1 / 3)),
+}
+# Numpyro has no closed quantiles of these: the prior takes them from a sample.
+SAMPLED = ("beta", "gamma")
+SHARES = np.array([0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99])
+FIRST = np.array([0])
+
+
+# --- the box ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=LAWS)
+def law(request):
+    arguments, truth = LAWS[request.param]
+    return request.param, Box({"k": Prior(request.param, arguments)}), truth
+
+
+def stretch(box, x):
+    """dθ/dx by a central difference."""
+    return (box.theta(x + 1e-6) - box.theta(x - 1e-6))[:, 0] / 2e-6
+
+
+def test_coordinates_come_back_and_are_of_order_one(law):
+    _, box, truth = law
+    theta = truth.ppf(SHARES)[:, None]
+    x = box.x(theta)
+    np.testing.assert_allclose(box.theta(x), theta, rtol=1e-12, atol=1e-12)
+    assert np.all(np.diff(x[:, 0]) > 0) and np.abs(x).max() < 6
+    assert abs(box.x(np.array([truth.median()]))[0]) < 0.1
+
+
+def test_a_bound_of_the_prior_is_a_bound_of_the_coordinate(law):
+    name, box, truth = law
+    low, high = truth.support()
+    if name in ("lognormal", "gamma"):  # on the logarithmic scale zero is infinitely far away
+        assert (box.low[0], box.high[0]) == (-np.inf, np.inf)
+        return
+    ends = box.theta(np.array([[box.low[0]], [box.high[0]]]))[:, 0]
+    np.testing.assert_allclose(ends, [low, high], rtol=1e-12, atol=1e-12)
+
+
+def test_density_is_that_of_the_prior_times_the_stretch(law):
+    _, box, truth = law
+    theta = truth.ppf(SHARES)
+    x = box.x(theta[:, None])
+    exact = truth.logpdf(theta) + np.log(stretch(box, x))
+    np.testing.assert_allclose(box.log_density(x, FIRST)[:, 0], exact, atol=2e-3)
+
+
+def test_density_in_the_box_integrates_to_one(law):
+    _, box, truth = law
+    low, high = box.x(truth.ppf([[1e-5], [1 - 1e-5]]))[:, 0]
+    x = np.linspace(max(low, box.low[0]), min(high, box.high[0]), 20001)
+    assert np.trapezoid(np.exp(box.log_density(x[:, None], FIRST)[:, 0]), x) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_slope_and_curvature_are_derivatives_of_the_density(law):
+    _, box, truth = law
+
+    def exact(x):
+        points = np.array([[x]])
+        return float((truth.logpdf(box.theta(points)[:, 0]) + np.log(stretch(box, points)))[0])
+
+    h = 0.02
+    for theta in truth.ppf([0.1, 0.4, 0.6, 0.9]):
+        x = float(box.x(np.array([theta]))[0])
+        terms = box.terms(np.array([x]), FIRST)
+        assert terms.value[0] == pytest.approx(exact(x), abs=2e-3)
+        assert terms.slope[0] == pytest.approx((exact(x + h) - exact(x - h)) / (2 * h), abs=5e-3)
+        second = (exact(x + h) - 2 * exact(x) + exact(x - h)) / h**2
+        assert terms.curvature[0] == pytest.approx(max(-second, 0.0), abs=2e-2)
+
+
+def test_quantiles_are_the_priors_own(law):
+    name, box, truth = law
+    found = box.theta(box.quantiles(FIRST, SHARES[:, None]))[:, 0]
+    if name in SAMPLED:
+        np.testing.assert_allclose(truth.cdf(found), SHARES, atol=0.02)
+    else:
+        np.testing.assert_allclose(found, truth.ppf(SHARES), rtol=1e-6, atol=1e-9)
+
+
+def test_columns_are_chosen_by_index_and_do_not_mix():
+    box = Box({name: Prior(name, arguments) for name, (arguments, _) in LAWS.items()})
+    columns = np.array([4, 1, 2])
+    shares = np.array([[0.1, 0.5, 0.9], [0.7, 0.2, 0.4]])
+    x = np.zeros((2, len(LAWS)))
+    x[:, columns] = box.quantiles(columns, shares)
+    theta = box.theta(x)
+    truths = [truth for _, truth in LAWS.values()]
+    for place, column in enumerate(columns):
+        np.testing.assert_allclose(truths[column].cdf(theta[:, column]), shares[:, place], atol=1e-6)
+        alone = Box({"k": Prior(box.names[column], LAWS[box.names[column]][0])})
+        np.testing.assert_allclose(
+            box.log_density(x, columns)[:, place], alone.log_density(x[:, [column]], FIRST)[:, 0], rtol=1e-12
+        )
+
+
+# --- fits ------------------------------------------------------------------------------------------------------------
+
+
+class Analytic(Lanes):
+    """Predictions by a formula f(θ, experiment) -> (J,); remembers what it was asked."""
+
+    def __init__(self, formula, diverges=lambda theta: False):
+        self.formula, self.diverges = formula, diverges
+        self.asked: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def __call__(self, thetas, experiments):
+        self.asked.append((thetas, experiments))
+        ok = np.array([not self.diverges(theta) for theta in thetas], dtype=float)
+        rows = [self.formula(t, e) if good else None for t, e, good in zip(thetas, experiments, ok, strict=True)]
+        size = len(self.formula(thetas[0], 0))
+        return np.array([np.zeros(size) if row is None else row for row in rows]), ok
+
+
+def models_of(formula, priors, neutral, **more):
+    return NestedModels(Analytic(formula, **more), Box(priors), np.asarray(neutral, dtype=float))
+
+
+TIME = np.linspace(0.0, 3.0, 25)
+SIGMA = 0.05
+
+
+def target_of(values, weights=None, sigma=SIGMA):
+    values = np.asarray(values, dtype=float)
+    weights = np.ones((1, *values.shape)) if weights is None else np.asarray(weights, dtype=float)
+    return Target(values, np.full(values.shape, sigma), weights)
+
+
+def noisy(clean, seed=0):
+    return np.asarray(clean) + SIGMA * np.random.default_rng(seed).standard_normal(np.shape(clean))
+
+
+def decay(theta, experiment):
+    """Amplitude and rate, at three dilutions."""
+    return (1.0 + experiment) * theta[0] * np.exp(-theta[1] * TIME)
+
+
+# Rate lognormal: the posterior in log(rate) has its maximum where this residual belongs.
+DECAY = {"a": Prior("normal", [1.0, 0.5]), "b": Prior("lognormal", [0.0, 0.5])}
+
+
+def best_decay(values, weights):
+    """Maximum in (a, log b) by SciPy, with the posterior's standard deviations there."""
+
+    def residual(p):
+        theta = (p[0], np.exp(p[1]))
+        misfit = [np.sqrt(weights[e]) * (decay(theta, e) - values[e]) / SIGMA for e in range(len(values))]
+        return np.concatenate([*misfit, [(p[0] - 1.0) / 0.5, p[1] / 0.5]])
+
+    found = least_squares(residual, [1.0, 0.0], xtol=1e-14, ftol=1e-14)
+    return found.x, np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac))), found.cost
+
+
+@pytest.fixture(scope="module")
+def decays():
+    return noisy([decay((1.3, 0.6), e) for e in range(3)])
+
+
+def in_logs(theta):
+    return np.array([theta[0], np.log(theta[1])])
+
+
+def test_a_fit_ends_where_scipys_does(decays):
+    models = models_of(decay, DECAY, [1.0, 1.0])
+    target = target_of(decays)
+    starts = models.box.quantiles(np.arange(2), np.array([[0.1, 0.1], [0.9, 0.9], [0.05, 0.95], [0.5, 0.5]]))
+    best, sd, cost = best_decay(decays, target.weights[0])
+    for fit in models.fit(target, [Task(np.arange(2), start) for start in starts]):
+        theta = models.theta(fit.x, fit.free)
+        # It stops where a step gains less than 0.02 nats: √0.04 of a standard deviation.
+        assert np.all(np.abs(in_logs(theta) - best) < 0.2 * sd)
+        # Two normal priors, each in a coordinate scaled by half its 16-84 % range (0.99446 standard deviations).
+        constant = 2 * stats.norm.logpdf(0) + 2 * np.log(0.99446)
+        assert fit.cost + constant == pytest.approx(cost, abs=0.03)
+        np.testing.assert_allclose(fit.predicted, [decay(theta, e) for e in range(3)], rtol=1e-12)
+        np.testing.assert_allclose(models.standardised(target, fit), (fit.predicted - decays) / SIGMA, rtol=1e-12)
+
+
+def test_gradient_and_hessian_are_those_of_the_cost(decays):
+    models = models_of(decay, DECAY, [1.0, 1.0])
+    target = target_of(decays)
+    (fit,) = models.fit(target, [Task(np.arange(2), models.neutral)])
+
+    def residual(x):
+        theta = models.box.theta(x)
+        p = in_logs(theta)
+        prior = [(p[0] - 1.0) / 0.5, p[1] / 0.5]
+        return np.concatenate([*((decay(theta, e) - decays[e]) / SIGMA for e in range(3)), prior])
+
+    h = 1e-5
+    jacobian = np.stack([(residual(fit.x + h * e) - residual(fit.x - h * e)) / (2 * h) for e in np.eye(2)], axis=1)
+    hessian = jacobian.T @ jacobian
+    np.testing.assert_allclose(fit.hessian, hessian, rtol=2e-3)
+    # Forward differences of 1e-4: a share of 1e-4 of the curvature.
+    np.testing.assert_allclose(fit.gradient, jacobian.T @ residual(fit.x), atol=1e-3 * hessian.max())
+
+
+def test_weights_choose_experiments_and_count_them(decays):
+    models = models_of(decay, DECAY, [1.0, 1.0])
+    weights = np.ones((4, 3, TIME.size))
+    weights[1, 1:] = 0.0
+    weights[2, 0] = 0.0
+    weights[3, 2] = 0.1
+    # The experiments disagree, so that it matters which are used.
+    values = decays * np.array([[1.0], [1.3], [0.8]])
+    target = target_of(values, weights)
+    for use in range(4):
+        models.lanes.asked.clear()
+        (fit,) = models.fit(target, [Task(np.arange(2), models.neutral, use)])
+        best, sd, _ = best_decay(values, weights[use])
+        assert np.all(np.abs(in_logs(models.theta(fit.x, fit.free)) - best) < 0.2 * sd)
+        rows = np.flatnonzero(weights[use].any(axis=1))
+        assert set(np.concatenate([e for _, e in models.lanes.asked])) == set(rows)
+        unused = np.setdiff1d(np.arange(3), rows)
+        assert not fit.predicted[unused].any() and fit.predicted[rows].any()
+
+
+def test_fits_made_side_by_side_are_those_made_alone(decays):
+    models = models_of(decay, DECAY, [1.0, 1.0])
+    weights = np.ones((2, 3, TIME.size))
+    weights[1, 1:] = 0.0
+    target = target_of(decays, weights)
+    tasks = [
+        Task(np.arange(2), models.neutral),
+        Task(np.array([1]), models.neutral, 1),
+        Task(np.array([0]), models.neutral),
+    ]
+    together = models.fit(target, tasks)
+    for task, fit in zip(tasks, together, strict=True):
+        (alone,) = models.fit(target, [task])
+        assert alone.cost == fit.cost
+        np.testing.assert_array_equal(alone.x, fit.x)
+
+
+def test_held_parameters_keep_their_neutral_values_to_the_last_bit(decays):
+    # A value that the way through the coordinates would change.
+    box = Box(DECAY)
+    tried = np.array([[1.0, value] for value in np.linspace(0.3, 2.0, 200)])
+    rate = tried[np.flatnonzero(box.theta(box.x(tried))[:, 1] != tried[:, 1])[0], 1]
+    models = models_of(decay, DECAY, [1.3, rate])
+    assert models.box.theta(models.neutral)[1] != rate
+    (fit,) = models.fit(target_of(decays), [Task(np.array([0]), models.neutral)])
+    assert np.isfinite(fit.cost)
+    for thetas, _ in models.lanes.asked:
+        assert np.all(thetas[:, 1] == rate)
+    assert models.theta(fit.x, fit.free)[1] == rate
+
+
+BASIS = np.sin(3 * TIME)
+
+
+def with_amplitude(theta, experiment):
+    """A line and an amplitude that cannot be negative."""
+    return theta[0] + theta[1] * TIME + theta[2] * BASIS
+
+
+AMPLITUDE = {"a": Prior("normal", [0.0, 1.0]), "b": Prior("uniform", [-1.0, 0.8]), "c": Prior("half_normal", 0.5)}
+
+
+def bounded(values):
+    def residual(p):
+        return np.append((with_amplitude(p, 0) - values[0]) / SIGMA, [p[0] / 1.0, p[2] / 0.5])
+
+    bounds = ([-np.inf, -1.0, 0.0], [np.inf, 0.8, np.inf])
+    found = least_squares(residual, [0.1, 0.1, 0.1], bounds=bounds, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    return found.x, np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
+
+
+@pytest.mark.parametrize(
+    ("truth", "resting"),
+    [((0.3, 0.2, 0.4), []), ((0.3, 0.2, -0.3), [2]), ((0.3, 1.1, 0.4), [1]), ((0.3, 1.1, -0.3), [1, 2])],
+    ids=["inside", "amplitude at zero", "slope at its upper bound", "both"],
+)
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+def test_what_would_leave_its_bounds_rests_on_them(truth, resting, share):
+    values = noisy([with_amplitude(truth, 0)])
+    models = models_of(with_amplitude, AMPLITUDE, [0.0, 0.0, 0.0])
+    start = models.box.quantiles(np.arange(3), np.full((1, 3), share))[0]
+    (fit,) = models.fit(target_of(values), [Task(np.arange(3), start)])
+    theta = models.theta(fit.x, fit.free)
+    best, sd = bounded(values)
+    assert np.all(np.abs(theta - best) < 0.2 * sd)
+    ends = {1: 0.8, 2: 0.0}
+    for column in resting:
+        assert theta[column] == pytest.approx(ends[column], abs=1e-12)
+        # Downhill is beyond the bound.
+        assert fit.gradient[column] * (1 if column == 2 else -1) > 0
+    inside = [k for k in range(3) if k not in resting]
+    assert np.all(np.abs(fit.gradient[inside]) < 0.2 * np.sqrt(np.diag(fit.hessian)[inside]))
+
+
+def dead_zone(theta, experiment):
+    """Nothing happens until the second parameter exceeds 0.5: no derivative at neutral tells of it."""
+    return theta[0] * TIME + np.maximum(theta[1] - 0.5, 0.0) * BASIS
+
+
+DEAD = {"a": Prior("normal", [0.0, 1.0]), "g": Prior("half_normal", 1.0)}
+
+
+def test_starts_over_the_prior_find_what_has_no_gradient_at_neutral():
+    values = noisy([dead_zone((0.7, 1.4), 0)])
+    models = models_of(dead_zone, DEAD, [0.0, 0.0])
+    target = target_of(values)
+    free = np.arange(2)
+    (stuck,) = models.fit(target, [Task(free, models.neutral)])
+    assert models.theta(stuck.x, free)[1] == pytest.approx(0.0, abs=1e-12)
+    starts = np.tile(models.neutral, (4, 1))
+    starts[:, 1] = models.box.quantiles(np.array([1]), np.array([[0.1], [0.35], [0.65], [0.9]]))[:, 0]
+    ends = models.fit(target, [Task(free, start, rivals=0) for start in starts])
+    best = min(ends, key=lambda f: f.cost)
+
+    def residual(p):
+        return np.append((dead_zone(p, 0) - values[0]) / SIGMA, p)
+
+    found = least_squares(residual, [0.5, 1.0], bounds=([-np.inf, 0], np.inf))
+    sd = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
+    assert np.all(np.abs(models.theta(best.x, free) - found.x) < 0.2 * sd)
+    assert best.cost < stuck.cost - 100
+
+
+def two_valleys(theta, experiment):
+    return np.array([(theta[0] ** 2 - 1.0) + 0.2 * theta[0]] * 5)
+
+
+def test_rivals_end_in_one_that_is_the_best_of_them():
+    models = models_of(two_valleys, {"a": Prior("normal", [0.0, 2.0])}, [0.0])
+    # At a = −1.1 and 0.9 the output is zero; the prior likes the second better.
+    target = target_of(np.zeros((1, 5)), sigma=0.01)
+    starts = models.box.x(np.array([[-2.0], [-1.5], [1.6], [0.4]]))
+    rivals = models.fit(target, [Task(FIRST, start, rivals=7) for start in starts])
+    assert sum(np.isfinite(fit.cost) for fit in rivals) == 1
+    alone = models.fit(target, [Task(FIRST, start) for start in starts])
+    ends = np.array([models.theta(f.x, FIRST)[0] for f in alone])
+    np.testing.assert_allclose(ends, [-1.105, -1.105, 0.905, 0.905], atol=0.01)
+    assert min(f.cost for f in rivals) <= min(f.cost for f in alone) + 0.02
+
+
+def test_groups_of_rivals_do_not_take_part_in_one_anothers_races(decays):
+    models = models_of(decay, DECAY, [1.0, 1.0])
+    target = target_of(decays)
+    starts = models.box.quantiles(np.arange(2), np.array([[0.1, 0.1], [0.9, 0.9], [0.2, 0.7], [0.7, 0.2]]))
+    tasks = [Task(np.arange(2), s, rivals=0) for s in starts] + [Task(np.array([0]), s, rivals=1) for s in starts]
+    ends = models.fit(target, tasks)
+    for group in (ends[:4], ends[4:]):
+        assert sum(np.isfinite(f.cost) for f in group) == 1
+
+
+# --- simulations that diverge ----------------------------------------------------------------------------------------
+
+
+def test_a_start_that_diverges_costs_its_own_fit_only(decays):
+    models = models_of(decay, DECAY, [1.0, 1.0], diverges=lambda theta: theta[1] > 1.5)
+    target = target_of(decays)
+    bad, good = (models.box.x(np.array(theta)) for theta in ((1.0, 1.8), (1.0, 1.2)))
+    lost, found = models.fit(target, [Task(np.arange(2), bad), Task(np.arange(2), good)])
+    best, sd, _ = best_decay(decays, target.weights[0])
+    assert lost.cost == np.inf
+    assert np.all(np.abs(in_logs(models.theta(found.x, found.free)) - best) < 0.2 * sd)
+
+
+def test_a_step_into_divergence_is_taken_back(decays):
+    # Of the way from the start to the optimum at (1.3, 0.6) the first full steps overshoot below 0.55.
+    models = models_of(decay, DECAY, [1.0, 1.0], diverges=lambda theta: theta[1] < 0.55 or theta[0] > 1.5)
+    target = target_of(decays)
+    starts = models.box.x(np.array([[0.2, 3.0], [1.4, 0.56], [0.7, 1.5]]))
+    best, sd, _ = best_decay(decays, target.weights[0])
+    for fit in models.fit(target, [Task(np.arange(2), start) for start in starts]):
+        assert np.isfinite(fit.cost)
+        assert np.all(np.abs(in_logs(models.theta(fit.x, fit.free)) - best) < 0.2 * sd)
+
+
+def test_an_optimum_beyond_divergence_is_approached_and_never_crossed(decays):
+    models = models_of(decay, DECAY, [1.0, 1.0], diverges=lambda theta: theta[1] < 0.7)
+    target = target_of(decays)
+    start = models.box.x(np.array([1.0, 1.2]))
+    (fit,) = models.fit(target, [Task(np.arange(2), start)])
+    theta = models.theta(fit.x, fit.free)
+    assert 0.7 <= theta[1] < 0.8 and np.isfinite(fit.cost)
+
+
+def test_a_model_that_always_diverges_is_survived(decays):
+    models = models_of(decay, DECAY, [1.0, 1.0], diverges=lambda theta: True)
+    target = target_of(decays)
+    fits = models.fit(target, [Task(np.arange(2), models.neutral, rivals=0) for _ in range(3)])
+    assert all(fit.cost == np.inf for fit in fits)
+    assert models.fit(target, []) == []
