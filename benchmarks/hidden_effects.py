@@ -20,7 +20,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from hidden.campaigns import EFFECTS, Case, TooSmall, applicable, make
+from hidden.campaigns import Case, TooSmall, make
+from hidden.catalogue import EFFECTS, FORMULAS, applicable
+from hidden.opensees import is_available
 
 WEAK, MEDIUM, STRONG = 0.03, 0.10, 0.25
 SIZES = {WEAK: "weak", MEDIUM: "medium", STRONG: "strong"}
@@ -54,6 +56,13 @@ def plan() -> dict[str, list[Case]]:
         kind = ("shaken", "component", "quantities")[number % 3]
         noise = (0.02, 0.05, 0.10)[number // 3 % 3]
         add("control: nothing is missing", Case(kind, (), 0.0, noise, 3 + number % 10, 4, 500 + number))
+    if is_available():
+        for number, (effect, formula) in enumerate(FORMULAS):
+            if formula == "opensees":
+                add(
+                    "OpenSees materials, medium",
+                    Case("component", ((effect, formula),), MEDIUM, 0.02, 6, 4, 700 + number),
+                )
     random = np.random.default_rng(0)
     pairs = groups["pairs, medium"] = []
     while len(pairs) < _PAIRS:
@@ -64,19 +73,11 @@ def plan() -> dict[str, list[Case]]:
     return groups
 
 
-def reduced() -> dict[str, list[Case]]:
-    """A few of each group, for a test."""
-    full = plan()
-    strides = {"control: nothing is missing": 9}
-    return {group: cases[:: strides.get(group, max(1, len(cases) // 3))] for group, cases in full.items()}
-
-
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("groups", nargs="*", metavar="GROUP", help="groups whose name contains this (default: all)")
     parser.add_argument("--output", type=Path, default=Path(__file__).with_name("hidden_effects.json"), metavar="FILE")
-    parser.add_argument("--reduced", action="store_true", help="a few cases of each group")
     parser.add_argument("--stride", type=int, default=1, metavar="N", help="every N-th case of each group")
     parser.add_argument("--resume", action="store_true", help="keep the cases that were scored already")
     parser.add_argument("--markdown", action="store_true", help="print the table of the last results, measure nothing")
@@ -85,7 +86,7 @@ def main() -> None:
     if not options.markdown:
         groups = {
             group: cases[:: options.stride]
-            for group, cases in (reduced() if options.reduced else plan()).items()
+            for group, cases in plan().items()
             if not options.groups or any(word in group for word in options.groups)
         }
         known = {json.dumps([row["group"], row["case"]]) for row in kept}

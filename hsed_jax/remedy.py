@@ -17,9 +17,13 @@ from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.findings import Diagnosis
 from hsed_jax.criticism.improve import Step, Trail, step_of
 from hsed_jax.criticism.problem import Problem
+from hsed_jax.design.acquisition import Given
 from hsed_jax.errors import UserError
 from hsed_jax.inference.nested import Target, Task
 from hsed_jax.measurements import Campaign
+
+# Candidates of a design among which the one that separates rivals best is looked for: a Sobol' set's beginning fills it.
+_DISCRIMINATED = 512
 
 
 def diagnose(
@@ -34,6 +38,18 @@ def diagnose(
     """
     campaign = calibration.campaign if campaign is None else campaign
     return diagnosing.diagnose(problem_of(calibration.built, campaign), report or (lambda line: None))
+
+
+def discriminate(built: Built, campaign: Campaign) -> Given:
+    """The acquisition that chooses what tells the explanations apart best: the expected log Bayes factor between rivals.
+
+    Arguments:
+        built: the study, with a design.
+        campaign: the experiments so far.
+    """
+    cube = np.asarray(built.design.candidate_set[:_DISCRIMINATED])
+    found = diagnosing.diagnose(problem_of(built, campaign, cube=cube))
+    return Given(jnp.log(jnp.asarray(np.maximum(found.separation, 1e-300))))
 
 
 @dataclass(frozen=True)

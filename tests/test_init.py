@@ -109,7 +109,7 @@ def test_study_of_a_component_test_has_priors_that_hold_the_truth(tmp_path, caps
     assert study.observe == "histories" and study.structure is None and built.component_test
     assert holds(built, A=A, beta=BETA)
     assert commented(text) and "the elongation was imposed" in text and "no noise, so it is inferred" in text
-    assert set(study.steps) == {"calibrate", "compare"}
+    assert study.steps == ["calibrate", "compare", "diagnose", "improve"]
 
 
 def test_study_of_a_campaign_with_noise_says_that_it_is_declared(tmp_path, capsys):

@@ -129,7 +129,8 @@ def _sharp_power(x, s, p):
 
 def _sharp_sinh(x, s, p):
     """φ = z_u sinh(δ|z|/z_u)/sinh(δ): an exponential approach to the same ultimate force."""
-    s.phi = x.strength * np.sinh(p["delta"] * np.minimum(np.abs(x.z) / x.strength, 3.0)) / np.sinh(p["delta"])
+    delta = np.maximum(p["delta"], 1e-6)
+    s.phi = x.strength * np.sinh(delta * np.minimum(np.abs(x.z) / x.strength, 3.0)) / np.sinh(delta)
 
 
 def _gamma(x, s, p):

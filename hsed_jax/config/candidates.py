@@ -60,13 +60,16 @@ def with_effects(built: Built, effects: Sequence[str]) -> Study:
     return larger.model_copy(update={"scales": ScalesEntry(**scales._asdict())})
 
 
-def problem_of(built: Built, campaign: Campaign, effects: Sequence[str] | None = None) -> Problem:
+def problem_of(
+    built: Built, campaign: Campaign, effects: Sequence[str] | None = None, cube: np.ndarray | None = None
+) -> Problem:
     """The large model and the measurements.
 
     Arguments:
         built: the study.
         campaign: its experiments.
         effects: candidates; by default all that apply.
+        cube: inputs of experiments that could be made, in the unit cube, (c, d); by default some that fill it.
     """
     names = applicable(built, campaign) if effects is None else list(effects)
     large = Built(with_effects(built, names), built.campaign)
@@ -74,7 +77,7 @@ def problem_of(built: Built, campaign: Campaign, effects: Sequence[str] | None =
     train, test = campaign.train.experiments, campaign.test.experiments
     experiments = (*train, *test)
     data = large.data(campaign, experiments)
-    inputs, further = _candidates(large, campaign)
+    inputs, further = _candidates(large, campaign, cube)
     parts = [data.conditions, *([] if further is None else [further])]
     conditions = _padded(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts))
     neutral = _neutral(free, names)
@@ -141,16 +144,18 @@ def _measured(
     return Measured(values, scales, used > 0, groups, declared, noise)
 
 
-def _candidates(built: Built, campaign: Campaign) -> tuple[list[dict[str, float]], Conditions | None]:
+def _candidates(
+    built: Built, campaign: Campaign, cube: np.ndarray | None
+) -> tuple[list[dict[str, float]], Conditions | None]:
     """Inputs of experiments that could be made, in declared units, and their conditions; none without an excitation of inputs."""
     space = built.space
     if built.excitation is None or not space.names or built.component_test:
         return [], None
-    declared = space.declared(space.initial_design(_CANDIDATES))
+    declared = space.declared(space.initial_design(_CANDIDATES) if cube is None else cube)
     si = space.si(declared)
     longest = max(campaign.train.experiments, key=lambda e: 0 if e.record is None else len(e.record))
     conditions = []
-    for number in range(_CANDIDATES):
+    for number in range(len(declared)):
         inputs = dict(longest.inputs) | {name: float(values[number]) for name, values in si.items()}
         record = None if longest.record is None else Record(longest.record.time, {})
         experiment = Experiment(f"candidate {number + 1}", inputs, record=record)

@@ -84,7 +84,11 @@ def initial_study(campaign: Campaign, folder: Path, output: Path) -> str:
         )
     else:
         lines.append("# error: the campaign declares no noise, so it is inferred from the residual, per output")
-    lines += ["", "steps: [calibrate, compare]", ""]
+    lines += [
+        "",
+        "steps: [calibrate, compare, diagnose, improve]   # how wrong, where, which effect is missing; add it",
+        "",
+    ]
     return "\n".join(lines)
 
 

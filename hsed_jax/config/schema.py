@@ -217,7 +217,9 @@ class DesignEntry(Section):
     initial: Count = 3
     iterations: Annotated[int, Field(ge=0)] = 40
     candidates: Count = 16384
-    acquisition: Literal["expected_improvement", "max_variance", "random", "sobol"] = "expected_improvement"
+    acquisition: Literal["expected_improvement", "max_variance", "discriminate", "random", "sobol"] = (
+        "expected_improvement"
+    )
     tolerance: Positive | None = None
     """Stop when the largest expected improvement falls below this."""
     variance: Literal["inputs", "inputs_and_parameters"] = "inputs"

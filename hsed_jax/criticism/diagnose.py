@@ -10,7 +10,7 @@ from hsed_jax.criticism.compare import discrepancy_p_value
 from hsed_jax.criticism.findings import SIGNIFICANT, Candidate, Diagnosis
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.criticism.problem import Problem
-from hsed_jax.criticism.rivals import difference, joined, look_alikes_of, next_experiment, rivals_of
+from hsed_jax.criticism.rivals import difference, joined, look_alikes_of, next_experiment, rivals_of, separation
 from hsed_jax.criticism.search import Model, Search, Set, score_p_value
 from hsed_jax.inference.evidence import Sampled, importance
 from hsed_jax.inference.nested import Descent
@@ -50,6 +50,8 @@ def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None
     ranking = _ranking(problem, search, models, probabilities, sampled)
     none = search.model(())
     rivals = rivals_of(models, best)
+    # A clear winner still has a runner-up to be told from.
+    information = separation(problem, search, [best, *(rivals or [m for m in models if m is not best][:1])])
     look_alikes = look_alikes_of(problem, search, best) if best.effects else []
     chosen, worth = None, None
     if not best.effects:
@@ -57,7 +59,7 @@ def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None
     elif rivals:
         verdict = "ambiguous"
         look_alikes = joined([*look_alikes, *(difference(best.effects, rival.effects) for rival in rivals)])
-        chosen, worth = next_experiment(problem, search, [best, *rivals])
+        chosen, worth = next_experiment(problem, information)
     else:
         verdict = "missing_effects"
     named = [c.effect for c in ranking if c.effect in best.effects]
@@ -69,6 +71,7 @@ def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None
         look_alikes=look_alikes,
         next_experiment=chosen,
         expected_log_bayes_factor=worth,
+        separation=information,
         p_value=p_value,
         p_value_after=_p_value(problem, best.fit) if best.effects else p_value,
         error=(problem.train.error(none.fit.predicted), tests[0]),

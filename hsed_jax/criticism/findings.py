@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from hsed_jax.criticism.prediction import Prediction
 
 SIGNIFICANT = 0.01
@@ -48,6 +50,7 @@ class Diagnosis:
         look_alikes: groups of effects that the noise hides from one another.
         next_experiment: inputs (in declared units) that best separate the rivals of an ambiguous verdict.
         expected_log_bayes_factor: what that experiment is expected to tell [nats].
+        separation: the same for every candidate experiment, between the rivals or the two most probable models.
         p_value, p_value_after: probability of the residual from the noise alone, before and with the named effects.
         error, error_after: normalised errors (train, test), before and with the named effects.
         noise_floor: of the training experiments.
@@ -61,6 +64,7 @@ class Diagnosis:
     look_alikes: list[list[str]]
     next_experiment: dict[str, float] | None
     expected_log_bayes_factor: float | None
+    separation: np.ndarray
     p_value: float | None
     p_value_after: float | None
     error: tuple[float, float]

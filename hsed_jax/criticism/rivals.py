@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from hsed_jax.criticism.problem import Problem
 from hsed_jax.criticism.search import Model, Search, Set
@@ -16,30 +17,34 @@ _MENDS = 0.5
 _WORTHWHILE = 1.0
 
 
-def next_experiment(
-    problem: Problem, search: Search, rivals: Sequence[Model]
-) -> tuple[dict[str, float] | None, float | None]:
-    r"""The candidate experiment with the largest expected log Bayes factor between rivals.
+def separation(problem: Problem, search: Search, rivals: Sequence[Model]) -> Float[np.ndarray, " c"]:
+    r"""Expected log Bayes factor between rivals of each candidate experiment [nats]; zero where a simulation diverges.
 
     Between two models with Gaussian errors it is $\frac12\sum_j w_j(\Delta f_j/\sigma_j)^2$ (Kullback & Leibler 1951; Box &
-    Hill 1967), averaged over the pairs of rivals by their probabilities.  None where no candidate would tell.
+    Hill 1967), averaged over the pairs of rivals by their probabilities.
     """
-    if not problem.candidates:
-        return None, None
     rows = problem.rows + np.arange(len(problem.candidates))
+    information = np.zeros(len(rows))
+    if len(rivals) < 2 or not rows.size:
+        return information
     outputs, ok = problem.models.predict([(m.fit.x, m.fit.free) for m in rivals], rows)
     sigma = problem.sigma(search.errors, outputs[0])
     worth = search.worth[problem.train.groups]
     shares = search.probabilities(rivals)
-    information = np.zeros(len(rows))
     for i in range(len(rivals)):
         for j in range(i):
-            separation = 0.5 * np.sum(worth * ((outputs[i] - outputs[j]) / sigma) ** 2, axis=1)
-            information += shares[i] * shares[j] * np.where((ok[i] > 0) & (ok[j] > 0), separation, 0.0)
-    information /= max(float(1 - shares @ shares) / 2, 1e-12)
-    best = int(np.argmax(information))
-    if information[best] < _WORTHWHILE:
+            apart = 0.5 * np.sum(worth * ((outputs[i] - outputs[j]) / sigma) ** 2, axis=1)
+            information += shares[i] * shares[j] * np.where((ok[i] > 0) & (ok[j] > 0), apart, 0.0)
+    return information / max(float(1 - shares @ shares) / 2, 1e-12)
+
+
+def next_experiment(
+    problem: Problem, information: Float[np.ndarray, " c"]
+) -> tuple[dict[str, float] | None, float | None]:
+    """The candidate that separates rivals best and what it is expected to tell [nats]; None where none would tell."""
+    if not information.size or information.max() < _WORTHWHILE:
         return None, None
+    best = int(np.argmax(information))
     return dict(problem.candidates[best]), float(information[best])
 
 

@@ -104,6 +104,19 @@ def given_order(kriging: Kriging, candidates: Float[Array, "M d"], key: PRNGKeyA
     return -jnp.log1p(jnp.arange(candidates.shape[0], dtype=candidates.dtype))
 
 
+@final
+class Given(eqx.Module):
+    """Log utilities that were computed elsewhere, of the first candidates; the others are not to be chosen."""
+
+    log_utilities: Float[Array, " m"]
+
+    def __call__(self, kriging: Kriging, candidates: Float[Array, "M d"], key: PRNGKeyArray) -> Float[Array, " M"]:
+        """The utilities, padded to the candidates."""
+        del kriging, key
+        more = candidates.shape[0] - self.log_utilities.shape[0]
+        return jnp.pad(self.log_utilities, (0, more), constant_values=-jnp.inf)
+
+
 ACQUISITIONS: dict[str, Acquisition] = {
     "expected_improvement": improvement,
     "max_variance": max_variance,

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from hsed_jax.design.acquisition import ACQUISITIONS, choose, sobol_candidates
+from hsed_jax.design.acquisition import ACQUISITIONS, Acquisition, choose, sobol_candidates
 from hsed_jax.design.discrepancy import discrepancy, variance_over
 from hsed_jax.design.kriging import Kriging, condition, fit_kriging
 from hsed_jax.design.space import InputSpace
@@ -135,8 +135,15 @@ class SequentialDesign:
             conditions, jnp.asarray(values), jnp.asarray(scales), jnp.asarray(measured, float), jnp.asarray(state.count)
         )
 
-    def ask(self, state: DesignState, key: PRNGKeyArray) -> tuple[np.ndarray, DesignState, StepInfo]:
+    def ask(
+        self, state: DesignState, key: PRNGKeyArray, acquisition: Acquisition | None = None
+    ) -> tuple[np.ndarray, DesignState, StepInfo]:
         """Steps 2 to 6: the next input in the unit cube (d,), the state to go on from, and what was found.
+
+        Arguments:
+            state: the experiments so far.
+            key: of the random numbers.
+            acquisition: what to choose by; by default the one named `acquisition`.
 
         Raises:
             UserError: too many experiments failed for a Kriging of the others.
@@ -149,11 +156,12 @@ class SequentialDesign:
         norms = np.asarray(self._discrepancy(data, maximum.theta, chains.theta))
         surrogate = self._fit(state, norms, of_kriging)
         tested = (jnp.asarray(state.cube), jnp.asarray(np.arange(self.size) < state.count))
-        best = choose(surrogate, self._candidates, *tested, "expected_improvement", of_choice)
+        best = choose(surrogate, self.candidate_set, *tested, "expected_improvement", of_choice)
         choice = best
-        if self.acquisition != "expected_improvement":
-            choice = choose(surrogate, self._candidates, *tested, ACQUISITIONS[self.acquisition], of_choice)
-        chosen = np.asarray(self._candidates[int(choice.index)])
+        if acquisition is not None or self.acquisition != "expected_improvement":
+            by = acquisition or ACQUISITIONS[self.acquisition]
+            choice = choose(surrogate, self.candidate_set, *tested, by, of_choice)
+        chosen = np.asarray(self.candidate_set[int(choice.index)])
         info = StepInfo(
             maximum,
             chains,
@@ -223,7 +231,8 @@ class SequentialDesign:
         return self.posterior.starts(self.starts)
 
     @cached_property
-    def _candidates(self):
+    def candidate_set(self):
+        """Inputs to choose from, in the unit cube, (candidates, d)."""
         return sobol_candidates(self.candidates, len(self.space.names), self.seed)
 
     @cached_property

@@ -19,6 +19,9 @@ from hsed_jax.measurements import Campaign, Experiment, Record
 from hsed_jax.physics.excitations import AbstractExcitation, Imposed, Tabulated
 from hsed_jax.physics.simulator import Conditions, Recorded, Simulator
 
+# Where two estimates of a slope differ by this share of the slopes nearby, the motion has a corner.
+_CORNER = 0.2
+
 Excite = Callable[[Mapping[str, Any]], AbstractExcitation] | None
 Respond = Callable[[Mapping[str, Any], Conditions], tuple[Float[Array, " J"], Array]]
 
@@ -227,9 +230,12 @@ def _between(record: Record, times: np.ndarray) -> np.ndarray:
 
 
 def _imposed(record: Record, times: np.ndarray, name: str) -> Imposed:
-    """The measured elongation between its samples, by modified Akima cubics: a straight ramp stays straight, and a smooth
-    motion turns where it did, between the samples."""
-    from scipy.interpolate import Akima1DInterpolator
+    """The measured elongation between its samples, by cubics.
+
+    Their slopes are those of a spline, which finds the rate and the reversals of a smooth motion between the samples; where
+    the motion has a corner a spline would swing, and the slopes are Akima's (modified), for which a ramp stays straight.
+    """
+    from scipy.interpolate import Akima1DInterpolator, CubicHermiteSpline, CubicSpline
 
     if "elongation" not in record.channels:
         raise UserError(f"experiment {name!r}: the protocol is displacement, but its record has no elongation")
@@ -239,7 +245,14 @@ def _imposed(record: Record, times: np.ndarray, name: str) -> Imposed:
         raise UserError(
             f"experiment {name!r}: an imposed elongation must be finite numbers at increasing times (hsed check says where)"
         )
-    curve = Akima1DInterpolator(record.time, record["elongation"], method="makima")
+    time, elongation = record.time, record["elongation"]
+    slopes = Akima1DInterpolator(time, elongation, method="makima")(time, 1)
+    if len(record) >= 4:
+        smooth = CubicSpline(time, elongation)(time, 1)
+        secants = np.pad(np.abs(np.diff(elongation) / np.diff(time)), 2, mode="edge")
+        nearby = np.max([secants[k : k + len(time)] for k in range(4)], axis=0)
+        slopes = np.where(np.abs(smooth - slopes) < _CORNER * nearby, smooth, slopes)
+    curve = CubicHermiteSpline(time, elongation, slopes)
     inside = np.minimum(times, record.time[-1])
     return Imposed(curve(inside), curve.derivative()(inside))
 

@@ -76,9 +76,9 @@ def felt(forcing: Tabulated, slots: Callable[[str], Any], step_length: Float[Arr
         time = jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.repeat(0.5 * step_length, 2))])
         # Rather the smooth elongation than the force, which has a corner at every reversal.
         elongation, rate = (shifted(values, time, delay) for values in samples)
-        # Before the path begins and after it ends the specimen rests.
-        inside = (time - delay >= time[0]) & (time - delay <= time[-1])
-        samples = Imposed(elongation, jnp.where(inside, rate, 0.0))
+        # Before the path begins the specimen rests; after it has ended the motion goes on as it was.
+        beyond = jnp.maximum(time - delay - time[-1], 0.0)
+        samples = Imposed(elongation + rate * beyond, jnp.where(time - delay >= time[0], rate, 0.0))
     return Tabulated(jax.tree.map(lambda values: values / gain, samples))
 
 
