@@ -98,6 +98,42 @@ experiment that would separate them) rather than pick one by luck. Where to be c
   corners, or a change of speed (`stribeck_friction`, `viscous_damping`), tell them apart.
 """
 
+OWN = '''\
+## An effect of your own
+
+A Python file that the study names, `model: {own_effects: [mine.py]}` (relative to the study), adds to the catalogue; its
+effects then take part in everything, `hsed effects NAME --study STUDY.yaml` included. One class is one effect: its first
+parameter is the amplitude, zero when it is absent; it contributes to the places of the law in the equation above.
+
+```python
+from typing import ClassVar, final
+
+import jax.numpy as jnp
+
+from hsed_jax.physics.effects.base import AbstractSpringEffect, register
+from hsed_jax.physics.parameters import PhysicalForm, parameter
+
+
+@register
+@final
+class Wave(AbstractSpringEffect):
+    r"""A force that waves with the elongation: $\\delta F_c\\sin(3\\Delta u/u_c)$."""
+
+    name: ClassVar[str] = "wave"
+    family: ClassVar[str] = "post-yield"
+    reference: ClassVar[str] = "our own tests"
+
+    delta: float = parameter(
+        r"\\delta_w", "1", "wave over characteristic force", neutral=0.0, prior={"normal": [0.0, 0.3]},
+        physical=PhysicalForm("force", "N", lambda scales: scales.force),
+    )
+
+    def contribute(self, point):
+        """An addend to the force."""
+        return {"force": self.delta * point.scales.force * jnp.sin(3 * point.elongation / point.scales.elongation)}
+```
+'''
+
 
 def effects() -> dict[str, type[AbstractEffect]]:
     """The catalogue of the package, without effects of a user."""
@@ -111,7 +147,7 @@ def page() -> str:
         families.setdefault(effect.family, []).append(name)
     index = ["| family | effects |", "|---|---|"]
     index += [f"| {f} | {', '.join(f'[`{n}`](#{n})' for n in names)} |" for f, names in families.items()]
-    parts = [HEAD.format(share=100 * SIZE), "\n".join(index) + "\n", LOOK_ALIKES]
+    parts = [HEAD.format(share=100 * SIZE), "\n".join(index) + "\n", LOOK_ALIKES, OWN]
     for family, names in families.items():
         parts.append(f"## Family: {family}\n")
         parts += [_entry(name) for name in names]
