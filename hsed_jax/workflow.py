@@ -287,8 +287,8 @@ class Run:
 
     def _diagnose(self) -> None:
         assert self.calibration is not None
-        with tqdm(disable=not self.progress, desc="diagnose", bar_format="{desc}: {postfix} [{elapsed}]") as bar:
-            self.diagnosis = diagnose(self.calibration, report=bar.set_postfix_str)
+        with tqdm(disable=not self.progress, bar_format="diagnose: {desc} [{elapsed}]") as bar:
+            self.diagnosis = diagnose(self.calibration, report=bar.set_description_str)
         if self.diagnosis.effects:
             self.remaining = locating.locate(self.diagnosis.prediction, self.campaign)
 

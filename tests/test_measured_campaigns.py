@@ -49,7 +49,7 @@ VISIBLE = [
 
 @pytest.fixture(scope="module")
 def runs(request, tmp_path_factory):
-    """`hsed init` and `hsed run` of every campaign: exit status and summary."""
+    """`hsed init` and `hsed compare` of every campaign: exit status and summary."""
     shared = request.getfixturevalue("shared")
     found = {}
     for name in CAMPAIGNS:
@@ -59,7 +59,7 @@ def runs(request, tmp_path_factory):
         place = tmp_path_factory.mktemp(name)
         study, output = place / "study.yaml", place / "run"
         assert main(["init", str(folder), "--output", str(study)]) == 0
-        status = main(["run", str(study), "--output", str(output), *SMALL])
+        status = main(["compare", str(study), "--output", str(output), *SMALL])
         found[name] = status, json.loads((output / "summary.json").read_text(encoding="utf-8"))
         comparison = found[name][1]["comparison"]
         errors = {split: round(comparison[split]["error"], 3) for split in ("train", "test") if split in comparison}
@@ -90,3 +90,22 @@ def test_noise_does_not_explain_the_misfit_of_a_measured_campaign(runs, name):
 def test_the_first_sentence_shows_what_the_readme_says_is_visible(runs, name, shown):
     where = runs[name][1]["comparison"]["where"]
     assert shown(where[0]), [place["sentence"] for place in where]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "share"), [("rc_column", 0.5), ("timber_connection", 2 / 3)])
+def test_what_is_named_lets_the_held_out_error_fall(shared, tmp_path, name, share):
+    """Down by half on the column, by a third on the connection, without touching a line of the study."""
+    folder = shared / "data" / name
+    if not folder.is_dir():
+        pytest.skip(f"there is no folder {folder}")
+    study, output = tmp_path / "study.yaml", tmp_path / "run"
+    assert main(["init", str(folder), "--output", str(study)]) == 0
+    assert main(["run", str(study), "--output", str(output), *SMALL]) == 0
+    summary = json.loads((output / "summary.json").read_text(encoding="utf-8"))
+    first, last = summary["improvement"]["steps"][0], summary["improvement"]["steps"][-1]
+    assert last["error_test"] < share * first["error_test"]
+    # A specimen of concrete or wood slips and pinches.
+    families = {c["effect"]: c["family"] for c in summary["diagnosis"]["ranking"]}
+    assert "pinching" in {families[effect] for effect in summary["diagnosis"]["effects"]}
+    assert "remaining" in summary["diagnosis"]

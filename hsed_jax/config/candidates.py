@@ -127,7 +127,8 @@ def _measured(
 ) -> Measured:
     values, scales, used = (np.asarray(table)[rows] for table in (data.values, data.scales, data.weights))
     groups = np.asarray(large.observation.groups)
-    sigma = np.where(np.isnan(declared), 0.0, declared)[groups] * scales
+    # What is not declared is no noise, but for a division by it.
+    sigma = np.where(np.isnan(declared), 1e-12, declared)[groups] * scales
     itself = Prediction(
         large.outputs,
         groups,
