@@ -124,7 +124,11 @@ class Wave(AbstractSpringEffect):
     reference: ClassVar[str] = "our own tests"
 
     delta: float = parameter(
-        r"\\delta_w", "1", "wave over characteristic force", neutral=0.0, prior={"normal": [0.0, 0.3]},
+        r"\\delta_w",
+        "1",
+        "wave over characteristic force",
+        neutral=0.0,
+        prior={"normal": [0.0, 0.3]},
         physical=PhysicalForm("force", "N", lambda scales: scales.force),
     )
 
