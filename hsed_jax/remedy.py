@@ -101,7 +101,7 @@ def improve(calibration: Calibration, campaign: Campaign | None = None, *, effec
     study = study.model_copy(update={"study": f"{study.study.removesuffix('_improved')}_improved"})
     problem = problem_of(calibration.built, campaign, effects)
     before = compare(calibration, campaign)
-    thetas = _fits(problem, calibration, effects)
+    thetas = _fits(problem, before, calibration.map, effects)
     steps = [step_of([], before, calibration.map)]
     for count in range(1, len(effects)):
         steps.append(_between(problem, thetas[count - 1], effects[:count]))
@@ -112,15 +112,14 @@ def improve(calibration: Calibration, campaign: Campaign | None = None, *, effec
     return Improvement(study, better, before, after, Trail(steps, after.train.noise_floor))
 
 
-def _fits(problem: Problem, calibration: Calibration, effects: Sequence[str]) -> list[np.ndarray]:
-    """θ of the model with the first, the first two, … effects, at their best fit."""
+def _fits(
+    problem: Problem, before: Comparison, parameters: dict[str, float], effects: Sequence[str]
+) -> list[np.ndarray]:
+    """θ of the model with the first, the first two, … effects, at their best fit, from the model as it was."""
     train, models = problem.train, problem.models
-    left = np.where(train.used, calibration.train.predicted - train.values, 0.0) / train.scales
-    size = [np.sqrt(np.mean(left[train.used & (train.groups == g)] ** 2)) for g in range(len(train.declared))]
-    errors = np.where(np.isnan(train.declared), np.maximum(size, 1e-9), train.declared)
-    sigma = np.where(train.used, errors[train.groups] * train.scales, 1.0)
-    target = Target(train.values, sigma, train.used[None].astype(float))
-    law = [calibration.map[problem.names[k]] for k in problem.law]
+    errors = np.where(np.isnan(train.declared), train.left(before.train_prediction.predicted), train.declared)
+    target = Target(train.values, train.sigma(errors), train.used[None].astype(float))
+    law = [parameters[problem.names[k]] for k in problem.law]
     theta = models.box.theta(models.neutral)
     theta[problem.law] = law
     x, free, found = models.box.x(theta), problem.law, []
@@ -139,7 +138,7 @@ def _fits(problem: Problem, calibration: Calibration, effects: Sequence[str]) ->
 def _between(problem: Problem, theta: np.ndarray, effects: Sequence[str]) -> Step:
     """A step of the trail between the model as it was and the improved one."""
     columns = [*problem.law, *(k for effect in effects for k in problem.effects[effect])]
-    rows = np.arange(len(problem.train.values) + (0 if problem.test is None else len(problem.test.values)))
+    rows = np.arange(problem.rows)
     outputs, _ = problem.models.lanes(np.repeat(theta[None], len(rows), axis=0), rows)
     size = len(problem.train.values)
     test = None if problem.test is None else problem.test.error(outputs[size:])

@@ -17,7 +17,7 @@ from hsed_jax.inference.box import Box
 from hsed_jax.inference.lanes import Lanes
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.nested import NestedModels
-from hsed_jax.inference.observation import conditions_of
+from hsed_jax.inference.observation import conditions_of, stacked
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Experiment, Record
 from hsed_jax.physics.effects import EFFECTS
@@ -161,8 +161,7 @@ def _candidates(
         record = None if longest.record is None else Record(longest.record.time, {})
         experiment = Experiment(f"candidate {number + 1}", inputs, record=record)
         conditions.append(conditions_of(experiment, campaign, built.grid, built.excitation))
-    stacked = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf, dtype=float) for leaf in leaves]), *conditions)
-    return [dict(zip(space.names, row.tolist(), strict=True)) for row in declared], stacked
+    return [dict(zip(space.names, row.tolist(), strict=True)) for row in declared], stacked(conditions)
 
 
 def _padded(conditions: Conditions) -> Conditions:

@@ -12,7 +12,7 @@ from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.criticism.problem import Problem
 from hsed_jax.criticism.rivals import difference, joined, look_alikes_of, next_experiment, rivals_of, separation
 from hsed_jax.criticism.search import Model, Search, Set, score_p_value
-from hsed_jax.inference.evidence import Sampled, importance
+from hsed_jax.inference.evidence import Sampled, gaussian, importance
 from hsed_jax.inference.nested import Descent
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.parameters import parameters_of
@@ -78,7 +78,7 @@ def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None
         error_after=(problem.train.error(best.fit.predicted), tests[1]),
         noise_floor=problem.train.noise,
         parameters={
-            "before": _law(problem, none.fit, _sample(problem, search, none)),
+            "before": _law(problem, none.fit, sampled.get(none.effects) or _sample(problem, search, none)),
             "after": _law(problem, best.fit, sampled[best.effects]),
         },
         prediction=_prediction(problem, best.fit, search.target.sigma),
@@ -179,7 +179,7 @@ def _moments(problem: Problem, fit: Descent, sample: Sampled | None, column: int
 
 def _deviation(problem: Problem, fit: Descent, column: int) -> float:
     """Sd of a parameter by linear propagation of the curvature, no wider than its prior."""
-    covariance = np.linalg.inv(fit.hessian + 1e-6 * np.eye(len(fit.free)))
+    _, covariance = gaussian(fit)
     place = int(np.flatnonzero(fit.free == column)[0])
     step = min(math.sqrt(covariance[place, place]), 1.0)
     moved = fit.x.copy()

@@ -62,15 +62,15 @@ def rivals_of(models: Sequence[Model], best: Model) -> list[Model]:
 def look_alikes_of(problem: Problem, search: Search, best: Model) -> list[list[str]]:
     """For each named effect, those that could stand in its place with predictions that differ by less than the noise."""
     rows = np.arange(problem.rows + len(problem.candidates))
+    exchanged = [m for m in search.all() if len(m.effects) == len(best.effects) and m.effects != best.effects]
     groups = []
     for effect in sorted(best.effects):
         without = search.model(best.effects - {effect})
         gain = best.log_evidence - without.log_evidence
         others = [
-            m for m in search.all() if len(m.effects) == len(best.effects) and m.effects > without.effects and m != best
-        ]
-        others = [
-            m for m in others if m.effects != best.effects and m.log_evidence - without.log_evidence >= _MENDS * gain
+            m
+            for m in exchanged
+            if m.effects > without.effects and m.log_evidence - without.log_evidence >= _MENDS * gain
         ]
         if not others:
             continue

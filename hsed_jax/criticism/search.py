@@ -62,6 +62,21 @@ class Measured(NamedTuple):
         """Normalised error of predictions (n, J), where something is scored (by default wherever it was measured)."""
         return normalised_error(self.values, predicted, self.used if scored is None else scored, self.groups)
 
+    def residual(self, predicted: np.ndarray) -> Float[np.ndarray, "n J"]:
+        """Predictions less measurements over c; zero where there is no measurement."""
+        return np.where(self.used, (predicted - self.values) / self.scales, 0.0)
+
+    def left(self, predicted: np.ndarray) -> Float[np.ndarray, " G"]:
+        """s of each output that would explain the residual of predictions: its RMS, never zero."""
+        residual, outputs = self.residual(predicted), range(len(self.declared))
+        owns = [self.used & (self.groups == output) for output in outputs]
+        found = [float(np.sqrt(np.mean(residual[own] ** 2))) if own.any() else 1.0 for own in owns]
+        return np.maximum(found, 1e-9)
+
+    def sigma(self, errors: Float[np.ndarray, " G"]) -> Float[np.ndarray, "n J"]:
+        """σ = s·c, SI; one where there is no measurement."""
+        return np.where(self.used, errors[self.groups] * self.scales, 1.0)
+
 
 class Model(NamedTuple):
     """A set of effects, fitted.
@@ -88,7 +103,7 @@ class Search:
         law: indices of the parameters that every model has.
         effects: indices of the parameters of each candidate, the amplitude first.
         is_explained: whether the noise explains the residual of a fit; nothing is added to it then.
-        report: called with a line and the share done, for a progress bar.
+        report: called with what is being done, for a progress bar.
 
     Attributes:
         target: what the last round was judged with; `errors` s and `worth` per output are what it was made of.
@@ -312,20 +327,14 @@ class Search:
     # What models are judged with.
 
     def _judged_by(self, fit: Descent) -> Target:
-        residual = np.where(self.measured.used, (fit.predicted - self.measured.values) / self.measured.scales, 0.0)
-        outputs = range(len(self.measured.declared))
-        left = []
-        for output in outputs:
-            own = self.measured.used & (self.measured.groups == output)
-            left.append(float(np.sqrt(np.mean(residual[own] ** 2))) if own.any() else 1.0)
-        self.errors = np.fmax(self.measured.declared, np.maximum(left, 1e-9))
-        self.worth = worths(residual, self.measured.used.astype(float), self.measured.groups)
+        measured = self.measured
+        self.errors = np.fmax(measured.declared, measured.left(fit.predicted))
+        self.worth = worths(measured.residual(fit.predicted), measured.used.astype(float), measured.groups)
         return self._target()
 
     def _target(self) -> Target:
-        groups = self.measured.groups
-        sigma = np.where(self.measured.used, self.errors[groups] * self.measured.scales, 1.0)
-        return Target(self.measured.values, sigma, self._fitted * self.worth[groups])
+        measured = self.measured
+        return Target(measured.values, measured.sigma(self.errors), self._fitted * self.worth[measured.groups])
 
     def _free(self, effects: Set) -> np.ndarray:
         return np.concatenate([self.law, *(self.effects[e] for e in sorted(effects))]).astype(int)
@@ -360,15 +369,11 @@ def _folds(used: np.ndarray, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return np.stack([used, *fitted]), np.stack([np.zeros_like(used), *left_out])
 
 
-def _starts(parameters: int) -> int:
-    return 4 if parameters == 1 else 2 * (parameters + 1)
-
-
 def _spread(parameters: int) -> np.ndarray:
     """Shares of the priors to start from, (starts, parameters)."""
     if parameters == 1:
         return np.asarray([[0.1], [0.35], [0.65], [0.9]])
-    count = _starts(parameters)
+    count = 2 * (parameters + 1)
     return 0.1 + 0.8 * qmc.Sobol(parameters, scramble=True, rng=1).random_base2(count.bit_length())[:count]
 
 

@@ -2,7 +2,7 @@ r"""The evidence of a fit, $Z = \int e^{-\varphi(x)}\,dx$ over the box: by Lapla
 
 Laplace's method expands φ to second order at the end of the fit and integrates the Gaussian over the box, which matters where an
 amplitude rests on its bound: half of the Gaussian, or its tail, lies beyond.  Importance sampling (Student's t around the
-Gaussian, improved once by its own draws) has no such assumption and gives the posterior's moments as well.
+Gaussian, learning from its own draws) has no such assumption and gives the posterior's moments as well.
 
 Source: Tierney & Kadane 1986; Geweke 1989; Cappé, Guillin, Marin & Robert 2004 (population Monte Carlo).
 """
@@ -96,7 +96,7 @@ def importance(fit: Descent, models: NestedModels, target: Target, draws: int, s
     """
     random = np.random.default_rng(seed)
     size = len(fit.free)
-    center, covariance = _gaussian(fit)
+    center, covariance = gaussian(fit)
     low, high = models.box.low[fit.free], models.box.high[fit.free]
     # A coordinate nobody holds is spread over its box, and no further.
     width = np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (high - low), 10.0)
@@ -140,7 +140,7 @@ def _flattened(log_weight: np.ndarray, enough: float) -> tuple[float, np.ndarray
         power *= 0.7
 
 
-def _gaussian(fit: Descent) -> tuple[np.ndarray, np.ndarray]:
+def gaussian(fit: Descent) -> tuple[np.ndarray, np.ndarray]:
     """Centre and covariance of exp(−φ) to second order."""
     covariance = np.linalg.inv(fit.hessian + _FLOOR * np.eye(len(fit.free)))
     covariance = 0.5 * (covariance + covariance.T)
@@ -149,13 +149,10 @@ def _gaussian(fit: Descent) -> tuple[np.ndarray, np.ndarray]:
 
 def _costs(fit: Descent, models: NestedModels, target: Target, points: np.ndarray) -> np.ndarray:
     """φ at several points of the free coordinates."""
-    rows = np.flatnonzero(target.weights[fit.use].any(axis=1))
     full = [_at(fit, point) for point in points]
-    weights = target.weights[fit.use][rows]
     prior = models.box.log_density(np.stack(full), fit.free).sum(axis=1)
-    outputs, ok = models.predict([(x, fit.free) for x in full], rows)
-    misfit = 0.5 * np.sum(weights * ((outputs - target.values[rows]) / target.sigma[rows]) ** 2, axis=(1, 2))
-    costs = misfit - prior
+    outputs, ok = models.predict([(x, fit.free) for x in full], target.rows(fit.use))
+    costs = target.misfit(fit.use, outputs) - prior
     return np.where(ok.all(axis=1) & np.isfinite(costs), costs, np.inf)
 
 

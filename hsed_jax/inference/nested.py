@@ -42,6 +42,16 @@ class Target(NamedTuple):
     sigma: Float[np.ndarray, "n J"]
     weights: Float[np.ndarray, "M n J"]
 
+    def rows(self, use: int) -> Int[np.ndarray, " r"]:
+        """The experiments that a use has weights for."""
+        return np.flatnonzero(self.weights[use].any(axis=1))
+
+    def misfit(self, use: int, outputs: Float[np.ndarray, "... r J"]) -> Float[np.ndarray, "..."]:
+        """Half the weighted sum of squares of outputs of those experiments, SI."""
+        rows = self.rows(use)
+        residual = (outputs - self.values[rows]) / self.sigma[rows]
+        return np.asarray(0.5 * np.sum(self.weights[use][rows] * residual**2, axis=(-2, -1)))
+
 
 class Task(NamedTuple):
     """One fit to make.
@@ -102,9 +112,8 @@ class NestedModels:
         self, points: Sequence[tuple[np.ndarray, np.ndarray]], rows: Int[np.ndarray, " r"]
     ) -> tuple[Float[np.ndarray, "B r J"], Float[np.ndarray, "B r"]]:
         """Outputs at several points (x, free coordinates) for the experiments in `rows`, and whether they converged."""
-        thetas = np.stack([self.theta(x, free) for x, free in points])
-        outputs, ok = self.lanes(np.repeat(thetas, len(rows), axis=0), np.tile(rows, len(points)))
-        return outputs.reshape(len(points), len(rows), -1), ok.reshape(len(points), len(rows))
+        outputs, ok = self._run([(x, free, rows) for x, free in points])
+        return np.stack(outputs), np.stack(ok)
 
     def theta(self, x: Float[np.ndarray, " P"], free: Int[np.ndarray, " p"]) -> Float[np.ndarray, " P"]:
         """θ at a point: free coordinates as they are, the others neutral."""
@@ -194,14 +203,12 @@ class NestedModels:
         self, target: Target, trials: Sequence[tuple[Descent, np.ndarray]]
     ) -> tuple[list[float], list[np.ndarray]]:
         """φ and predictions at trial points."""
-        outputs, ok = self._run(target, [(f, f_x, self._rows(target, f)) for f, f_x in trials])
+        outputs, ok = self._run([(x, f.free, target.rows(f.use)) for f, x in trials])
         costs, tables = [], []
         for (one, x), rows_outputs, rows_ok in zip(trials, outputs, ok, strict=True):
             predicted = np.zeros_like(target.values)
-            rows = self._rows(target, one)
-            predicted[rows] = rows_outputs
-            r = (rows_outputs - target.values[rows]) / target.sigma[rows]
-            misfit = 0.5 * float(np.sum(target.weights[one.use][rows] * r**2))
+            predicted[target.rows(one.use)] = rows_outputs
+            misfit = float(target.misfit(one.use, rows_outputs))
             prior = float(self.box.log_density(x[None], one.free).sum())
             cost = misfit - prior if rows_ok.all() else np.inf
             costs.append(cost if np.isfinite(cost) else np.inf)
@@ -212,19 +219,19 @@ class NestedModels:
         """Gradient and Gauss–Newton Hessian by forward differences, away from the nearer bound."""
         requests, sizes = [], []
         for one in fits:
-            rows = self._rows(target, one)
+            rows = target.rows(one.use)
             signs = np.where(one.x[one.free] + _DIFFERENCE > self.box.high[one.free], -1.0, 1.0) * _DIFFERENCE
             sizes.append(signs)
             for k, size in zip(one.free, signs, strict=True):
                 x = one.x.copy()
                 x[k] += size
-                requests.append((one, x, rows))
-        outputs, ok = self._run(target, requests)
+                requests.append((x, one.free, rows))
+        outputs, ok = self._run(requests)
         place = 0
         for one, steps in zip(fits, sizes, strict=True):
-            rows = self._rows(target, one)
+            rows = target.rows(one.use)
             root = np.sqrt(target.weights[one.use][rows]) / target.sigma[rows]
-            residual = (root * (one.predicted[rows] - target.values[rows])).ravel()
+            residual = self.standardised(target, one)[rows].ravel()
             jacobian = np.empty((len(one.free), residual.size))
             for i, size in enumerate(steps):
                 column = root * (outputs[place] - one.predicted[rows]) / size
@@ -235,18 +242,14 @@ class NestedModels:
             one.hessian = jacobian @ jacobian.T + np.diag(terms.curvature)
             one.fresh = True
 
-    def _run(self, target: Target, requests: Sequence[tuple[Descent, np.ndarray, np.ndarray]]) -> tuple[list, list]:
-        """Outputs (r, J) and flags (r,) of each request: a fit, a point, and rows."""
+    def _run(self, requests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> tuple[list, list]:
+        """Outputs (r, J) and flags (r,) of each request: a point, its free coordinates, and rows."""
         if not requests:
             return [], []
-        thetas = [np.repeat(self.theta(x, one.free)[None], len(rows), axis=0) for one, x, rows in requests]
+        thetas = [np.repeat(self.theta(x, free)[None], len(rows), axis=0) for x, free, rows in requests]
         outputs, ok = self.lanes(np.concatenate(thetas), np.concatenate([rows for _, _, rows in requests]))
         ends = np.cumsum([len(rows) for _, _, rows in requests])[:-1]
         return np.split(outputs, ends), np.split(ok, ends)
-
-    @staticmethod
-    def _rows(target: Target, fit: Descent) -> Int[np.ndarray, " r"]:
-        return np.flatnonzero(target.weights[fit.use].any(axis=1))
 
 
 def _give_up(fits: Sequence[Descent], tasks: Sequence[Task], left: int) -> None:

@@ -169,9 +169,8 @@ def assemble(
             f"give {name} an absolute error"
         )
     scales = np.where(by_magnitude, magnitudes, 1.0)
-    stacked = _stacked(conditions)
     return Data(
-        stacked,
+        stacked(conditions),
         jnp.asarray(np.where(weights > 0, measured, 1.0)),
         jnp.asarray(scales),
         jnp.asarray(weights),
@@ -263,7 +262,8 @@ def _arrays(samples: Any) -> Any:
     return jnp.asarray(samples)
 
 
-def _stacked(conditions: Sequence[Conditions]) -> Conditions:
+def stacked(conditions: Sequence[Conditions]) -> Conditions:
+    """Conditions of several experiments, leading axis n."""
     return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf, dtype=float) for leaf in leaves]), *conditions)
 
 

@@ -13,7 +13,7 @@ from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.measurements import Campaign
 from hsed_jax.physics.outputs import output
 from hsed_jax.reporting import style
-from hsed_jax.reporting.misfit_figures import _loop
+from hsed_jax.reporting.misfit_figures import hysteresis_loop
 from hsed_jax.reporting.misfit_maps import splits
 from hsed_jax.reporting.outcome import Outcome
 from hsed_jax.reporting.style import Picture
@@ -188,7 +188,7 @@ def before_after(before: Comparison, after: Comparison, campaign: Campaign) -> P
         pair.append((prediction, [e.id for e in prediction.experiments].index(id)))
     (first, row), (second, other) = pair
     names = first.outputs
-    loops = [_loop(prediction, index, campaign) for prediction, index in pair]
+    loops = [hysteresis_loop(prediction, index, campaign) for prediction, index in pair]
     has_loops = all(loop is not None for loop in loops)
     figure = style.new_figure((2.7 if has_loops else 0.0) + 1.45 * len(names) + 0.6)
     grid = figure.add_gridspec(len(names) + has_loops, 2, height_ratios=[2.7] * has_loops + [1.45] * len(names))

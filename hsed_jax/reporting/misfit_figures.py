@@ -69,7 +69,7 @@ def overlay(prediction: Prediction, row: int, errors: Mapping[str, Mapping[str, 
     """
     experiment = prediction.experiments[row]
     assert experiment.record is not None
-    count, loop = len(prediction.outputs), _loop(prediction, row, campaign)
+    count, loop = len(prediction.outputs), hysteresis_loop(prediction, row, campaign)
     figure = style.new_figure(max(1.7 * count, 2.4) + 0.5)
     grid = figure.add_gridspec(count, 1 if loop is None else 2, width_ratios=None if loop is None else (1.7, 1))
     panels = [figure.add_subplot(grid[index, 0]) for index in range(count)]
@@ -120,7 +120,7 @@ def _history(panel: Axes, prediction: Prediction, row: int, name: str) -> None:
     panel.set_ylabel(style.channel_label(name, unit))
 
 
-def _loop(prediction: Prediction, row: int, campaign: Campaign) -> tuple[np.ndarray, ...] | None:
+def hysteresis_loop(prediction: Prediction, row: int, campaign: Campaign) -> tuple[np.ndarray, ...] | None:
     """Measured elongation and force, then predicted, where scored; None where one of them is not known."""
     record = prediction.experiments[row].record
     assert record is not None
