@@ -58,6 +58,13 @@ def _parser() -> argparse.ArgumentParser:
         "--add", action="append", metavar="EFFECT", help="add this effect; may be said several times"
     )
     improvement.set_defaults(steps=["calibrate", "compare", "diagnose", "improve"])
+    text = "write the report of a run again, or one page of several runs side by side"
+    report = commands.add_parser("report", help=text, description=text.capitalize() + ".")
+    report.add_argument("runs", nargs="+", metavar="RUN", help="run folder")
+    report.add_argument(
+        "--output", metavar="FILE.html", help="where to (default: RUN/report.html; of several runs: runs.html)"
+    )
+    report.set_defaults(command=_report)
     text = "the catalogue of physical effects"
     effects = commands.add_parser("effects", help=text, description=text.capitalize() + ".")
     effects.add_argument("name", nargs="?", metavar="NAME", help="show one effect: equation, parameters, reference")
@@ -145,11 +152,29 @@ def _run(options: Any) -> int:
     except Interrupted as stop:
         print(f"{stop}", file=sys.stderr)
         return 3
-    _report(done, output)
+    _tell(done, output)
     return 0
 
 
-def _report(done: Any, output: Path) -> None:
+def _report(options: Any) -> int:
+    from hsed_jax.config.load import load_study
+    from hsed_jax.config.own_effects import load_own_effects
+    from hsed_jax.reporting.report import report_page
+    from hsed_jax.reporting.side_by_side import comparison_page
+    from hsed_jax.store import read_run, write_page
+
+    folders = [Path(run) for run in options.runs]
+    runs = [read_run(folder) for folder in folders]
+    for folder in folders:
+        load_own_effects(load_study(folder / "study.yaml"))
+    alone = len(runs) == 1
+    output = Path(options.output) if options.output else folders[0] / "report.html" if alone else Path("runs.html")
+    write_page(report_page(runs[0]) if alone else comparison_page(runs), output)
+    print(f"wrote {output}")
+    return 0
+
+
+def _tell(done: Any, output: Path) -> None:
     """What a user sees at the end."""
     print()
     if done.calibration is not None:
@@ -179,7 +204,7 @@ def _report(done: Any, output: Path) -> None:
         print(done.trail)
     if done.improvement is not None:
         print(f"the improved study is {output / 'improved.yaml'}; run it with: hsed run {output / 'improved.yaml'}")
-    print(f"results in {output}")
+    print(f"results in {output}; open {output / 'report.html'} in a browser")
 
 
 def _init(options: Any) -> int:

@@ -21,9 +21,12 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from hsed_jax.errors import UserError
+from hsed_jax.measurements import read_campaign
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from hsed_jax.reporting.finished import FinishedRun
 
 _PACKAGES = ("hsed_jax", "jax", "jaxlib", "diffrax", "optimistix", "numpyro", "tinygp", "numpy", "scipy")
 
@@ -103,6 +106,10 @@ class RunFolder:
         tree.to_netcdf(unfinished, engine="h5netcdf")
         unfinished.replace(self.path / "results.nc")
 
+    def write_report(self, page: str) -> None:
+        """Write `report.html`."""
+        _replace(self.path / "report.html", page)
+
     @property
     def campaign(self) -> Path:
         """Folder of the experiments."""
@@ -173,6 +180,57 @@ class RunFolder:
             "sessions": [*sessions, {"start": _now()}],
         }
         _replace(path, json.dumps(content, indent=2) + "\n")
+
+
+def read_run(path: str | Path) -> "FinishedRun":
+    """Read back what a run folder holds.
+
+    Raises:
+        UserError: there is no run, or it has come to nothing yet.
+    """
+    import xarray as xr
+
+    from hsed_jax.reporting.finished import FinishedRun
+
+    folder = Path(path)
+    if not (folder / "study.yaml").is_file():
+        raise UserError(f"{folder} is no run folder; a run is made by: hsed run STUDY.yaml --output {folder}")
+    if not (folder / "summary.json").is_file():
+        raise UserError(
+            f"{folder}: the run has no results yet; go on with it: hsed run STUDY.yaml --output {folder} --resume"
+        )
+    texts = {
+        name: (folder / name).read_text(encoding="utf-8") for name in ("study.yaml", "summary.json", "provenance.json")
+    }
+    results = folder / "results.nc"
+    return FinishedRun(
+        folder,
+        yaml.safe_load(texts["study.yaml"]),
+        json.loads(texts["summary.json"]),
+        json.loads(texts["provenance.json"]),
+        read_campaign(folder / "campaign"),
+        xr.load_datatree(results, engine="h5netcdf") if results.is_file() else None,
+        {path.stem: path.read_text(encoding="utf-8") for path in sorted((folder / "figures").glob("*.svg"))},
+    )
+
+
+def write_page(page: str, path: str | Path) -> None:
+    """Write a page of several runs; replaces only a page of ours.
+
+    Raises:
+        UserError: the file is something else, or cannot be written.
+    """
+    from hsed_jax.reporting.page import GENERATOR
+
+    path = Path(path)
+    if path.exists() and (
+        not path.is_file() or GENERATOR not in path.read_text(encoding="utf-8", errors="replace")[:2000]
+    ):
+        raise UserError(f"{path} exists and is no report; choose another --output")
+    try:
+        _replace(path, page)
+    except OSError as error:
+        raise UserError(f"{path} cannot be written ({error.strerror}); choose another --output") from None
 
 
 def _git_state() -> dict[str, Any] | None:

@@ -28,7 +28,7 @@ from hsed_jax.measurements import (
 )
 from hsed_jax.remedy import Improvement, diagnose, discriminate, improve
 from hsed_jax.reporting.outcome import Outcome, summary
-from hsed_jax.store import RunFolder
+from hsed_jax.store import RunFolder, read_run
 
 
 class Interrupted(Exception):
@@ -92,6 +92,7 @@ class Run:
 
     def __call__(self) -> dict[str, Any]:
         """Run the steps; returns the content of `summary.json`."""
+        from hsed_jax.reporting.report import report_page
         from hsed_jax.reporting.results import results_tree
         from hsed_jax.reporting.run_figures import draw
 
@@ -104,6 +105,7 @@ class Run:
             self.store.write_summary(content)
             draw(outcome, self.store.figures)
             self.store.finish()
+            self.store.write_report(report_page(read_run(self.store.path)))
             return content
         except KeyboardInterrupt:
             self.store.write_summary(summary(self.outcome("interrupted")))

@@ -41,7 +41,7 @@ def samples_of(prediction: Prediction, campaign: Campaign) -> Samples:
     parts: list[dict] = []
     beyond = {output: _beyond_noise(prediction, output) for output in prediction.outputs}
     for row, experiment in enumerate(prediction.experiments):
-        along = _along(experiment)
+        along = coordinates_of(experiment)
         for output in prediction.outputs:
             columns = prediction.columns(output)
             used = prediction.used[row, columns]
@@ -118,8 +118,8 @@ def _rates_vary(frequency: np.ndarray) -> bool:
     return bool(fast > 1.5 * slow)
 
 
-def _along(experiment: Experiment) -> dict[str, np.ndarray]:
-    """Coordinates of every sample of a record."""
+def coordinates_of(experiment: Experiment) -> dict[str, np.ndarray]:
+    """Coordinates of every sample of a record: when it was measured, and where on the loop."""
     record = experiment.record
     assert record is not None
     size = len(record)

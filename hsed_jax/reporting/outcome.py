@@ -84,7 +84,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             "posterior": fit.summary(),
             "divergences": fit.convergence.divergences,
             "log_evidence": float(fit.maximum.log_evidence),
-        }
+        } | _warning(fit)
     if outcome.comparison is not None:
         content["comparison"] = outcome.comparison.summary()
     if outcome.location is not None and "comparison" in content:
@@ -101,7 +101,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
                 "posterior": outcome.improved.summary(),
                 "divergences": outcome.improved.convergence.divergences,
                 "comparison": outcome.improved_comparison.summary(),
-            }
+            } | _warning(outcome.improved)
     if state is not None:
         assert outcome.design is not None
         estimates = outcome.estimates.T.tolist()
@@ -112,3 +112,8 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             "stop_reason": outcome.stop_reason,
         }
     return content
+
+
+def _warning(fit: Fit) -> dict[str, str]:
+    """What is wrong with the draws, where something is."""
+    return {} if fit.warning is None else {"warning": fit.warning}

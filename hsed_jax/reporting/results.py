@@ -1,7 +1,8 @@
 """`results.nc`: posterior, statistics of the sampler, predictions, design and surrogate as one xarray DataTree.
 
-The groups `posterior`, `sample_stats` and `observed_data` are ArviZ's, so ArviZ opens the file as it is; `posterior_improved`
-and `sample_stats_improved` are the same of the improved model, and `ranking` is the table of the diagnosis.
+The groups `posterior`, `sample_stats` and `observed_data` are ArviZ's, so ArviZ opens the file as it is; `posterior_improved`,
+`sample_stats_improved` and `predictions_improved` are the same of the improved model, and `ranking` is the table of the
+diagnosis.
 """
 
 import jax.numpy as jnp
@@ -25,13 +26,15 @@ def results_tree(outcome: Outcome) -> xr.DataTree:
         groups |= _posterior(outcome.fit)
     groups["observed_data"] = _observed(outcome)
     if outcome.comparison is not None:
-        groups |= _predictions(outcome.comparison)
+        groups |= _predictions(outcome.comparison, "predictions")
     if outcome.location is not None and outcome.location.places:
         groups["where"] = _where(outcome.location)
     if outcome.diagnosis is not None and outcome.diagnosis.ranking:
         groups["ranking"] = _ranking(outcome.diagnosis)
     if outcome.improved is not None:
         groups |= {f"{name}_improved": group for name, group in _posterior(outcome.improved).items()}
+    if outcome.improved_comparison is not None:
+        groups |= _predictions(outcome.improved_comparison, "predictions_improved")
     if outcome.steps:
         groups["design"] = _design(outcome)
         groups["surrogate"] = _surrogate(outcome)
@@ -58,16 +61,21 @@ def _posterior(fit: Fit) -> dict[str, xr.Dataset]:
     return {"posterior": xr.Dataset(draws, coords), "sample_stats": xr.Dataset(stats, coords)}
 
 
-def _predictions(comparison: Comparison) -> dict[str, xr.Dataset]:
-    """Measured and predicted outputs of every compared experiment, a group each."""
+def _predictions(comparison: Comparison, root: str) -> dict[str, xr.Dataset]:
+    """Measured and predicted outputs of every compared experiment; of histories a group each.  NaN where nothing is scored."""
     groups = {}
     for split, prediction in (("train", comparison.train_prediction), ("test", comparison.test_prediction)):
         if prediction is None:
             continue
         if prediction.groups.size == len(prediction.outputs):
             coords = {"experiment": [e.id for e in prediction.experiments]}
-            tables = {"measured": prediction.measured, "predicted": prediction.predicted, "sd": prediction.sd}
-            groups[f"predictions/{split}"] = xr.Dataset(
+            tables = {
+                "measured": np.where(prediction.used, prediction.measured, np.nan),
+                "predicted": prediction.predicted,
+                "mean": prediction.mean,
+                "sd": prediction.sd,
+            }
+            groups[f"{root}/{split}"] = xr.Dataset(
                 {
                     f"{output}_{kind}": ("experiment", table[:, j], {"units": output_of(output).unit})
                     for j, output in enumerate(prediction.outputs)
@@ -80,12 +88,13 @@ def _predictions(comparison: Comparison) -> dict[str, xr.Dataset]:
             assert experiment.record is not None
             histories = {}
             for output in prediction.outputs:
-                for kind, values in zip(
-                    ("measured", "predicted", "mean", "sd"), prediction.histories(row, output), strict=True
-                ):
+                measured, *ours = prediction.histories(row, output)
+                scored = prediction.used[row, prediction.columns(output)][: measured.size]
+                tables = (np.where(scored, measured, np.nan), *ours)
+                for kind, values in zip(("measured", "predicted", "mean", "sd"), tables, strict=True):
                     histories[f"{output}_{kind}"] = ("time", values, {"units": output_of(output).unit})
             time = {"time": ("time", experiment.record.time, {"units": "s"})}
-            groups[f"predictions/{split}/{experiment.id}"] = xr.Dataset(histories, time)
+            groups[f"{root}/{split}/{experiment.id}"] = xr.Dataset(histories, time)
     return groups
 
 

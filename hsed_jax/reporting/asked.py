@@ -1,0 +1,110 @@
+"""What a study asked, in sentences, read from the study as it was written into the run folder."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from hsed_jax.measurements import Campaign
+from hsed_jax.reporting.page_tables import unit_words
+
+
+def asked(study: Mapping[str, Any], campaign: Campaign) -> list[str]:
+    """Sentences on specimen, excitation, model, experiments, what is observed, its error, and the steps."""
+    parts = [_specimen(study, campaign), _excitation(study), _model(study), _experiments(study, campaign)]
+    parts += [_observed(study), _design(study)]
+    return [sentence for sentence in parts if sentence]
+
+
+def _specimen(study: Mapping[str, Any], campaign: Campaign) -> str:
+    structure = study.get("structure")
+    if structure is None:
+        return "The specimen alone, driven by the elongation that was imposed on it (component test)."
+    masses = structure["masses"]
+    ends = " and ".join(_end(end) for end in structure["specimen"]["between"])
+    many = f"{len(masses)} masses" if len(masses) > 1 else "one mass"
+    sizes = ", ".join(f"{mass:g} kg" for mass in masses)
+    return f"A specimen between {ends} of a structure of {many} ({sizes})."
+
+
+def _end(end: int | str) -> str:
+    return "the ground" if end == "ground" else f"mass {end}"
+
+
+def _excitation(study: Mapping[str, Any]) -> str:
+    excitation, inputs = study.get("excitation") or {}, study.get("inputs") or {}
+    ranges = [
+        f"{name} {_prior({k: v for k, v in entry.items() if k != 'unit'})} {unit_words(entry['unit'])}".rstrip(" –")
+        for name, entry in inputs.items()
+    ]
+    varied = f"; inputs {', '.join(ranges)}" if ranges else ""
+    if "near_fault_pulse" in excitation:
+        return f"Shaken by near-fault pulses of {excitation['duration']:g} s{varied}."
+    if "recorded" in excitation:
+        return f"Shaken by the recorded motion {excitation['recorded']['file'].rpartition('/')[2]}{varied}."
+    if study.get("structure") is not None:
+        return f"Shaken by the ground motions that were measured{varied}."
+    return f"Inputs of the experiments: {', '.join(ranges)}." if ranges else ""
+
+
+def _prior(prior: Any) -> str:
+    if not isinstance(prior, Mapping):
+        return f"= {prior:g}"
+    ((kind, given),) = prior.items()
+    numbers = list(given.values()) if isinstance(given, Mapping) else given if isinstance(given, list) else [given]
+    if kind == "uniform":
+        return f"in {numbers[0]:g} … {numbers[1]:g}"
+    return f"~ {kind.replace('_', ' ')}({', '.join(f'{number:g}' for number in numbers)})"
+
+
+def _model(study: Mapping[str, Any]) -> str:
+    model = study["model"]
+    parameters = ", ".join(f"{name} {_prior(prior)}" for name, prior in model["parameters"].items())
+    effects = list(model.get("effects") or {})
+    known = f" with {_listed(effects)}" if effects else " without further effects"
+    return f"Model: the Bouc–Wen spring{known}; {parameters} (SI)."
+
+
+def _experiments(study: Mapping[str, Any], campaign: Campaign) -> str:
+    counts = [f"{len(campaign.train)} to fit", *([f"{len(campaign.test)} held out"] if len(campaign.test) else [])]
+    other = len(campaign) - len(campaign.completed)
+    counts += [f"{other} not completed"] if other else []
+    virtual = study["experiments"].get("virtual")
+    if virtual is None:
+        return f"Experiments: the measured campaign “{campaign.name}”, {', '.join(counts)}."
+    effects = _listed(list(virtual.get("effects") or {})) or "no further effects"
+    return (
+        f"Experiments: a virtual laboratory, {', '.join(counts)}, whose specimen has {effects}, unknown to the model."
+    )
+
+
+def _observed(study: Mapping[str, Any]) -> str:
+    what = "the time histories" if study["observe"] == "histories" else _listed(study["quantities"])
+    error = study.get("error")
+    if error is None:
+        said = "the noise that the campaign declares, inferred where it declares none"
+    elif set(error) & {"relative", "absolute", "unknown"}:
+        said = _error(error)
+    else:
+        said = ", ".join(f"{name} {_error(entry)}" for name, entry in error.items())
+    return f"Observed: {what}; error: {said}."
+
+
+def _error(entry: Mapping[str, Any]) -> str:
+    if entry.get("unknown"):
+        return "inferred"
+    return (
+        f"{100 * entry['relative']:g} % of what was measured" if "relative" in entry else f"{entry['absolute']:g} (SI)"
+    )
+
+
+def _design(study: Mapping[str, Any]) -> str:
+    steps = f"Steps: {', '.join(study['steps'])}."
+    if "design" not in study["steps"]:
+        return steps
+    design = study["design"]
+    by = design["acquisition"].replace("_", " ")
+    return f"{steps} The design starts with {design['initial']} experiments and chooses {design['iterations']} more by {by}."
+
+
+def _listed(names: list[str]) -> str:
+    words = [name.replace("_", " ") for name in names]
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)

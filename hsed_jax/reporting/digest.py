@@ -1,0 +1,77 @@
+"""A finished run in brief: its verdict in a sentence, the figures that matter, and what to know before believing them."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from hsed_jax.reporting.finished import FinishedRun
+
+
+def verdict(run: FinishedRun) -> str:
+    """What the run found, in one sentence."""
+    summary = run.summary
+    if "diagnosis" in summary:
+        return sentence(summary["diagnosis"]["sentence"])
+    if "comparison" in summary:
+        comparison = summary["comparison"]
+        error, floor = comparison["train"]["error"], comparison["train"]["noise_floor"]
+        if comparison["adequate"]:
+            return f"The noise explains what the model leaves: error {error:.3f}, noise {floor:.3f}."
+        return f"The noise does not explain what the model leaves: error {error:.3f}, noise {floor:.3f}."
+    if "calibration" in summary:
+        said = ", ".join(f"{name} = {value:.4g}" for name, value in summary["calibration"]["map"].items())
+        only = (
+            ""
+            if "compare" in run.study["steps"]
+            else " Whether the model is right was not asked (steps: compare, diagnose)."
+        )
+        return f"Calibrated on {len(run.campaign.train)} experiments: {said} (SI).{only}"
+    return "There is nothing to judge yet."
+
+
+def key_figures(run: FinishedRun) -> list[dict[str, Any]]:
+    """The numbers that matter: a label, the number as it is, and as it is shown."""
+    summary, found = run.summary, []
+
+    def add(key: str, label: str, value: float | None, form: str = "{:.3f}") -> None:
+        if value is not None:
+            found.append({"key": key, "label": label, "value": value, "text": form.format(value)})
+
+    before, after = run.comparisons.get("before"), run.comparisons.get("after")
+    for split, words in (("train", "fitted"), ("test", "held out")):
+        for model, comparison, when in (("before", before, "as it was"), ("after", after, "improved")):
+            if comparison and split in comparison:
+                add(f"error_{split}_{model}", f"error, {words} experiments, model {when}", comparison[split]["error"])
+    if before:
+        add("noise_floor", "noise floor", before["train"]["noise_floor"])
+    diagnosis = summary.get("diagnosis")
+    if diagnosis:
+        by_name = {candidate["effect"]: candidate for candidate in diagnosis["ranking"]}
+        for effect in diagnosis["effects"]:
+            add(f"probability_{effect}", f"probability of {effect.replace('_', ' ')}", by_name[effect]["probability"])
+    if "design" in summary:
+        add("experiments", "experiments", len(summary["design"]["inputs"]), "{:d}")
+        improvement = summary["design"]["max_expected_improvement"]
+        if improvement:
+            add("max_expected_improvement", "largest expected improvement at the last step", improvement[-1], "{:.2e}")
+    return found
+
+
+def warnings(run: FinishedRun) -> Iterator[str]:
+    """What a reader must know before believing the rest."""
+    if run.summary["status"] != "complete":
+        yield f"The run is not complete ({run.summary['status']}); what follows is what there was when it stopped."
+    for words, part in (("the calibration", "calibration"), ("the improved model's calibration", "improvement")):
+        if text := run.summary.get(part, {}).get("warning"):
+            yield f"The draws of {words} have not converged: {text}."
+    for comparison in run.comparisons.values():
+        yield from (sentence(note) for note in comparison["notes"] if "diverged" in note)
+    doubts = len(run.findings)
+    if doubts:
+        yield f"The data check raised {doubts} doubt{'s' if doubts > 1 else ''}, listed under “Data”."
+    if failed := [e.id for e in run.campaign if e.status == "failed"]:
+        yield f"Experiments that failed: {', '.join(failed)}."
+
+
+def sentence(text: str) -> str:
+    """A text as a sentence: its first letter large, a full stop."""
+    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}"

@@ -1,0 +1,76 @@
+"""A finished run, as its folder holds it: all that its report is made of."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+from hsed_jax.measurements import Campaign
+from hsed_jax.measurements.checks import Finding, check_campaign
+
+SPLITS = ("train", "test")
+
+
+@dataclass(frozen=True)
+class FinishedRun:
+    """What a run folder holds.
+
+    Attributes:
+        folder: of the run.
+        study: the study with every default written out.
+        summary: `summary.json`.
+        provenance: versions, machine, sessions.
+        campaign: the experiments.
+        results: `results.nc`; None of a run that was interrupted.
+        figures: SVG by name.
+    """
+
+    folder: Path
+    study: dict[str, Any]
+    summary: dict[str, Any]
+    provenance: dict[str, Any]
+    campaign: Campaign
+    results: xr.DataTree | None
+    figures: dict[str, str]
+
+    @property
+    def name(self) -> str:
+        """Of the study."""
+        return self.summary["study"]
+
+    @property
+    def comparisons(self) -> dict[str, dict[str, Any]]:
+        """`comparison` of the model as it was (`before`) and of the improved one (`after`), where they were made."""
+        found = {
+            "before": self.summary.get("comparison"),
+            "after": self.summary.get("improvement", {}).get("comparison"),
+        }
+        return {name: comparison for name, comparison in found.items() if comparison}
+
+    @cached_property
+    def findings(self) -> list[Finding]:
+        """What the check of the data found."""
+        return check_campaign(self.campaign)
+
+    @property
+    def observes_histories(self) -> bool:
+        """Whether histories were fitted; else quantities."""
+        return self.study.get("observe") == "histories"
+
+    def predictions(self, split: str) -> dict[str, xr.DataTree]:
+        """Predictions of a split by model (`before`, `after`); empty where none were made."""
+        if self.results is None:
+            return {}
+        groups = {"before": f"predictions/{split}", "after": f"predictions_improved/{split}"}
+        known = {path.strip("/") for path in self.results.groups}
+        return {model: self.results[path] for model, path in groups.items() if path in known}  # type: ignore[misc]
+
+    def errors(self) -> Iterator[tuple[str, str, dict[str, dict[str, dict[str, float]]]]]:
+        """Every compared experiment: its split, its id, and its errors by model and output."""
+        for split in SPLITS:
+            by_model = {model: c[split]["per_experiment"] for model, c in self.comparisons.items() if split in c}
+            for id in by_model.get("before", {}):
+                yield split, id, {model: errors[id] for model, errors in by_model.items() if id in errors}

@@ -1,0 +1,47 @@
+"""A page that needs nothing else: a template with its styles, its script, its data and the library that draws."""
+
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from hsed_jax.reporting.page_tables import unit_words
+
+GENERATOR = '<meta name="generator" content="hsed_jax">'
+"""By which a page of ours is known."""
+
+
+def number(value: float) -> str:
+    """Four digits; a dash where there is no number."""
+    return f"{value:.4g}" if np.isfinite(value) else "–"
+
+
+def render(template: str, **content: Any) -> str:
+    """Fill a template of `templates/`; `data` is for its script."""
+    environment = Environment(
+        loader=PackageLoader("hsed_jax.reporting", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"number": number, "embedded": _embedded, "unit": unit_words}
+    here = Path(__file__).parent / "templates"
+    files = {name: (here / f"page.{name}").read_text(encoding="utf-8") for name in ("css", "js")}
+    return environment.get_template(template).render(generator=GENERATOR, files=files, library=_library(), **content)
+
+
+def _embedded(content: Any) -> str:
+    """JSON that can stand in a script element."""
+    return json.dumps(content, ensure_ascii=False, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+@cache
+def _library() -> str:
+    """Vega, Vega-Lite and vega-embed as one script; nothing in it ends the script element."""
+    from vl_convert import javascript_bundle
+
+    return javascript_bundle("window.vegaEmbed = vegaEmbed;").replace("</script", "<\\/script")

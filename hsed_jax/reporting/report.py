@@ -1,0 +1,173 @@
+"""`report.html`: a run on one page, for who was not there."""
+
+import shlex
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import yaml
+
+from hsed_jax.physics.effects import EFFECTS
+from hsed_jax.reporting import charts
+from hsed_jax.reporting import page_tables as tables
+from hsed_jax.reporting.asked import asked
+from hsed_jax.reporting.digest import key_figures, sentence, verdict, warnings
+from hsed_jax.reporting.finished import FinishedRun
+from hsed_jax.reporting.inline_svg import InlineFigure, inline
+from hsed_jax.reporting.page import number, render
+
+_SHOWN = 12
+_STILL = {
+    "fall": ("error_fall",),
+    "diagnosis": ("ranking",),
+    "improvement": ("parameters_before_after",),
+    "design": ("fig5_expected_improvement", "fig6_exploration", "fig7_estimates", "fig4bis_one_experiment_map"),
+    "posterior": ("posterior", "posterior_improved"),
+    "excitation": ("fig3_ground_motions", "fig4_loops_and_energy"),
+}
+"""Figures of the run folder that stand in the page as they are, by section."""
+
+
+def report_page(run: FinishedRun) -> str:
+    """The page of one run."""
+    drawn, data = _charts(run)
+    stills = {section: list(_stills(run, names)) for section, names in _STILL.items()}
+    return render(
+        "report.html.j2",
+        run=run,
+        summary=run.summary,
+        asked=asked(run.study, run.campaign),
+        notes=[sentence(note) for note in run.summary.get("comparison", {}).get("notes", []) if "diverged" not in note],
+        verdict=verdict(run),
+        figures=key_figures(run),
+        warnings=list(warnings(run)),
+        stills=stills,
+        ranking=_ranking(run),
+        experiments=_experiments(run),
+        references=_references(run),
+        repeat=_repeat(run),
+        written=yaml.safe_dump(run.study, sort_keys=False, allow_unicode=True),
+        title=f"{run.name}: report",
+        data={"charts": drawn, "tables": data},
+    )
+
+
+def _charts(run: FinishedRun) -> tuple[dict[str, Any], dict[str, tables.Table]]:
+    """Specifications and tables of the interactive charts that there is material for."""
+    drawn: dict[str, Any] = {}
+    data = {"experiments": tables.experiments_table(run)}
+    if data["experiments"]:
+        campaign, shown = run.campaign, data["experiments"]
+        inputs = [name for name in campaign.inputs if len({*shown[name]}) > 1]
+        units = [tables.unit_words(campaign.unit(name).text) for name in inputs]
+        largest = max(error for error in shown["error"] if error is not None)
+        drawn["where"] = charts.errors_over_inputs(
+            list(zip(inputs, units, strict=True)), largest, list(run.comparisons)
+        )
+    if run.results is None or "before" not in run.comparisons:
+        return drawn, data
+    axes, models = tables.axes_of(run), list(run.predictions("train"))
+    outputs = tables.outputs_of(run)
+    if run.observes_histories:
+        data |= {"samples": tables.samples_table(run), "residual": tables.residual_table(run)}
+        time = "Time [s]" if run.campaign.has_time else "Row"
+        loop = {"force_measured", "elongation_measured"} <= data["samples"].keys() and "force" in outputs
+        drawn["histories"] = charts.histories(axes, outputs, models, time, loop)
+        if data["residual"]:
+            noise = {
+                name.replace("_", " "): v["noise_floor"]
+                for name, v in run.comparisons["before"]["train"]["per_output"].items()
+            }
+            named = [name.replace("_", " ") for name in outputs]
+            drawn["residual"] = charts.residual_along(
+                list(dict.fromkeys(data["residual"]["coordinate"])), named, noise, models
+            )
+    else:
+        data["quantities"] = tables.quantities_table(run)
+        if data["quantities"]:
+            drawn["histories"] = charts.quantities(axes, outputs, models)
+    return drawn, data
+
+
+def _stills(run: FinishedRun, names: Sequence[str]) -> Iterator[InlineFigure]:
+    yield from (inline(name, run.figures[name]) for name in names if name in run.figures)
+
+
+def _experiments(run: FinishedRun) -> dict[str, Any]:
+    """The table of the experiments: heads, and a row each."""
+    campaign = run.campaign
+    errors = {id: {model: tables.error_of(e) for model, e in models.items()} for _, id, models in run.errors()}
+    heads = ["experiment", "split", "status"]
+    heads += [f"{name} [{tables.unit_words(campaign.unit(name).text)}]" for name in campaign.inputs]
+    heads += [
+        f"{name.replace('_', ' ')} [{tables.unit_words(campaign.unit(name).text)}]" for name in campaign.quantities
+    ]
+    models = [model for model in ("before", "after") if model in run.comparisons]
+    heads += [{"before": "error", "after": "error, improved"}[model] for model in models]
+    rows = []
+    for experiment in campaign:
+        values = [campaign.unit(name).from_si(experiment.inputs[name]) for name in campaign.inputs]
+        values += [
+            campaign.unit(n).from_si(experiment.quantities[n]) if n in experiment.quantities else np.nan
+            for n in campaign.quantities
+        ]
+        status = experiment.status + (f": {experiment.reason}" if experiment.reason else "")
+        own = [errors.get(experiment.id, {}).get(model, np.nan) for model in models]
+        numbers = [number(v) for v in values] + [f"{v:.3f}" if np.isfinite(v) else "–" for v in own]
+        rows.append([experiment.id, experiment.split, status, *numbers])
+    return {"heads": heads, "rows": rows, "words": 3}
+
+
+def _ranking(run: FinishedRun) -> dict[str, Any]:
+    """The first candidates of the diagnosis: heads, rows, which rows are named, and how many candidates are left out."""
+    diagnosis = run.summary.get("diagnosis", {"ranking": [], "effects": []})
+    heads = [
+        "effect",
+        "family",
+        "size (90 % interval)",
+        "probability",
+        "log-evidence gain",
+        "error, fitted",
+        "error, not used",
+    ]
+    rows, named = [], []
+    for candidate in diagnosis["ranking"][:_SHOWN]:
+        named.append(candidate["effect"] in diagnosis["effects"])
+        known = [(name, e) for name, e in candidate["estimate"].items() if "q05" in e]
+        sizes = [_size(name, e) for name, e in known[: None if named[-1] else 1]]
+        forms = {
+            "probability": "{:.3f}",
+            "log_evidence_gain": "{:.1f}",
+            "error_train": "{:.3f}",
+            "error_test": "{:.3f}",
+        }
+        numbers = [form.format(candidate[key]) if key in candidate else "–" for key, form in forms.items()]
+        rows.append([candidate["effect"].replace("_", " "), candidate["family"], "; ".join(sizes), *numbers])
+    return {"heads": heads, "rows": rows, "named": named, "rest": len(diagnosis["ranking"]) - len(rows)}
+
+
+def _size(name: str, estimate: dict[str, Any]) -> str:
+    """Mean, 90 % interval and unit of a parameter."""
+    mean, low, high = (number(estimate[key]) for key in ("mean", "q05", "q95"))
+    return f"{name} {mean} ({low} … {high}) {tables.unit_words(estimate['unit'])}".rstrip(" –")
+
+
+def _references(run: FinishedRun) -> list[tuple[str, str]]:
+    """Of the effects in the model, of those named and added, and of the design."""
+    used = [*(run.study["model"].get("effects") or {}), *run.summary.get("diagnosis", {}).get("effects", [])]
+    used += [effect for step in run.summary.get("improvement", {}).get("steps", []) for effect in step["effects"]]
+    found = [(name.replace("_", " "), EFFECTS[name].reference) for name in dict.fromkeys(used) if name in EFFECTS]
+    if "design" in run.summary:
+        found.append(
+            ("sequential design", "G. Abbiati and S. Marelli, Sequential experimental design of hybrid simulations for Bayesian "
+             "calibration of computational simulators, 17th World Conference on Earthquake Engineering, 2020")
+        )  # fmt: skip
+    return found
+
+
+def _repeat(run: FinishedRun) -> list[str]:
+    study = run.folder / "study.yaml"
+    lines = [f"python -m hsed_jax.run {shlex.quote(str(study))} --output {shlex.quote(f'{run.folder}_again')}"]
+    if (run.folder / "improved.yaml").exists():
+        lines.append(f"python -m hsed_jax.run {shlex.quote(str(run.folder / 'improved.yaml'))}")
+    return lines
