@@ -55,9 +55,9 @@ def check_campaign(campaign: Campaign) -> list[Finding]:
         campaign: Not changed.
 
     Returns:
-        Findings by experiment, in order: NaN, backward or duplicate time, constant channels (errors); gaps in time,
-        clipped or stuck channels, absurd magnitudes, impossible energy, noise unlike the declared one, a base line that
-        is not zero before the motion (doubts).
+        Findings by experiment, in order.  Errors are NaN, backward or duplicate time and constant channels; doubts are
+        gaps in time, clipped or stuck channels, absurd magnitudes, impossible energy, noise unlike the declared one, and
+        a base line that is not zero before the motion.
     """
     return [finding for e in campaign if e.status in ("completed", "pending") for finding in _experiment(campaign, e)]
 

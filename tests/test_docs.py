@@ -1,0 +1,163 @@
+"""The documentation says what the package does: keys and defaults of a study, public names, links that lead somewhere."""
+
+import re
+import sys
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, get_args, get_origin
+
+import pytest
+import yaml
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+import hsed_jax
+from hsed_jax.config.schema import Study
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = sorted([*DOCS.glob("*.md"), *ROOT.glob("*.md"), ROOT / "benchmarks" / "README.md"])
+# Written in a study without the word `prior`.
+WRITTEN = {"inputs.NAME.prior": "inputs.NAME.DISTRIBUTION"}
+
+
+class Row(NamedTuple):
+    default: str
+    meaning: str
+    change: str
+
+
+def text_of(page: str) -> str:
+    return (DOCS / page).read_text(encoding="utf-8")
+
+
+def rows() -> dict[str, Row]:
+    """The rows of the page on settings that are about a key: those of four cells."""
+    cells = r"\| `([\w.\[\]]+)` " + r"\| ([^|]*) " * 3 + r"\|"
+    return {key: Row(*rest) for key, *rest in re.findall(rf"^{cells}$", text_of("settings.md"), re.MULTILINE)}
+
+
+def sections(annotation: Any, mark: str = "") -> dict[str, type[BaseModel]]:
+    """The sections within an annotation, by what stands between its key and theirs: `[]` of a list, `.NAME` of names."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return {mark: annotation}
+    mark += {list: "[]", dict: ".NAME"}.get(get_origin(annotation), "")  # type: ignore[arg-type]
+    found: dict[str, type[BaseModel]] = {}
+    for part in get_args(annotation):
+        found |= sections(part, mark)
+    return found
+
+
+def keys(model: type[BaseModel] = Study, path: str = "") -> dict[str, FieldInfo]:
+    """Every key of a study that holds a value, by dotted path; per output an error is what it is for all."""
+    found: dict[str, FieldInfo] = {}
+    for name, field in model.model_fields.items():
+        here = f"{path}.{name}".lstrip(".")
+        inner = sections(field.annotation)
+        if "" in inner:
+            inner.pop(".NAME", None)
+        if not inner or here.endswith("virtual.noise"):  # written like `error`, which is described once
+            found[WRITTEN.get(here, here)] = field
+            continue
+        for mark, section in inner.items():
+            found |= keys(section, here + mark)
+    return found
+
+
+def options(annotation: Any) -> list[str]:
+    """The words that an annotation allows."""
+    if get_origin(annotation) is Literal:
+        return [str(option).lower() for option in get_args(annotation)]
+    return [option for part in get_args(annotation) for option in options(part)]
+
+
+def test_the_walk_through_a_study_finds_its_keys():
+    found = keys()
+    assert {"study", "structure.springs[].stiffness", "error.relative", "design.kriging.trend"} <= set(found)
+    assert len(found) > 50
+
+
+def test_every_key_of_a_study_is_described():
+    assert sorted(set(keys()) - set(rows())) == []
+
+
+def test_every_key_that_is_described_exists():
+    parts = {path[: end.start()] for path in keys() for end in re.finditer(r"\[\]|\.", path)}
+    assert sorted(set(rows()) - set(keys()) - parts) == []
+
+
+@pytest.mark.parametrize("key", sorted(set(keys()) & set(rows())))
+def test_default_and_options_are_those_of_the_schema(key):
+    field, row = keys()[key], rows()[key]
+    if field.is_required():
+        assert row.default == "required"
+    elif field.default is None:
+        assert row.default == "none"
+    else:
+        assert yaml.safe_load(row.default.strip("`")) == field.default
+    for option in options(field.annotation):
+        assert f"`{option}`" in row.meaning
+
+
+def test_every_public_name_is_in_the_reference():
+    described = set(re.findall(r"^\.\. auto\w+:: hsed_jax\.(\w+)(?:\(|$)", text_of("api.md"), re.MULTILINE))
+    assert sorted(set(dir(hsed_jax)) - described) == []
+
+
+def test_every_name_in_the_reference_exists():
+    for name in re.findall(r"^\.\. auto\w+:: (hsed_jax[\w.]+)", text_of("api.md"), re.MULTILINE):
+        module, _, member = name.rpartition(".")
+        __import__(module)
+        assert hasattr(sys.modules[module], member), name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_module_that_is_named_exists(page):
+    for path in re.findall(r"`(hsed_jax/[\w/]+\.py)`", page.read_text(encoding="utf-8")):
+        assert (ROOT / path).is_file(), path
+
+
+def slug(heading: str) -> str:
+    """The anchor that a code host and the site give to a heading."""
+    return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+
+
+def anchors(page: Path) -> set[str]:
+    text = page.read_text(encoding="utf-8")
+    headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    return {slug(heading) for heading in headings} | set(re.findall(r"^\((\S+)\)=$", text, re.MULTILINE))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_link_leads_somewhere(page):
+    text = re.sub(r"```.*?```|`[^`\n]+`", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if re.match(r"[a-z]+:", target):
+            continue
+        file, _, anchor = target.partition("#")
+        there = page if not file else (page.parent / file).resolve()
+        assert there.exists(), f"{page.name} links to {target}"
+        if anchor and there.suffix == ".md":
+            assert anchor in anchors(there), f"{page.name} links to {target}"
+
+
+@pytest.fixture
+def restructured(monkeypatch):
+    monkeypatch.syspath_prepend(DOCS)
+    pytest.importorskip("sphinx")
+    from docstrings import restructured
+
+    return restructured
+
+
+@pytest.mark.parametrize(
+    ("markdown", "rest"),
+    [
+        ("see `hsed check`", "see ``hsed check``"),
+        ("the size $\\delta_c$ of it", "the size :math:`\\delta_c` of it"),
+        ("$n$th", ":math:`n`\\ th"),
+        ("on |t − s| it is `a|b` and $|x|$", "on \\|t − s\\| it is ``a|b`` and :math:`|x|`"),
+        ("It is\n\n$$a\n = b$$\n\nhere.", "It is\n\n.. math::\n\n   a\n   = b\n\n\n\nhere."),
+    ],
+)
+def test_docstrings_in_markdown_become_what_sphinx_reads(restructured, markdown, rest):
+    assert restructured(markdown) == rest
