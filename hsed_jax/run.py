@@ -8,14 +8,27 @@ import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from hsed_jax.errors import UserError
 
 
+class _CallableModule(ModuleType):
+    """`hsed_jax.run` is a function by contract and a module by the same: importing the one must not hide the other."""
+
+    def __call__(self, *arguments: Any, **settings: Any) -> Any:
+        from hsed_jax.workflow import run
+
+        return run(*arguments, **settings)
+
+
+sys.modules[__name__].__class__ = _CallableModule
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """The `hsed` command."""
-    return _guarded(_parser(), arguments)
+    return _guarded(command_line(), arguments)
 
 
 def run_main(arguments: Sequence[str] | None = None) -> int:
@@ -25,7 +38,8 @@ def run_main(arguments: Sequence[str] | None = None) -> int:
     return _guarded(parser, arguments)
 
 
-def _parser() -> argparse.ArgumentParser:
+def command_line() -> argparse.ArgumentParser:
+    """The parser of `hsed`."""
     parser = argparse.ArgumentParser(
         prog="hsed",
         description="Plan experiments, calibrate a structural model against them, find the physical effect it lacks.",
@@ -188,8 +202,6 @@ def _tell(done: Any, output: Path) -> None:
     if done.comparison is not None:
         print()
         print(done.comparison)
-        for note in done.comparison.notes:
-            print(note)
     if done.location is not None:
         print()
         print(done.location)

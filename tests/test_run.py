@@ -114,7 +114,7 @@ def whole(study, tmp_path_factory):
 
 
 def test_a_run_leaves_the_files_of_its_contract(whole):
-    for name in ("study.yaml", "provenance.json", "journal.jsonl", "results.nc", "summary.json"):
+    for name in ("study.yaml", "provenance.json", "journal.jsonl", "results.nc", "summary.json", "report.html"):
         assert (whole / name).is_file(), name
     assert (whole / "campaign" / "campaign.yaml").is_file() and (whole / "campaign" / "experiments.csv").is_file()
     figures = {path.suffix: 0 for path in (whole / "figures").iterdir()}

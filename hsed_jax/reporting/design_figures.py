@@ -26,7 +26,7 @@ def design_pictures(outcome: Outcome) -> Iterator[tuple[str, Picture]]:
     space, laboratory = outcome.space, outcome.laboratory
     if laboratory is None or outcome.simulator.excitation is None:
         return
-    yield "fig3_ground_motions", _ground_motions(outcome)
+    yield "fig3_ground_motions", ground_motions(outcome.simulator, space)
     middle = space.declared(np.full((1, len(space.names)), 0.5))[0]
     measured = _response(laboratory.simulator, laboratory.parameters, space, middle)
     truth = {name: value for name, value in laboratory.parameters.items() if "." not in name}
@@ -42,23 +42,36 @@ def design_pictures(outcome: Outcome) -> Iterator[tuple[str, Picture]]:
 def _of_design(
     outcome: Outcome, design: SequentialDesign, state: DesignState, laboratory: VirtualLaboratory
 ) -> Iterator[tuple[str, Picture]]:
-    space = outcome.space
-    if len(space.names) == 2 and not laboratory.channels:
+    if len(outcome.space.names) == 2 and not laboratory.channels:
         yield "fig4bis_one_experiment_map", _estimate_maps(outcome, design, laboratory)
+    yield "fig6_exploration", exploration(outcome, state)
+    if outcome.steps:
+        yield "fig5_expected_improvement", expected_improvement(outcome)
+        yield "fig7_estimates", estimates(outcome)
+
+
+def exploration(outcome: Outcome, state: DesignState) -> Picture:
+    """Fig. 6 of a run with a design."""
+    space = outcome.space
     declared = space.declared(state.cube[: state.count])
-    yield "fig6_exploration", figures.exploration_order(declared, outcome.initial, space.bounds(), space.units)
-    if not outcome.steps:
-        return
-    values = [step["max_expected_improvement"] for step in outcome.steps]
-    yield "fig5_expected_improvement", figures.expected_improvement_history(values)
+    return figures.exploration_order(declared, outcome.initial, space.bounds(), space.units)
+
+
+def expected_improvement(outcome: Outcome) -> Picture:
+    """Fig. 5 of a run with steps of a design."""
+    return figures.expected_improvement_history([step["max_expected_improvement"] for step in outcome.steps])
+
+
+def estimates(outcome: Outcome) -> Picture:
+    """Fig. 7 of a run with steps of a design, the parameters of a virtual specimen as reference."""
     names = outcome.posterior.names
-    bands = outcome.band("q05"), outcome.band("q95")
     units = [outcome.units.get(name, "1") for name in names]
-    yield "fig7_estimates", figures.estimate_history(outcome.estimates, *bands, names, units, laboratory.parameters)
+    truth = {} if outcome.laboratory is None else outcome.laboratory.parameters
+    return figures.estimate_history(outcome.estimates, outcome.band("q05"), outcome.band("q95"), names, units, truth)
 
 
-def _ground_motions(outcome: Outcome) -> Picture:
-    space, simulator = outcome.space, outcome.simulator
+def ground_motions(simulator: Simulator, space: InputSpace) -> Picture:
+    """Fig. 3 of a model with an excitation: what its inputs' distribution makes of the ground motion."""
     assert simulator.excitation is not None
     excitation = simulator.excitation
     step, steps, _ = simulator.timeline

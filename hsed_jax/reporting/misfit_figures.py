@@ -16,6 +16,7 @@ from hsed_jax.reporting.misfit_maps import error_map, residual_coordinates, spli
 from hsed_jax.reporting.style import Picture
 
 _OVERLAYS = 6
+_LOOPS = 9
 _ROWS = 25
 _90 = 1.6448536  # standard deviations on both sides hold 90 %
 _BAND = {"color": style.BLUE, "alpha": 0.2, "linewidth": 0, "label": "90 % predictive band", "zorder": 1}
@@ -143,6 +144,45 @@ def _draw_loop(panel: Axes, there: np.ndarray, force: np.ndarray, ours: np.ndarr
     panel.plot(there / x, force / y, **{**style.MEASURED, "label": "measured", "linewidth": 0.8})
     panel.plot(ours / x, predicted / y, **{**style.PREDICTED, "label": "predicted", "linewidth": 0.9})
     panel.set(xlabel=style.channel_label("elongation", x_unit), ylabel=style.channel_label("force", y_unit))
+
+
+@style.in_house_style
+def loops(comparison: Comparison, campaign: Campaign) -> Picture | None:
+    """The hysteresis loops of the experiments, measured and predicted, those with the largest errors first.
+
+    Arguments:
+        comparison: of histories; of more than nine experiments the worst nine are shown.
+        campaign: whether the elongation was imposed.
+
+    Returns:
+        The picture; None where force and elongation are not both known.
+    """
+    found = []
+    for name, split, prediction in splits(comparison):
+        for row, experiment in enumerate(prediction.experiments):
+            loop = None if experiment.record is None else hysteresis_loop(prediction, row, campaign)
+            if loop is not None and experiment.id in split.per_experiment:
+                found.append(
+                    (_badness(split.per_experiment[experiment.id]["force"]), f"{experiment.id} ({name})", loop)
+                )
+    if not found:
+        return None
+    found.sort(key=lambda entry: -entry[0])
+    shown = found[:_LOOPS]
+    figure, panels = style.panels(len(shown), 2.3, across=3)
+    for panel, (error, who, loop) in zip(panels, shown, strict=True):
+        _draw_loop(panel, *loop)
+        panel.set_title(style.plain(who, 20), loc="left")
+        panel.set_title(f"error {error:.3f}", loc="right")
+    style.legend(figure, panels[0])
+    rest = len(found) - len(shown)
+    return Picture(
+        figure,
+        "Hysteresis loops, measured (dashed) and predicted (continuous), the largest error of the force first."
+        + (f"  {rest} more are not shown." if rest else ""),
+        f"{len(shown)} loops. Largest error {style.amount(shown[0][0])} in {shown[0][1].replace('$', '')}, smallest shown "
+        f"{style.amount(shown[-1][0])} in {shown[-1][1].replace('$', '')}.",
+    )
 
 
 @style.in_house_style

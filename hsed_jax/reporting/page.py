@@ -14,9 +14,9 @@ GENERATOR = '<meta name="generator" content="hsed_jax">'
 """By which a page of ours is known."""
 
 
-def number(value: float) -> str:
+def number(value: float | None) -> str:
     """Four digits; a dash where there is no number."""
-    return f"{value:.4g}" if np.isfinite(value) else "–"
+    return f"{value:.4g}" if value is not None and np.isfinite(value) else "–"
 
 
 def render(template: str, **content: Any) -> str:

@@ -22,7 +22,7 @@ _STILL = {
     "diagnosis": ("ranking",),
     "improvement": ("parameters_before_after",),
     "design": ("fig5_expected_improvement", "fig6_exploration", "fig7_estimates", "fig4bis_one_experiment_map"),
-    "posterior": ("posterior", "posterior_improved"),
+    "posterior": ("posterior",),
     "excitation": ("fig3_ground_motions", "fig4_loops_and_energy"),
 }
 """Figures of the run folder that stand in the page as they are, by section."""

@@ -1,5 +1,6 @@
 """The figures of a run, drawn from its outcome into its folder."""
 
+from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
 
@@ -8,6 +9,8 @@ from hsed_jax.reporting.diagnosis_figures import diagnosis_pictures
 from hsed_jax.reporting.figures import save
 from hsed_jax.reporting.misfit_figures import misfit_pictures
 from hsed_jax.reporting.outcome import Outcome
+from hsed_jax.reporting.posterior_figures import posterior
+from hsed_jax.reporting.style import Picture
 
 
 def draw(outcome: Outcome, folder: Path) -> None:
@@ -15,5 +18,14 @@ def draw(outcome: Outcome, folder: Path) -> None:
     misfit = ()
     if outcome.comparison is not None:
         misfit = misfit_pictures(outcome.comparison, outcome.location, outcome.campaign)
-    for name, picture in chain(design_pictures(outcome), misfit, diagnosis_pictures(outcome)):
+    for name, picture in chain(
+        design_pictures(outcome), misfit, diagnosis_pictures(outcome), _posterior_pictures(outcome)
+    ):
         save(picture, folder, name)
+
+
+def _posterior_pictures(outcome: Outcome) -> Iterator[tuple[str, Picture]]:
+    if outcome.fit is not None:
+        truth = {} if outcome.laboratory is None else outcome.laboratory.parameters
+        better = outcome.improved
+        yield "posterior", posterior(better or outcome.fit, None if better is None else outcome.fit, truth)

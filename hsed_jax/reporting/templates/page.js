@@ -20,6 +20,9 @@
   system.addEventListener("change", (event) => paint(event.matches));
   document.getElementById("theme").addEventListener("click", () => paint(root.dataset.theme !== "dark"));
 
+  // Paper has no closed drawers.
+  window.addEventListener("beforeprint", () => document.querySelectorAll("main details").forEach((d) => { if (!d.closest(".chart")) d.open = true; }));
+
   // Tables travel as columns, charts want rows.
   const rows = (table) => {
     const names = Object.keys(table);

@@ -1,0 +1,447 @@
+"""The report of a run: its numbers are those of summary.json, nothing on it is fetched, a browser draws it and lets one choose."""
+
+import json
+import re
+import shutil
+
+import numpy as np
+import pytest
+import xarray as xr
+import yaml
+
+from hsed_jax.measurements import Campaign, Experiment, Record, write_campaign
+from hsed_jax.measurements.experiment import Channel
+from hsed_jax.reporting import style
+from hsed_jax.reporting.digest import verdict, warnings
+from hsed_jax.reporting.inline_svg import inline
+from hsed_jax.reporting.page_tables import error_of, residual_table, samples_table, thinned, unit_words
+from hsed_jax.reporting.report import report_page
+from hsed_jax.run import main
+from hsed_jax.store import read_run
+
+HOSTILE = "</script><script>alert('x')</script>"
+IDS = ("E01", "E02", "T01")
+ERRORS = {"before": {"E01": 0.30, "E02": 0.40, "T01": 0.35}, "after": {"E01": 0.05, "E02": 0.06, "T01": 0.055}}
+SENTENCE = "missing is hardening: the error on experiments that were not used goes from 0.350 to 0.055"
+
+
+def split_of(id):
+    return "test" if id.startswith("T") else "train"
+
+
+def record(number):
+    time = np.linspace(0.0, 4.0, 81)
+    elongation = 0.02 * (1 + number) * np.sin(2 * np.pi * time)
+    return Record(time, {"elongation": elongation, "force": 1e6 * elongation + 50.0 * np.cos(9 * time)})
+
+
+def campaign(inputs):
+    units = {"V_P": "m/s", "T_P": "s"}
+    experiments = tuple(
+        Experiment(id, {n: 1.0 + 0.5 * i + 0.1 * j for j, n in enumerate(inputs)}, record=record(i), split=split_of(id))
+        for i, id in enumerate(IDS)
+    )
+    channels = {"time": Channel("time", "s", "t"), "elongation": Channel("elongation", "mm", "du"), "force": Channel("force", "kN", "F")}
+    return Campaign(HOSTILE, "ground_motion", {n: units[n] for n in inputs}, channels, {}, experiments)
+
+
+def comparison(errors):
+    content = {"adequate": False, "p_value": 0.0, "worst": [], "notes": ["the force is what it is"]}
+    for split in ("train", "test"):
+        own = {id: e for id, e in errors.items() if split_of(id) == split}
+        each = {
+            id: {o: {"nrmse": e, "noise_floor": 0.05, "scale": 1.0} for o in ("elongation", "force")}
+            for id, e in own.items()
+        }
+        size = float(np.sqrt(np.mean(np.square(list(own.values())))))
+        per_output = {
+            o: {"nrmse": size, "noise_floor": 0.05, "scale": s} for o, s in (("elongation", 0.02), ("force", 2e4))
+        }
+        content[split] = {"error": size, "noise_floor": 0.05, "per_output": per_output, "per_experiment": each}
+    return content
+
+
+def summary():
+    posterior = {"A": {"mean": 5e5, "sd": 1e3, "q05": 4.98e5, "q95": 5.02e5, "ess_bulk": 900.0, "rhat": 1.001}}
+    estimate = {"delta": {"mean": 0.3, "sd": 0.01, "q05": 0.28, "q95": 0.32, "unit": "1"}}
+    before = comparison(ERRORS["before"])
+    before["where"] = [{"sentence": "70 % of the squared error is after 2 s"}]
+    candidate = {"effect": "hardening", "family": "post-yield", "probability": 0.9987, "log_evidence_gain": 812.5,
+                 "estimate": estimate, "error_train": 0.05, "error_test": 0.055}  # fmt: skip
+    other = candidate | {"effect": "slip", "probability": 0.0013, "log_evidence_gain": 3.5}
+    return {
+        "study": "shown", "status": "complete",
+        "calibration": {"map": {"A": 5e5}, "posterior": posterior, "divergences": 3, "warning": "3 divergent transitions (should be none)"},
+        "comparison": before,
+        "diagnosis": {"verdict": "missing_effects", "sentence": SENTENCE, "effects": ["hardening"], "ranking": [candidate, other],
+                      "look_alikes": [["hardening", "slip"]], "next_experiment": {"V_P": 2.9}, "expected_log_bayes_factor": 4.2},
+        "improvement": {"steps": [{"effects": [], "error_train": 0.35, "error_test": 0.35},
+                                  {"effects": ["hardening"], "error_train": 0.055, "error_test": 0.055}],
+                        "noise_floor": 0.05, "map": {"A": 5e5}, "posterior": posterior, "divergences": 0,
+                        "comparison": comparison(ERRORS["after"])},
+    }  # fmt: skip
+
+
+def results():
+    groups = {}
+    for model, root in (("before", "predictions"), ("after", "predictions_improved")):
+        for number, id in enumerate(IDS):
+            measured, data = record(number), {}
+            for name, values in measured.channels.items():
+                size = ERRORS[model][id]
+                data |= {f"{name}_measured": ("time", values), f"{name}_predicted": ("time", (1 + size) * values),
+                         f"{name}_mean": ("time", (1 + size) * values), f"{name}_sd": ("time", np.full(81, 0.01 * np.ptp(values)))}  # fmt: skip
+            groups[f"{root}/{split_of(id)}/{id}"] = xr.Dataset(data, {"time": measured.time})
+    return xr.DataTree.from_dict(groups)
+
+
+def write(folder, inputs=("V_P", "T_P"), **changes):
+    """A run folder as a run leaves it."""
+    folder.mkdir()
+    steps = ["calibrate", "compare", "diagnose", "improve"]
+    model = {
+        "spring": "bouc_wen",
+        "parameters": {"A": {"uniform": [2e5, 9e5]}, "gamma": 0.0},
+        "effects": {},
+        "own_effects": [],
+    }
+    study = {
+        "study": "shown", "seed": 0, "model": model, "observe": "histories", "steps": steps, "improve": {},
+        "structure": {"masses": [8e3], "springs": [{"between": ["ground", 1], "stiffness": 4e5}],
+                      "specimen": {"between": ["ground", 1]}, "damping": {"modal": 0.05, "specimen_stiffness": 5e5}},
+        "inputs": {n: {"uniform": [1.0, 3.0], "unit": "s"} for n in inputs},
+        "experiments": {"campaign": str(folder / "campaign")},
+    }  # fmt: skip
+    (folder / "study.yaml").write_text(yaml.safe_dump(study))
+    (folder / "summary.json").write_text(json.dumps(summary() | changes))
+    provenance = {"python": "3.12", "versions": {"hsed_jax": "0.1.0"}, "git": None, "seed": 0,
+                  "machine": {"platform": HOSTILE, "cores": 2}, "sessions": [{"start": "now"}]}  # fmt: skip
+    (folder / "provenance.json").write_text(json.dumps(provenance))
+    write_campaign(campaign(inputs), folder / "campaign")
+    results().to_netcdf(folder / "results.nc", engine="h5netcdf")
+    figure = style.new_figure(2.0)
+    figure.subplots().plot([0, 1], [1, 0])
+    style.save(style.Picture(figure, "A fall & <more>", "It falls."), folder / "figures", "error_fall")
+    return folder
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return write(tmp_path / "run")
+
+
+@pytest.fixture(scope="module")
+def page_file(tmp_path_factory):
+    """A report as the command writes it."""
+    folder = write(tmp_path_factory.mktemp("report") / "run")
+    assert main(["report", str(folder)]) == 0
+    return folder / "report.html"
+
+
+# The page itself.
+
+
+def test_the_figures_on_the_page_are_those_of_the_summary(folder):
+    page = report_page(read_run(folder))
+    shown = dict(re.findall(r'<data value="([^"]+)" data-figure-key="([^"]+)"', page))
+    values = {key: float(value) for value, key in shown.items()}
+    known = json.loads((folder / "summary.json").read_text())
+    assert values["error_train_before"] == known["comparison"]["train"]["error"]
+    assert values["error_test_after"] == known["improvement"]["comparison"]["test"]["error"]
+    assert values["noise_floor"] == 0.05
+    assert values["probability_hardening"] == 0.9987
+    assert verdict(read_run(folder)) == SENTENCE[0].upper() + SENTENCE[1:] + "."
+
+
+def test_what_a_reader_must_know_stands_first(folder):
+    said = list(warnings(read_run(folder)))
+    assert any("3 divergent transitions" in text for text in said)
+    page = report_page(read_run(folder))
+    assert page.index("3 divergent transitions") < page.index("What was asked")
+
+
+def test_what_a_user_wrote_is_text_and_not_markup(folder):
+    page = report_page(read_run(folder))
+    assert HOSTILE not in page
+    assert page.count("alert(") == page.count("&lt;script&gt;alert(") > 0
+    assert "A fall &amp; &lt;more&gt;" in page
+
+
+def test_the_page_names_no_other_place(folder):
+    page = report_page(read_run(folder))
+    own = re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)  # the library's own script names its schemas
+    assert re.findall(r'(?:src|href|url)\s*[=(]\s*["\']?\s*(?:https?:)?//', own) == []
+    assert len(page.encode()) < 2e6
+
+
+def test_rebuilding_a_report_gives_the_same_page(page_file):
+    before = page_file.read_bytes()
+    assert main(["report", str(page_file.parent)]) == 0
+    assert page_file.read_bytes() == before
+
+
+def test_an_interrupted_run_has_a_report_that_says_so(folder):
+    (folder / "results.nc").unlink()
+    (folder / "summary.json").write_text(json.dumps({"study": "shown", "status": "interrupted"}))
+    assert main(["report", str(folder)]) == 0
+    assert "The run is not complete" in (folder / "report.html").read_text()
+
+
+@pytest.mark.parametrize("inputs", [(), ("V_P",), ("V_P", "T_P")])
+def test_a_report_of_any_number_of_inputs_can_be_written(tmp_path, inputs):
+    page = report_page(read_run(write(tmp_path / "run", inputs)))
+    assert all(f"{name} [" in page for name in inputs)
+
+
+@pytest.mark.parametrize("missing", ["study.yaml", "summary.json"])
+def test_a_folder_without_a_run_is_refused_in_one_line(folder, capsys, missing):
+    (folder / missing).unlink()
+    assert main(["report", str(folder)]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: ") and str(folder) in said and said.count("\n") == 1
+
+
+def test_a_file_that_is_no_report_is_not_replaced(folder, tmp_path, capsys):
+    mine = tmp_path / "mine.html"
+    mine.write_text("my notes")
+    assert main(["report", str(folder), "--output", str(mine)]) == 2
+    assert mine.read_text() == "my notes"
+    assert "choose another --output" in capsys.readouterr().err
+
+
+def test_two_runs_stand_side_by_side_with_what_differs(tmp_path):
+    first = write(tmp_path / "first")
+    other = write(tmp_path / "other", study="other")
+    study = yaml.safe_load((other / "study.yaml").read_text())
+    study["model"]["effects"] = {"hardening": {}}
+    (other / "study.yaml").write_text(yaml.safe_dump(study | {"seed": 7}))
+    output = tmp_path / "both.html"
+    assert main(["report", str(first), str(other), "--output", str(output)]) == 0
+    page = output.read_text()
+    assert "<code>seed</code></th><td>0</td><td>7</td>" in page
+    assert "<code>structure.masses</code>" not in page
+    assert page.count('<data value="0.35"') == 2
+
+
+# The numbers behind the charts.
+
+
+def test_samples_are_those_measured_and_predicted(folder):
+    run = read_run(folder)
+    table = samples_table(run)
+    rows = np.asarray(table["experiment"]) == "E02"
+    measured = record(1)["force"] / 1e3
+    assert np.asarray(table["force_measured"])[rows] == pytest.approx(measured, rel=1e-4, abs=1e-3)
+    assert np.asarray(table["force_before"])[rows] == pytest.approx(1.4 * measured, rel=1e-4, abs=1e-3)
+    assert np.asarray(table["elongation_after"])[rows] == pytest.approx(
+        1.06e3 * record(1)["elongation"], rel=1e-4, abs=1e-3
+    )
+
+
+def test_the_residual_along_a_coordinate_is_the_rms_of_its_bin(folder):
+    table = residual_table(read_run(folder))
+    chosen = [
+        (size, low, high)
+        for size, low, high, *key in zip(
+            table["residual"],
+            table["from"],
+            table["to"],
+            table["coordinate"],
+            table["output"],
+            table["model"],
+            strict=True,
+        )
+        if key == ["V_P [m/s]", "force", "before"]
+    ]
+    assert len(chosen) == 3  # three experiments, three values of the input
+    for (size, low, high), id in zip(chosen, IDS, strict=True):
+        force = record(IDS.index(id))["force"]
+        assert low == high
+        assert size == pytest.approx(ERRORS["before"][id] * np.sqrt(np.mean(force**2)) / 2e4, rel=1e-4)
+
+
+def test_thinning_keeps_every_extreme():
+    rng = np.random.default_rng(0)
+    signal = np.sin(np.linspace(0, 40, 20_000)) + 0.01 * rng.normal(size=20_000)
+    signal[12_345] = 9.0
+    kept = thinned([signal], 300)
+    assert kept.size <= 300
+    assert (kept[0], kept[-1]) == (0, 19_999)
+    assert np.all(np.diff(kept) > 0)
+    assert signal[kept].max() == 9.0
+    assert signal[kept].min() == signal.min()
+
+
+def test_a_short_record_is_not_thinned():
+    assert thinned([np.arange(50.0)], 300).tolist() == list(range(50))
+
+
+@pytest.mark.parametrize(
+    ("unit", "words"), [("m/s^2", "m/s²"), ("1/m^3", "1/m³"), ("N*s", "N·s"), ("1", "–"), ("kN", "kN")]
+)
+def test_units_in_words(unit, words):
+    assert unit_words(unit) == words
+
+
+def test_the_error_of_an_experiment_is_averaged_in_the_square():
+    assert error_of({"force": {"nrmse": 0.3}, "elongation": {"nrmse": 0.4}}) == pytest.approx(np.sqrt(0.125))
+    assert np.isnan(error_of({}))
+
+
+def test_an_inlined_figure_keeps_its_words_and_its_identifiers_to_itself(folder):
+    text = (folder / "figures" / "error_fall.svg").read_text()
+    figure = inline("error_fall", text)
+    assert (figure.caption, figure.alt) == ("A fall & <more>", "It falls.")
+    assert all(i.startswith("error_fall-") for i in re.findall(r'\bid="([^"]+)"', figure.svg))
+    assert {i for i in re.findall(r"url\(#([^)]+)\)", figure.svg)} <= set(re.findall(r'\bid="([^"]+)"', figure.svg))
+    assert style.BLACK not in figure.svg and "var(--ink)" in figure.svg
+
+
+# In a browser.
+
+
+@pytest.fixture(scope="module")
+def browser():
+    sync_api = pytest.importorskip("playwright.sync_api")
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if chromium is None:
+        pytest.skip("there is no Chromium on the path")
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def opened(browser, page_file):
+    """A factory: the report in a fresh tab, what it said on the console, and what it asked of the network."""
+    pages = []
+
+    def open(file=page_file, **settings):
+        page = browser.new_page(**settings)
+        pages.append(page)
+        heard, asked = [], []
+        page.on("console", lambda message: heard.append(f"{message.type}: {message.text}"))
+        page.on("pageerror", lambda error: heard.append(f"error: {error}"))
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto(file.as_uri())
+        page.wait_for_function("document.documentElement.dataset.ready === 'true'")
+        return page, heard, asked
+
+    yield open
+    for page in pages:
+        page.close()
+
+
+def paths(page, chart):
+    """The lines that a chart draws."""
+    return page.eval_on_selector_all(
+        f"#chart-{chart} svg .mark-line path", "paths => paths.map(p => p.getAttribute('d'))"
+    )
+
+
+def test_the_page_opens_in_silence_and_asks_nobody(opened, page_file):
+    _, heard, asked = opened()
+    assert heard == []
+    assert [url for url in asked if not url.startswith(("data:", "blob:"))] == [page_file.as_uri()]
+
+
+def test_the_charts_are_drawn(opened):
+    page, _, _ = opened()
+    for chart in ("where", "residual", "histories"):
+        assert page.locator(f"#chart-{chart} svg.marks").count() == 1
+    assert page.locator("#chart-where svg .mark-symbol path").count() >= 3
+    assert len(paths(page, "histories")) == 9  # three series in a loop and two histories
+    assert page.locator(".still svg").count() == 1
+
+
+def test_the_verdict_and_the_figures_are_those_of_the_summary(opened, page_file):
+    page, _, _ = opened()
+    known = json.loads((page_file.parent / "summary.json").read_text())
+    assert page.inner_text("#verdict") == known["diagnosis"]["verdict"].replace("_", " ")
+    assert known["diagnosis"]["sentence"][1:] in page.inner_text("#sentence")
+    assert page.inner_text('[data-figure-key="error_test_before"]') == f"{known['comparison']['test']['error']:.3f}"
+
+
+def test_the_worst_experiment_is_shown_first_and_another_one_changes_the_plot(opened):
+    page, heard, _ = opened()
+    assert page.input_value("#experiment") == "E02"
+    assert "error 0.400 as it was, error 0.060 improved" in page.inner_text("#about")
+    before = paths(page, "histories")
+    page.select_option("#experiment", "T01")
+    page.wait_for_function(
+        "before => document.querySelector('#chart-histories .mark-line path').getAttribute('d') !== before",
+        arg=before[0],
+    )
+    assert "test; error 0.350" in page.inner_text("#about")
+    assert heard == []
+
+
+def test_the_experiment_can_be_chosen_with_the_keyboard_alone(opened):
+    page, _, _ = opened()
+    page.focus("#next")
+    page.keyboard.press("Enter")
+    assert page.input_value("#experiment") == "T01"
+    page.keyboard.press("Enter")
+    assert page.input_value("#experiment") == "E01"
+
+
+def test_a_point_of_the_map_chooses_its_experiment(opened):
+    page, _, _ = opened()
+    assert page.input_value("#experiment") == "E02"
+    point = page.locator("#chart-where svg .mark-symbol.role-mark path").first
+    point.scroll_into_view_if_needed()
+    page.wait_for_timeout(200)
+    box = point.bounding_box()
+    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    assert page.input_value("#experiment") == "E01"
+
+
+def test_the_residual_is_shown_along_what_the_reader_chooses(opened):
+    page, heard, _ = opened()
+    ticks = "nodes => nodes.map(n => n.textContent).join(' ')"
+    before = page.eval_on_selector_all("#chart-residual svg .role-axis-label text", ticks)
+    page.locator("#chart-residual select").select_option("absorbed energy [kJ]")
+    page.wait_for_timeout(300)
+    assert page.eval_on_selector_all("#chart-residual svg .role-axis-label text", ticks) != before
+    assert heard == []
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_page_follows_the_system_until_the_reader_says_otherwise(opened, scheme):
+    page, _, _ = opened(color_scheme=scheme)
+    paper = "getComputedStyle(document.body).backgroundColor"
+    ink = "getComputedStyle(document.querySelector('#chart-histories .role-axis-label text')).fill"
+    first, drawn = page.evaluate(paper), page.evaluate(ink)
+    brightness = sum(map(int, re.findall(r"\d+", first)[:3])) / 3
+    assert (brightness > 128) == (scheme == "light")
+    page.click("#theme")
+    assert page.evaluate(paper) != first
+    assert page.evaluate(ink) != drawn  # the charts turn with the page
+
+
+def test_every_figure_has_words_for_who_cannot_see_it(opened):
+    page, _, _ = opened()
+    unnamed = page.eval_on_selector_all(
+        "figure [role]",
+        "nodes => nodes.filter(n => !n.getAttribute('aria-label') && n.getAttribute('role') !== 'presentation' && !n.closest('svg')).length",
+    )
+    assert unnamed == 0
+    assert page.eval_on_selector_all(
+        "figure", "nodes => nodes.every(n => n.querySelector('figcaption').textContent.trim())"
+    )
+
+
+def test_nothing_is_wider_than_the_page(opened):
+    page, _, _ = opened(viewport={"width": 420, "height": 800})
+    assert page.evaluate("document.documentElement.scrollWidth") <= 420
+
+
+def test_the_page_of_two_runs_draws_its_charts(opened, page_file, tmp_path):
+    other = write(tmp_path / "other", study="other")
+    output = tmp_path / "both.html"
+    assert main(["report", str(page_file.parent), str(other), "--output", str(output)]) == 0
+    page, heard, _ = opened(output)
+    assert heard == []
+    assert page.locator("#chart-errors svg .mark-rect path").count() >= 10
+    assert page.locator("#chart-parameters svg.marks").count() == 1
