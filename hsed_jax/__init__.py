@@ -8,11 +8,14 @@ from hsed_jax import backend
 backend.configure()
 
 if TYPE_CHECKING:
+    from hsed_jax import plot as plot
     from hsed_jax.analysis import calibrate as calibrate
     from hsed_jax.analysis import campaign_of as campaign_of
     from hsed_jax.analysis import compare as compare
     from hsed_jax.analysis import locate as locate
     from hsed_jax.analysis import simulate as simulate
+    from hsed_jax.ask_tell import AskTell as AskTell
+    from hsed_jax.config.initial import initial_study as initial_study
     from hsed_jax.config.load import load_study as load_study
     from hsed_jax.config.schema import Study as Study
     from hsed_jax.errors import UserError as UserError
@@ -25,11 +28,15 @@ if TYPE_CHECKING:
     from hsed_jax.measurements import write_campaign as write_campaign
     from hsed_jax.remedy import diagnose as diagnose
     from hsed_jax.remedy import improve as improve
+    from hsed_jax.sobol import sensitivity as sensitivity
+    from hsed_jax.sweeps.sweep import sweep as sweep
     from hsed_jax.workflow import run as run
 
 # Public names by the module they live in, imported when first used: `hsed --help` answers before JAX is loaded.
 _HOMES = {
     "analysis": ("calibrate", "campaign_of", "compare", "locate", "simulate"),
+    "ask_tell": ("AskTell",),
+    "config.initial": ("initial_study",),
     "config.load": ("load_study",),
     "config.schema": ("Study",),
     "errors": ("UserError",),
@@ -43,16 +50,20 @@ _HOMES = {
         "write_campaign",
     ),
     "remedy": ("diagnose", "improve"),
+    "sobol": ("sensitivity",),
+    "sweeps.sweep": ("sweep",),
     "workflow": ("run",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
+    if name == "plot":
+        return import_module(f"{__name__}.plot")
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
 
 
 def __dir__() -> list[str]:
-    return sorted(_HOME)
+    return sorted([*_HOME, "plot"])

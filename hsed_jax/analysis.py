@@ -1,8 +1,7 @@
 """The sentence of the package in Python: simulate, calibrate, compare, locate.  The command line says the same."""
 
-import dataclasses
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -27,13 +26,14 @@ from hsed_jax.measurements import Campaign, check_campaign
 from hsed_jax.physics.batch import tiled_map
 from hsed_jax.physics.integrate import Response
 from hsed_jax.physics.simulator import Conditions
+from hsed_jax.tables import Table, Tabular
 
 # Of the random numbers of a calibration; the steps of a design have the numbers below.
 _CALIBRATION_KEY = 1_000_000
 
 
-@dataclass(frozen=True)
-class Calibration:
+@dataclass(frozen=True, repr=False)
+class Calibration(Tabular):
     """A model calibrated on a campaign.
 
     Attributes:
@@ -61,11 +61,13 @@ class Calibration:
         """Predictions of the experiments that were fitted."""
         return self.predict(self.campaign.train)
 
-    def __repr__(self) -> str:
-        return repr(self.fit)
+    @cached_property
+    def test(self) -> Prediction | None:
+        """Predictions of the experiments that were held out; None where there are none."""
+        return self.predict(self.campaign.test) if len(self.campaign.test) else None
 
-    def _repr_html_(self) -> str:
-        return self.fit._repr_html_()
+    def _table(self) -> Table:
+        return self.fit._table()
 
 
 def campaign_of(study: Study) -> Campaign:
@@ -141,17 +143,16 @@ def compare(calibration: Calibration, campaign: Campaign | None = None) -> Compa
         campaign: experiments to compare with; by default those it was calibrated on and their test split.
     """
     campaign = calibration.campaign if campaign is None else campaign
-    train, test = campaign.train, campaign.test
-    of_train = calibration.train if campaign is calibration.campaign else calibration.predict(train)
-    of_test = calibration.predict(test) if len(test) else None
+    if campaign is not calibration.campaign:
+        calibration = replace(calibration, campaign=campaign)
     declared = np.asarray([not isinstance(error, Prior) for error in calibration.built.errors[0]])
     parameters = len(calibration.fit.posterior.model_names)
-    notes = comparing.correlation_notes(of_train) if calibration.built.study.observe == "histories" else []
+    notes = comparing.correlation_notes(calibration.train) if calibration.built.study.observe == "histories" else []
     if calibration.built.component_test and not campaign.has_time:
         notes.append(
             "the records have no time: the row number stands for it, which a rate-independent law does not notice"
         )
-    return comparing.compare(of_train, of_test, declared, parameters, notes)
+    return comparing.compare(calibration.train, calibration.test, declared, parameters, notes)
 
 
 def locate(calibration: Calibration, campaign: Campaign | None = None) -> Location:
@@ -207,7 +208,7 @@ def simulate(
         )
 
     # The study may be of records; what is simulated here has none.
-    simulator = dataclasses.replace(built.simulator, timeline=built.planned)
+    simulator = replace(built.simulator, timeline=built.planned)
 
     def one(lane):
         return simulator.respond(lane[0], Conditions(lane[1]), channels)

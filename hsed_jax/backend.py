@@ -6,6 +6,7 @@ Everything here must stand in the environment before JAX computes for the first 
 
 import os
 import sys
+import warnings
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -25,6 +26,8 @@ def configure() -> None:
         present = os.environ.get("XLA_FLAGS", "")
         missing = [flag for flag in _FLAGS if flag.split("=")[0] not in present]
         os.environ["XLA_FLAGS"] = " ".join([present, *missing]).strip()
+    # numpyro loads tqdm's bar for notebooks, which without widgets is one for text and warns of it.
+    warnings.filterwarnings("ignore", "IProgress not found")
     settings = {
         "JAX_ENABLE_X64": "1",
         "JAX_COMPILATION_CACHE_DIR": str(_cache_folder()),

@@ -464,7 +464,7 @@ def test_a_campaign_is_read_in_si_and_shown_as_declared():
     assert campaign["E01"].in_window.tolist() == [False, True, True, True, False]
     assert [e.id for e in campaign.train] == ["E01"] and [e.id for e in campaign.test] == ["E02"]
     assert len(campaign.completed) == 2 and "E03" in campaign and "E04" not in campaign
-    assert "V_P [cm/s]" in repr(campaign) and "<td>E02</td>" in campaign._repr_html_()
+    assert "V_P [cm/s]" in repr(campaign) and ">E02</td>" in campaign._repr_html_()
     done = campaign.update(Experiment("E03", {"V_P": 3.0}, quantities={"peak_force": 1.0}))
     assert len(done.completed) == 3 and len(campaign.completed) == 2
     with pytest.raises(UserError, match="E04"):

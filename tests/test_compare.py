@@ -274,4 +274,4 @@ def test_numbers_and_verdict_are_shown():
     random = np.random.default_rng(18)
     found = compare(histories(random), None, np.ones(2, bool), 0, [])
     assert "train" in repr(found) and found.verdict in repr(found)
-    assert found._repr_html_().startswith("<pre>")
+    assert found.verdict in found._repr_html_() and "<td" in found._repr_html_()

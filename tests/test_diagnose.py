@@ -395,7 +395,7 @@ def test_it_reads_as_a_sentence_and_a_table(damped, plain):
     assert f"from {damped.error[1]:.3f} to {damped.error_after[1]:.3f}" in text
     assert all(len(line) <= 200 for line in text.splitlines()) and "nan" not in text
     assert "nothing is missing" in repr(plain)
-    assert "<pre>" in damped._repr_html_() and "missing is viscous_damping" in damped._repr_html_()
+    assert "<table>" in damped._repr_html_() and "missing is viscous_damping" in damped._repr_html_()
 
 
 @pytest.mark.slow

@@ -89,13 +89,13 @@ def test_parameters_of_law_and_effects_are_the_true_ones(better):
 def test_the_trail_shows_itself(better):
     text = repr(better)
     lines = text.splitlines()
-    assert [line.split("  ")[0].strip() for line in lines[1:5]] == [
+    assert [line.split("  ")[0].strip() for line in lines[2:6]] == [
         "model as it was",
         "+ viscous_damping",
         "+ hardening",
         "noise",
     ]
-    assert "explained by the noise" in text and "nan" not in text and "<pre>" in better._repr_html_()
+    assert "explained by the noise" in text and "nan" not in text and "<table>" in better._repr_html_()
     summary = json.loads(json.dumps(better.trail.summary(), allow_nan=False))
     assert summary.keys() == {"steps", "noise_floor"}
     assert all(step.keys() >= {"effects", "error_train", "error_test"} for step in summary["steps"])

@@ -1,4 +1,4 @@
-"""The report of a run: its numbers are those of summary.json, nothing on it is fetched, a browser draws it and lets one choose."""
+"""The report of a run: its numbers are those of summary.json, nothing is fetched, a browser draws it and lets one choose."""
 
 import json
 import re
@@ -41,7 +41,11 @@ def campaign(inputs):
         Experiment(id, {n: 1.0 + 0.5 * i + 0.1 * j for j, n in enumerate(inputs)}, record=record(i), split=split_of(id))
         for i, id in enumerate(IDS)
     )
-    channels = {"time": Channel("time", "s", "t"), "elongation": Channel("elongation", "mm", "du"), "force": Channel("force", "kN", "F")}
+    channels = {
+        "time": Channel("time", "s", "t"),
+        "elongation": Channel("elongation", "mm", "du"),
+        "force": Channel("force", "kN", "F"),
+    }
     return Campaign(HOSTILE, "ground_motion", {n: units[n] for n in inputs}, channels, {}, experiments)
 
 
@@ -69,17 +73,22 @@ def summary():
     candidate = {"effect": "hardening", "family": "post-yield", "probability": 0.9987, "log_evidence_gain": 812.5,
                  "estimate": estimate, "error_train": 0.05, "error_test": 0.055}  # fmt: skip
     other = candidate | {"effect": "slip", "probability": 0.0013, "log_evidence_gain": 3.5}
+    calibration = {"map": {"A": 5e5}, "posterior": posterior, "divergences": 3}
+    diagnosis = {"verdict": "missing_effects", "sentence": SENTENCE, "effects": ["hardening"]}
+    found = {"look_alikes": [["hardening", "slip"]], "next_experiment": {"V_P": 2.9}, "expected_log_bayes_factor": 4.2}
+    steps = [
+        {"effects": [], "error_train": 0.35, "error_test": 0.35},
+        {"effects": ["hardening"], "error_train": 0.055, "error_test": 0.055},
+    ]
+    after = {"map": {"A": 5e5}, "posterior": posterior, "divergences": 0, "comparison": comparison(ERRORS["after"])}
     return {
-        "study": "shown", "status": "complete",
-        "calibration": {"map": {"A": 5e5}, "posterior": posterior, "divergences": 3, "warning": "3 divergent transitions (should be none)"},
+        "study": "shown",
+        "status": "complete",
+        "calibration": calibration | {"warning": "3 divergent transitions (should be none)"},
         "comparison": before,
-        "diagnosis": {"verdict": "missing_effects", "sentence": SENTENCE, "effects": ["hardening"], "ranking": [candidate, other],
-                      "look_alikes": [["hardening", "slip"]], "next_experiment": {"V_P": 2.9}, "expected_log_bayes_factor": 4.2},
-        "improvement": {"steps": [{"effects": [], "error_train": 0.35, "error_test": 0.35},
-                                  {"effects": ["hardening"], "error_train": 0.055, "error_test": 0.055}],
-                        "noise_floor": 0.05, "map": {"A": 5e5}, "posterior": posterior, "divergences": 0,
-                        "comparison": comparison(ERRORS["after"])},
-    }  # fmt: skip
+        "diagnosis": diagnosis | {"ranking": [candidate, other]} | found,
+        "improvement": {"steps": steps, "noise_floor": 0.05} | after,
+    }
 
 
 def results():
@@ -89,8 +98,9 @@ def results():
             measured, data = record(number), {}
             for name, values in measured.channels.items():
                 size = ERRORS[model][id]
-                data |= {f"{name}_measured": ("time", values), f"{name}_predicted": ("time", (1 + size) * values),
-                         f"{name}_mean": ("time", (1 + size) * values), f"{name}_sd": ("time", np.full(81, 0.01 * np.ptp(values)))}  # fmt: skip
+                predicted, sd = (1 + size) * values, np.full(81, 0.01 * np.ptp(values))
+                about = {"measured": values, "predicted": predicted, "mean": predicted, "sd": sd}
+                data |= {f"{name}_{kind}": ("time", column) for kind, column in about.items()}
             groups[f"{root}/{split_of(id)}/{id}"] = xr.Dataset(data, {"time": measured.time})
     return xr.DataTree.from_dict(groups)
 
@@ -424,7 +434,8 @@ def test_every_figure_has_words_for_who_cannot_see_it(opened):
     page, _, _ = opened()
     unnamed = page.eval_on_selector_all(
         "figure [role]",
-        "nodes => nodes.filter(n => !n.getAttribute('aria-label') && n.getAttribute('role') !== 'presentation' && !n.closest('svg')).length",
+        "nodes => nodes.filter(n => !n.getAttribute('aria-label') && n.getAttribute('role') !== 'presentation'"
+        " && !n.closest('svg')).length",
     )
     assert unnamed == 0
     assert page.eval_on_selector_all(

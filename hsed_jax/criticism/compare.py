@@ -16,6 +16,7 @@ from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.errors import UserError
 from hsed_jax.inference.correlation import autocorrelation_time
 from hsed_jax.measurements import noise_estimate
+from hsed_jax.tables import Table, Tabular, cell
 
 _SIGNIFICANT = 0.01
 
@@ -36,8 +37,8 @@ class Split:
     per_experiment: dict[str, dict[str, dict[str, float]]]
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(Tabular):
     """A calibrated model against its measurements.
 
     Attributes:
@@ -68,21 +69,19 @@ class Comparison:
         content["notes"] = self.notes
         return content
 
-    def __repr__(self) -> str:
-        lines = [f"{'':8}{'error':>8}{'noise':>8}  per output (nrmse, bias, coverage of 90 %)"]
+    def _table(self) -> Table:
+        rows = []
         for name, split in (("train", self.train), ("test", self.test)):
-            if split is not None:
-                outputs = "; ".join(
-                    f"{o} {v['nrmse']:.3f}, {v['bias']:+.3f}, {v['coverage_90']:.2f}"
-                    for o, v in split.per_output.items()
-                )
-                lines.append(f"{name:8}{split.error:8.3f}{split.noise_floor:8.3f}  {outputs}")
-        return "\n".join([*lines, self.verdict])
-
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        return f"<pre>{escape(repr(self))}</pre>"
+            if split is None:
+                continue
+            for output, v in split.per_output.items():
+                errors = (cell(v["nrmse"]), cell(v["noise_floor"]), cell(v["bias"], "+.3f"))
+                shares = (f"{cell(100 * v['peak_error'], '+.1f')} %", f"{cell(100 * v['coverage_90'], '.0f')} %")
+                rows.append((name, output, *errors, *shares))
+            if len(split.per_output) > 1:
+                rows.append((name, "all", cell(split.error), cell(split.noise_floor), "", "", ""))
+        heads = ("split", "output", "error", "noise", "bias", "peak", "in the 90 % band")
+        return Table(self.verdict, heads, rows, self.notes)
 
     @property
     def verdict(self) -> str:
@@ -299,7 +298,7 @@ def correlation_notes(prediction: Prediction) -> list[str]:
         if tau > 1:
             samples = int(sum(count for _, count in rows))
             notes.append(
-                f"the residual of {output} is correlated over {tau:.0f} samples: its {samples} samples count as "
+                f"the residual of {output} is correlated over {tau:.2g} samples: its {samples} samples count as "
                 f"{max(1, round(samples / tau))}"
             )
     return notes

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.tables import Table, Tabular, cell
 
 SIGNIFICANT = 0.01
 
@@ -39,8 +40,8 @@ class Candidate:
         return dict(vars(self))
 
 
-@dataclass(frozen=True)
-class Diagnosis:
+@dataclass(frozen=True, repr=False)
+class Diagnosis(Tabular):
     """What is missing.
 
     Attributes:
@@ -118,22 +119,26 @@ class Diagnosis:
         )
         return f"missing is {named}: {fall}{left}{alike}"
 
-    def __repr__(self) -> str:
+    def _table(self) -> Table:
         shown = [c for c in self.ranking if c.effect in self.effects or c.probability >= 0.001][:8] or self.ranking[:3]
-        width = max(len(c.effect) for c in shown)
-        lines = [f"{'':{width}}  probability  log-evidence  error train  test   estimate"]
+        rows = []
         for c in shown:
-            amplitude, numbers = next(iter(c.estimate.items()))
-            lines.append(
-                f"{c.effect:{width}}  {c.probability:11.3f}  {c.log_evidence_gain:12.1f}  {c.error_train:11.3f} "
-                f"{c.error_test:6.3f}  {amplitude} {numbers['mean']:.3g} ± {numbers['sd']:.2g}"
+            amplitude, size = next(iter(c.estimate.items()))
+            unit = "" if size["unit"] == "1" else f" {size['unit']}"
+            rows.append(
+                (
+                    c.effect,
+                    c.family,
+                    cell(c.probability),
+                    cell(c.log_evidence_gain, ".1f"),
+                    cell(c.error_train),
+                    cell(c.error_test),
+                    f"{amplitude} = {cell(size['mean'], '.3g')} ± {cell(size['sd'], '.2g')}{unit}",
+                )
             )
+        heads = ("effect", "family", "probability", "log-evidence", "error train", "error test", "estimate")
+        notes = []
         if self.next_experiment is not None:
             inputs = ", ".join(f"{name} = {value:.4g}" for name, value in self.next_experiment.items())
-            lines.append(f"the experiment that tells them apart best: {inputs}")
-        return "\n".join([f"{self.verdict}: {self.sentence}", *lines])
-
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        return f"<pre>{escape(repr(self))}</pre>"
+            notes.append(f"the experiment that tells them apart best: {inputs}")
+        return Table(f"{self.verdict}: {self.sentence}", heads, rows, notes)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from hsed_jax.criticism.compare import Comparison
+from hsed_jax.tables import Table, Tabular, cell
 
 
 @dataclass(frozen=True)
@@ -23,8 +24,8 @@ class Step:
     parameters: dict[str, float]
 
 
-@dataclass(frozen=True)
-class Trail:
+@dataclass(frozen=True, repr=False)
+class Trail(Tabular):
     """How the error falls as effects are added.
 
     Attributes:
@@ -40,26 +41,32 @@ class Trail:
         steps = [{k: v for k, v in vars(step).items() if v is not None} for step in self.steps]
         return {"steps": steps, "noise_floor": self.noise_floor}
 
-    def __repr__(self) -> str:
-        width = max(len(_label(step)) for step in self.steps)
-        lines = [f"{'':{width}}  error train   test  parameters"]
-        for step in self.steps:
-            test = "   –  " if step.error_test is None else f"{step.error_test:6.3f}"
-            values = ", ".join(f"{name} {value:.4g}" for name, value in step.parameters.items() if "error." not in name)
-            lines.append(f"{_label(step):{width}}  {step.error_train:11.3f} {test}  {values}")
-        return "\n".join([*lines, f"{'noise':{width}}  {self.noise_floor:11.3f}"])
+    @property
+    def sentence(self) -> str:
+        """How far the error fell, on experiments that were not used where there are any."""
+        first, last = self.steps[0], self.steps[-1]
+        ends = [s.error_train if last.error_test is None else s.error_test for s in (first, last)]
+        which = "the fitted experiments" if last.error_test is None else "experiments that were not used"
+        if len(self.steps) == 1:
+            return f"nothing was added: the error on {which} is {cell(ends[0])} (noise {self.noise_floor:.3f})"
+        return f"the error on {which} goes from {cell(ends[0])} to {cell(ends[1])} (noise {self.noise_floor:.3f})"
 
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        return f"<pre>{escape(repr(self))}</pre>"
+    def _table(self) -> Table:
+        names = list(dict.fromkeys(name for step in self.steps for name in step.parameters if "error." not in name))
+        rows: list[Sequence[str]] = [
+            (
+                f"+ {step.effects[-1]}" if step.effects else "model as it was",
+                cell(step.error_train),
+                cell(step.error_test),
+                *(cell(step.parameters.get(name), ".4g") for name in names),
+            )
+            for step in self.steps
+        ]
+        rows.append(("noise", cell(self.noise_floor), *[""] * (len(names) + 1)))
+        return Table(self.sentence, ("", "error train", "error test", *names), rows)
 
 
 def step_of(effects: Sequence[str], comparison: Comparison, parameters: dict[str, float]) -> Step:
     """One step of the trail, from a comparison."""
     test = None if comparison.test is None else comparison.test.error
     return Step(list(effects), comparison.train.error, test, parameters)
-
-
-def _label(step: Step) -> str:
-    return f"+ {step.effects[-1]}" if step.effects else "model as it was"

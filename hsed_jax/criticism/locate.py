@@ -20,6 +20,7 @@ import numpy as np
 from hsed_jax.criticism.coordinates import UNITS, Samples, quantities_of, samples_of
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.measurements import Campaign
+from hsed_jax.tables import Table, Tabular
 
 _READABLE = {"J": (("kJ", 1e-3), ("J", 1.0)), "m": (("mm", 1e3),), "m/s": (("mm/s", 1e3),), "1": (("", 1.0),)}
 _SMALLEST_PART = 0.05
@@ -67,12 +68,16 @@ class Place:
 
     @property
     def _way(self) -> str:
-        if abs(self.bias) < _CLEAR:
+        there, elsewhere = self._too(self.bias), self._too(self.bias_elsewhere)
+        if not there:
             return ""
+        opposite = elsewhere and elsewhere != there
+        return f"; the model is {there} there" + (f" and {elsewhere} elsewhere" if opposite else "")
+
+    def _too(self, bias: float) -> str:
+        """Which way the model errs, where it is clear."""
         strong, weak = ("strong", "weak") if self.of_force else ("large", "small")
-        there, elsewhere = (strong, weak) if self.bias > 0 else (weak, strong)
-        opposite = self.bias * self.bias_elsewhere < 0 and abs(self.bias_elsewhere) >= _CLEAR
-        return f"; the model is too {there} there" + (f" and too {elsewhere} elsewhere" if opposite else "")
+        return "" if abs(bias) < _CLEAR else f"too {strong if bias > 0 else weak}"
 
     @property
     def _where(self) -> str:
@@ -83,7 +88,8 @@ class Place:
                 if self.unit == "row":
                     return f"{'after' if self.part == 'above' else 'up to'} row {self.limit:.0f}"
                 return f"{'after' if self.part == 'above' else 'until'} {_plain(self.limit)} s"
-            choices = _READABLE.get(self.unit, ((self.unit, 1.0),))
+            # An input is read in the unit it was declared in.
+            choices = _READABLE[self.unit] if self.coordinate in UNITS else ((self.unit, 1.0),)
             unit, factor = next((c for c in choices if abs(self.limit) * c[1] >= 1), choices[-1])
             name = {"energy": "an absorbed energy", "amplitude": "elongations", "speed": "elongation rates"}.get(
                 self.coordinate, self.coordinate
@@ -109,8 +115,8 @@ def _plain(value: float) -> str:
     return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e7 else text
 
 
-@dataclass(frozen=True)
-class Location:
+@dataclass(frozen=True, repr=False)
+class Location(Tabular):
     """Where a model fails, most informative place first.
 
     Attributes:
@@ -130,16 +136,20 @@ class Location:
         """The places as plain data."""
         return [{**place.__dict__, "sentence": place.sentence} for place in self.places]
 
-    def __repr__(self) -> str:
-        return (
-            "\n".join(f"{i + 1}. {sentence}" for i, sentence in enumerate(self.sentences))
-            or "the misfit is nowhere in particular"
-        )
-
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        return "<ol>" + "".join(f"<li>{escape(sentence)}</li>" for sentence in self.sentences) + "</ol>"
+    def _table(self) -> Table:
+        rows = [
+            (
+                p._where,
+                f"{100 * p.error_share:.0f} %",
+                f"{100 * p.sample_share:.0f} %",
+                p._too(p.bias) or "–",
+                p._too(p.bias_elsewhere) or "–",
+            )
+            for p in self.places
+        ]
+        items = self.places[0].items if self.places else "samples"
+        heads = ("where", "of the squared error", f"of the {items}", "model there", "model elsewhere")
+        return Table(next(iter(self.sentences), "the misfit is nowhere in particular"), heads, rows)
 
 
 def locate(prediction: Prediction, campaign: Campaign) -> Location:

@@ -14,10 +14,11 @@ from hsed_jax.inference.likelihood import Data, standardised_residual
 from hsed_jax.inference.maximum import Maximum, maximise
 from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence, sample
 from hsed_jax.inference.posterior import Posterior
+from hsed_jax.tables import Table, Tabular, cell
 
 
-@dataclass(frozen=True)
-class Fit:
+@dataclass(frozen=True, repr=False)
+class Fit(Tabular):
     """Result of a calibration.
 
     Attributes:
@@ -55,34 +56,19 @@ class Fit:
         """Mean, sd, 5 % and 95 % quantile, bulk ESS and R-hat of each parameter, SI."""
         return summarise(self.names, self.chains, self.convergence)
 
-    def _rows(self) -> list[tuple[str, ...]]:
-        head = ("parameter", "MAP", "mean", "sd", "5 %", "95 %", "ESS", "R-hat", "unit")
-        rows: list[tuple[str, ...]] = [head]
-        for name, s in self.summary().items():
-            numbers = (self.map[name], s["mean"], s["sd"], s["q05"], s["q95"])
-            rows.append(
-                (
-                    name,
-                    *(f"{v:.4g}" for v in numbers),
-                    f"{s['ess_bulk']:.0f}",
-                    f"{s['rhat']:.3f}",
-                    self.units.get(name, "1"),
-                )
+    def _table(self) -> Table:
+        rows = [
+            (
+                f"{name} [{self.units.get(name, '1')}]",
+                *(cell(v, ".4g") for v in (self.map[name], s["mean"], s["sd"], s["q05"], s["q95"])),
+                cell(s["ess_bulk"], ".0f"),
+                cell(s["rhat"]),
             )
-        return rows
-
-    def __repr__(self) -> str:
-        rows = self._rows()
-        widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-        lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
-        return "\n".join([*lines, f"warning: {self.warning}" if self.warning else "converged, no divergences"])
-
-    def _repr_html_(self) -> str:
-        head, *rows = self._rows()
-        cells = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
-        title = "".join(f"<th>{cell}</th>" for cell in head)
-        note = f"<p><b>warning:</b> {self.warning}</p>" if self.warning else ""
-        return f"<table><thead><tr>{title}</tr></thead><tbody>{cells}</tbody></table>{note}"
+            for name, s in self.summary().items()
+        ]
+        state = f"warning: {self.warning}" if self.warning else "converged, no divergences"
+        heads = ("parameter", "MAP", "mean", "sd", "5 %", "95 %", "ESS", "R-hat")
+        return Table(f"calibrated on {int(self.data.count)} experiments; {state}", heads, rows)
 
 
 def fit(

@@ -1,6 +1,5 @@
 """A campaign: experiments that share a specimen and sensors, in SI, with the units they were declared in."""
 
-import html
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -11,6 +10,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.measurements.experiment import Channel, Experiment, Record
 from hsed_jax.measurements.tables import can_head_record
 from hsed_jax.measurements.units import Unit, channel_dimension, parse_unit, quantity_dimension
+from hsed_jax.tables import Table, Tabular
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -24,8 +24,8 @@ MOTION = ("time", "ground_acceleration")
 """Channels that impose a ground motion and so measure no response."""
 
 
-@dataclass(frozen=True)
-class Campaign:
+@dataclass(frozen=True, repr=False)
+class Campaign(Tabular):
     """Experiments that share a specimen, a protocol, inputs and channels.  Values are SI, units as declared.
 
     Attributes:
@@ -218,8 +218,8 @@ class Campaign:
 
         return campaign_from_xarray(tree)
 
-    def _table(self) -> tuple[list[str], list[list[str]]]:
-        heads = ["id", *(f"{k} [{u}]" for k, u in self.inputs.items())]
+    def _table(self) -> Table:
+        heads = ["experiment", *(f"{k} [{u}]" for k, u in self.inputs.items())]
         heads += [*(f"{k} [{q.unit}]" for k, q in self.quantities.items()), "record", "status", "split"]
         rows = []
         for e in self:
@@ -228,28 +228,9 @@ class Campaign:
                 f"{self.unit(k).from_si(e.quantities[k]):.6g}" if k in e.quantities else "" for k in self.quantities
             ]
             rows.append([e.id, *values, "" if e.record is None else f"{len(e.record)} samples", e.status, e.split])
-        return heads, rows
-
-    def _title(self) -> str:
         channels = ", ".join(f"{k} [{c.unit}]" for k, c in self.channels.items()) or "no records"
         counts = f"{len(self)} experiments, {len(self.train)} train, {len(self.test)} test"
-        return f"{self.name} ({self.protocol}): {counts}; {channels}"
-
-    def __repr__(self) -> str:
-        """Return a short table of the experiments, inputs and quantities in their declared units."""
-        heads, rows = self._table()
-        shown = [heads, *rows[:20]]
-        widths = [max(len(row[i]) for row in shown) for i in range(len(heads))]
-        lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in shown]
-        more = [f"... and {len(rows) - 20} more"] if len(rows) > 20 else []
-        return "\n".join([self._title(), *lines, *more])
-
-    def _repr_html_(self) -> str:
-        heads, rows = self._table()
-        cells = ["".join(f"<td>{html.escape(c)}</td>" for c in row) for row in rows]
-        head = "".join(f"<th>{html.escape(c)}</th>" for c in heads)
-        body = "".join(f"<tr>{row}</tr>" for row in cells)
-        return f"<p>{html.escape(self._title())}</p><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+        return Table(f"{self.name} ({self.protocol}): {counts}; {channels}", heads, rows)
 
 
 def check_column(name: str, where: str) -> None:

@@ -1,0 +1,241 @@
+"""`hx.plot`: axes to go on editing, one figure each, nothing left open, nobody's settings changed, clear refusals."""
+
+import inspect
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from numpy.testing import assert_allclose
+from test_diagnosis_figures import candidate, diagnosis, improved
+from test_misfit_figures import histories, quantities
+
+import hsed_jax as hx
+from hsed_jax.analysis import Calibration
+from hsed_jax.config.build import Built
+from hsed_jax.criticism.improve import Step, Trail
+from hsed_jax.design.sequential import DesignState
+from hsed_jax.inference.fit import Fit
+from hsed_jax.inference.nuts import Chains, Convergence
+from hsed_jax.measurements import Experiment
+from hsed_jax.remedy import Improvement
+from hsed_jax.reporting.outcome import Outcome
+from hsed_jax.workflow import Run
+
+STUDY = hx.load_study("configs/paper.yaml")
+UNITS = {"A": "N/m", "beta": "1/m", "stiffness_degradation.delta": "1", "error.force": "1"}
+
+
+def bare(kind, **attributes):
+    """An object that has what is drawn or shown of it and nothing else."""
+    made = object.__new__(kind)
+    vars(made).update(attributes)
+    return made
+
+
+def fitted(names=("A", "beta"), at=(4e5, 1.0), count=3):
+    """A posterior of normal draws, 1 % wide."""
+    centre = np.asarray(at)
+    theta = centre * (1 + 0.01 * np.random.default_rng(0).standard_normal((2, 60, len(names))))
+    zeros = jnp.zeros((2, 60))
+    chains = Chains(jnp.asarray(theta), zeros, zeros > 1, zeros.astype(int), jnp.asarray(0.5))
+    good = Convergence(np.full(len(names), 1.0), np.full(len(names), 900.0), 0)
+    posterior = SimpleNamespace(names=names, model_names=tuple(n for n in names if "error." not in n))
+    return bare(Fit, posterior=posterior, units=UNITS, chains=chains, convergence=good,
+                data=SimpleNamespace(count=np.asarray(count)), map=dict(zip(names, at, strict=True)))  # fmt: skip
+
+
+def calibration(case, observe="histories", fit=None):
+    """A calibration whose predictions are those of a synthetic comparison."""
+    campaign, comparison, _ = case
+    built = SimpleNamespace(
+        study=SimpleNamespace(observe=observe), errors=([0.05] * 9, None), component_test=not campaign.has_time
+    )
+    return bare(Calibration, campaign=campaign, built=built, fit=fit or fitted(),
+                train=comparison.train_prediction, test=comparison.test_prediction)  # fmt: skip
+
+
+def improvement():
+    campaign, before, _ = histories(2, 2)
+    old = calibration((campaign, before, None))
+    new = calibration(
+        (campaign, before, None), fit=fitted((*old.fit.names, "stiffness_degradation.delta"), (5e5, 0.8, 0.4))
+    )
+    trail = Trail([Step([], 0.3, 0.4, {"A": 4e5}), Step(["stiffness_degradation"], 0.1, 0.2, {"A": 5e5})], 0.05)
+    return Improvement(STUDY, old, new, before, improved(before, [0.01] * 4), trail)
+
+
+def design():
+    """A run of a design of two steps after one initial experiment."""
+    step = {"max_expected_improvement": 0.3, "map": {"A": 4e5, "beta": 1.0},
+            "posterior": {n: {"q05": 0.9 * x, "q95": 1.1 * x} for n, x in (("A", 4e5), ("beta", 1.0))}}  # fmt: skip
+    steps = [step, {**step, "max_expected_improvement": 0.1}]
+    state = DesignState(np.array([[0.5, 0.5], [0.2, 0.8], [0.9, 0.1]]), {}, np.zeros((3, 3)), 3)
+    laboratory = SimpleNamespace(parameters={"A": 5e5, "beta": 1.0})
+    outcome = bare(Outcome, space=Built(STUDY).space, state=state, initial=1, steps=steps, fit=None, units=UNITS,
+                   posterior=SimpleNamespace(names=("A", "beta")), laboratory=laboratory)  # fmt: skip
+    return bare(Run, study=STUDY, conduct=SimpleNamespace(steps=steps), outcome=lambda status: outcome)
+
+
+CASES = {
+    "ground_motions": (lambda: hx.plot.ground_motions(STUDY), 2),
+    "histories": (lambda: hx.plot.histories(calibration(histories(2, 1)), "E3"), 3),
+    "loops": (lambda: hx.plot.loops(calibration(histories(2, 1))), 3),
+    "where": (lambda: hx.plot.where(calibration(histories(2, 1))), 9),
+    "error_map": (lambda: hx.plot.error_map(calibration(quantities(), "quantities")), None),
+    "measured_against_predicted": (
+        lambda: hx.plot.measured_against_predicted(calibration(quantities(), "quantities")),
+        2,
+    ),
+    "posterior": (lambda: hx.plot.posterior(calibration(histories())), 3),
+    "ranking": (lambda: hx.plot.ranking(diagnosis([candidate("gap", 9.0)])), None),
+    "error_fall": (lambda: hx.plot.error_fall(improvement()), None),
+    "before_after": (lambda: hx.plot.before_after(improvement()), 4),
+    "parameters": (lambda: hx.plot.parameters(improvement(), {"A": 5e5}), 2),
+    "expected_improvement": (lambda: hx.plot.expected_improvement(design()), None),
+    "exploration": (lambda: hx.plot.exploration(design()), None),
+    "estimates": (lambda: hx.plot.estimates(design()), 2),
+}
+
+
+def test_every_plot_is_tried():
+    own = {n for n, f in vars(hx.plot).items() if inspect.isfunction(f) and f.__module__ == hx.plot.__name__}
+    assert {name for name in own if not name.startswith("_")} == set(CASES)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_axes_are_returned_and_can_be_edited_and_no_setting_changes(name, tmp_path):
+    draw, count = CASES[name]
+    with matplotlib.rc_context({"font.size": 20, "axes.grid": False, "axes.spines.top": True}):
+        before = dict(matplotlib.rcParams)
+        found = draw()
+        assert dict(matplotlib.rcParams) == before
+        axes = [found] if count is None else list(found)
+        assert len(axes) == (count or 1) and all(isinstance(one, Axes) for one in axes)
+        assert len({one.figure for one in axes}) == 1
+        # The house style holds, whatever the user's is.
+        assert axes[0].xaxis.label.get_fontsize() == 9 and not axes[0].spines["top"].get_visible()
+        axes[0].set_title("of my own")
+        axes[0].axvline(0.0)
+        axes[0].figure.savefig(tmp_path / "edited.png")
+    assert axes[0].get_title() == "of my own"
+    assert plt.get_fignums() == []
+
+
+@pytest.mark.parametrize("backend", ["inline", "tkagg"])
+def test_where_figures_are_shown_pyplot_knows_each_once(monkeypatch, backend):
+    monkeypatch.setattr(hx.plot.matplotlib, "get_backend", lambda: backend)
+    try:
+        axes = hx.plot.loops(calibration(histories(1, 1)))
+        other = hx.plot.ranking(diagnosis([candidate("gap", 9.0)]))
+        assert [plt.figure(number) for number in plt.get_fignums()] == [axes[0].figure, other.figure]
+        assert plt.gcf() is other.figure
+    finally:
+        plt.close("all")
+
+
+@pytest.mark.parametrize("backend", ["agg", "pdf", "svg"])
+def test_a_batch_without_a_display_leaves_nothing_open(monkeypatch, backend):
+    monkeypatch.setattr(hx.plot.matplotlib, "get_backend", lambda: backend)
+    for _ in range(30):
+        hx.plot.ranking(diagnosis([candidate("gap", 9.0)]))
+    assert plt.get_fignums() == []
+
+
+def test_a_history_is_that_of_the_experiment_asked_for():
+    case = histories(2, 2)
+    force, elongation, loop = hx.plot.histories(calibration(case), "E3")
+    record = case[0]["E3"].record
+    assert_allclose(force.get_lines()[0].get_ydata(), 1e-3 * record["force"])
+    assert_allclose(elongation.get_lines()[1].get_ydata(), 1.1e3 * record["elongation"])
+    assert_allclose(loop.get_lines()[0].get_xdata(), 1e3 * record["elongation"])
+
+
+def test_loops_are_those_with_the_largest_errors_first():
+    campaign, comparison, _ = histories(6, 6)
+    worse = improved(comparison, np.linspace(0.01, 0.06, 6))
+    axes = hx.plot.loops(calibration((campaign, worse, None)))
+    titles = [axis.get_title(loc="left") for axis in axes]
+    assert len(titles) == 9 and titles[0].split()[0] in ("E6", "E12") and "E1 (train)" not in titles
+    errors = [float(axis.get_title(loc="right").split()[-1]) for axis in axes]
+    assert errors == sorted(errors, reverse=True) and errors[0] > 2 * errors[-1]
+
+
+def test_the_posterior_shows_the_draws_the_map_and_the_truth_in_one_unit():
+    fit = fitted(("A", "beta", "error.force"), (4e5, 1.0, 0.1))
+    axes = hx.plot.posterior(calibration(histories(), fit=fit), truth={"A": 5e5})
+    assert len(axes) == 6
+    histogram, pair = axes[0], axes[1]
+    draws = np.asarray(fit.chains.theta).reshape(-1, 3)
+    (scatter, mark, truth) = pair.get_lines()
+    assert_allclose(scatter.get_xdata(), 1e-3 * draws[:, 0])
+    assert_allclose(scatter.get_ydata(), draws[:, 1])
+    assert_allclose([mark.get_xdata()[0], mark.get_ydata()[0]], [400.0, 1.0])
+    assert_allclose(truth.get_xdata(), 500.0)
+    (area,) = histogram.patches
+    assert_allclose(
+        [area.get_xy()[:, 0].min(), area.get_xy()[:, 0].max()],
+        1e-3 * draws[[draws[:, 0].argmin(), draws[:, 0].argmax()], 0],
+    )
+    assert axes[3].get_xlabel() == "$A$ [kN/m]" and axes[-1].get_xlabel() == "error.force [–]"
+    entries = [text.get_text() for text in axes[0].figure.legends[0].get_texts()]
+    assert entries == ["draws", "MAP", "true value"]
+
+
+def test_a_posterior_lies_over_the_one_before():
+    better = improvement()
+    axes = hx.plot.posterior(better.calibration, before=better.original)
+    pair, alone = axes[1], axes[-1]
+    assert_allclose([line.get_xdata()[0] for line in pair.get_lines()[1::2]], [400.0, 500.0])
+    assert len(alone.patches) == 1  # the model as it was did not have the effect
+    entries = [text.get_text() for text in axes[0].figure.legends[0].get_texts()]
+    assert entries == ["as it was: draws", "as it was: MAP", "improved: draws", "improved: MAP"]
+
+
+def test_of_many_parameters_six_are_shown():
+    names = tuple(f"p{i}" for i in range(8))
+    assert len(hx.plot.posterior(calibration(histories(), fit=fitted(names, (1.0,) * 8)))) == 21
+
+
+def test_a_design_is_drawn_as_it_went():
+    run = design()
+    (line,) = hx.plot.expected_improvement(run).get_lines()
+    assert line.get_ydata().tolist() == [0.3, 0.1]
+    stiffness = hx.plot.estimates(run)[0]
+    assert_allclose(stiffness.get_lines()[0].get_ydata(), 400.0)
+    assert_allclose(stiffness.get_lines()[1].get_ydata(), 500.0)
+
+
+def test_an_experiment_without_a_measurement_is_refused():
+    campaign, comparison, _ = histories(1, 1)
+    waiting = campaign.add(Experiment("E9", {}, status="pending"))
+    with pytest.raises(hx.UserError, match="'E9' is pending"):
+        hx.plot.histories(calibration((waiting, comparison, None)), "E9")
+
+
+def flat():
+    campaign, comparison, _ = histories(1, 0, outputs=("velocity_1",))
+    return calibration((campaign, comparison, None))
+
+
+@pytest.mark.parametrize(
+    ("draw", "message"),
+    [
+        (lambda: hx.plot.histories(calibration(histories(1, 1)), "E7"), "no experiment 'E7'; the campaign has E1, E2"),
+        (lambda: hx.plot.histories(calibration(quantities(), "quantities"), "E1"), "plot.measured_against_predicted"),
+        (lambda: hx.plot.measured_against_predicted(calibration(histories())), "does not observe quantities"),
+        (lambda: hx.plot.loops(flat()), "force and elongation were not both measured"),
+        (lambda: hx.plot.where(calibration(quantities(), "quantities")), "plot.error_map"),
+        (lambda: hx.plot.error_map(calibration(histories(2, 0))), "one or two inputs that vary"),
+        (lambda: hx.plot.ranking(diagnosis([])), "no candidate to draw"),
+        (lambda: hx.plot.expected_improvement(bare(Run, study=STUDY, conduct=None)), "no steps of a design"),
+        (lambda: hx.plot.ground_motions(STUDY.model_copy(update={"excitation": None})), "no excitation"),
+    ],
+)
+def test_what_cannot_be_drawn_is_said(draw, message):
+    with pytest.raises(hx.UserError, match=message):
+        draw()
+    assert plt.get_fignums() == []
