@@ -1,7 +1,7 @@
 """Learn which physical effect is missing, add it, and see the error fall: the second half of the sentence in Python."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -21,6 +21,7 @@ from hsed_jax.design.acquisition import Given
 from hsed_jax.errors import UserError
 from hsed_jax.inference.nested import Target, Task
 from hsed_jax.measurements import Campaign
+from hsed_jax.tables import Table, Tabular
 
 # Candidates of a design among which the one that separates rivals best is looked for: a Sobol' set's beginning fills it.
 _DISCRIMINATED = 512
@@ -52,18 +53,30 @@ def discriminate(built: Built, campaign: Campaign) -> Given:
     return Given(jnp.log(jnp.asarray(np.maximum(found.separation, 1e-300))))
 
 
-@dataclass(frozen=True)
-class Improvement:
+def verdict_of(built: Built, campaign: Campaign) -> str:
+    """The verdict of a diagnosis of the experiments so far.
+
+    Arguments:
+        built: the study.
+        campaign: the experiments so far.
+    """
+    return diagnosing.diagnose(problem_of(built, campaign)).verdict
+
+
+@dataclass(frozen=True, repr=False)
+class Improvement(Tabular):
     """A model with effects added, calibrated again.
 
     Attributes:
         study: with the effects in its model, ready to run or to improve again.
+        original: the calibrated model that was improved.
         calibration: of the improved model.
         before, after: the model as it was and the improved one against the same measurements.
         trail: the error after each added effect.
     """
 
     study: Study
+    original: Calibration
     calibration: Calibration
     before: Comparison
     after: Comparison
@@ -74,13 +87,8 @@ class Improvement:
         text = yaml.safe_dump(self.study.written(), sort_keys=False, allow_unicode=True)
         Path(path).write_text(text, encoding="utf-8")
 
-    def __repr__(self) -> str:
-        return f"{self.trail!r}\n{self.after.verdict}"
-
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        return f"<pre>{escape(repr(self))}</pre>"
+    def _table(self) -> Table:
+        return replace(self.trail._table(), notes=[self.after.verdict])
 
 
 def improve(calibration: Calibration, campaign: Campaign | None = None, *, effects: Sequence[str]) -> Improvement:
@@ -109,7 +117,7 @@ def improve(calibration: Calibration, campaign: Campaign | None = None, *, effec
     better = calibrate_built(built, campaign, start=jnp.asarray(thetas[-1]))
     after = compare(better)
     steps.append(step_of(effects, after, better.map))
-    return Improvement(study, better, before, after, Trail(steps, after.train.noise_floor))
+    return Improvement(study, calibration, better, before, after, Trail(steps, after.train.noise_floor))
 
 
 def _fits(

@@ -116,6 +116,11 @@ class RunFolder:
         return self.path / "campaign"
 
     @property
+    def laboratory(self) -> Path:
+        """Folder of the folders in which experiments are requested and answered."""
+        return laboratory_folder(self.path)
+
+    @property
     def figures(self) -> Path:
         """Folder of the figures."""
         return self.path / "figures"
@@ -180,6 +185,11 @@ class RunFolder:
             "sessions": [*sessions, {"start": _now()}],
         }
         _replace(path, json.dumps(content, indent=2) + "\n")
+
+
+def laboratory_folder(path: str | Path) -> Path:
+    """The folder of a run in which its laboratory works; known before there is a run."""
+    return Path(path) / "laboratory"
 
 
 def read_run(path: str | Path) -> "FinishedRun":

@@ -8,7 +8,7 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "hsed_jax"
 LEVELS = (
-    ("errors", "backend"),
+    ("errors", "backend", "tables"),
     ("physics",),
     ("measurements",),
     ("laboratories",),
@@ -19,9 +19,14 @@ LEVELS = (
     ("config",),
     ("store",),
     ("analysis",),
-    ("remedy",),
+    ("remedy", "sobol"),
+    ("conduct",),
+    ("requests",),
+    ("ask_tell",),
     ("workflow",),
-    ("run", "sweep", "__main__"),
+    ("plot",),
+    ("sweeps",),
+    ("run", "__main__"),
 )
 LEVEL = {room: level for level, rooms in enumerate(LEVELS) for room in rooms}
 MODULES = sorted(PACKAGE.rglob("*.py"))
@@ -103,7 +108,7 @@ def test_the_checker_catches_an_import_that_is_not_downwards(source, module):
         ("from hsed_jax.physics.outputs import output", ("hsed_jax", "physics", "integrate")),
         ("from .outputs import output\nfrom ..errors import UserError", ("hsed_jax", "physics", "integrate")),
         ("from hsed_jax.errors import UserError\nfrom hsed_jax import errors", ("hsed_jax", "measurements", "units")),
-        ("from hsed_jax import sweep", ("hsed_jax", "run")),
+        ("from hsed_jax import sweeps", ("hsed_jax", "run")),
         ("from hsed_jax.run import main", ("hsed_jax",)),
     ],
 )

@@ -1,5 +1,6 @@
 """The command line and the run folder: what is left behind, and that nothing is lost when a run is stopped or killed."""
 
+import copy
 import json
 import os
 import random
@@ -308,13 +309,21 @@ def built(study):
     """One set of compiled programs for many runs."""
     made = Built(load_study(study))
     made.check()
+    assert made.design  # what is made before it is copied is shared
     return made
 
 
 @pytest.fixture
 def quick(built, monkeypatch):
     """Runs the design alone, without figures, on programs that are compiled already; gives the summary."""
-    monkeypatch.setattr("hsed_jax.workflow.Built", lambda *_, **__: built)
+
+    def twin(study, *_, **__):
+        """What is built already, under another study."""
+        other = copy.copy(built)
+        object.__setattr__(other, "study", study)
+        return other
+
+    monkeypatch.setattr("hsed_jax.workflow.Built", twin)
     monkeypatch.setattr("hsed_jax.reporting.run_figures.draw", lambda *_: None)
 
     def go(folder, *overrides, **flags):
@@ -325,13 +334,15 @@ def quick(built, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "overrides", [("design.iterations=2",), ("design.tolerance=10.0",)], ids=["iterations", "tolerance"]
+    "overrides",
+    [("design.iterations=2",), ("design.stop.expected_improvement=10.0",)],
+    ids=["iterations", "expected_improvement"],
 )
 def test_a_run_stopped_after_any_line_of_its_journal_ends_as_if_it_had_not_been(quick, tmp_path, overrides):
     done, expected = quick(tmp_path / "whole", *overrides)
     lines = (tmp_path / "whole" / "journal.jsonl").read_text().splitlines(keepends=True)
-    assert done.stop_reason == overrides[0].split(".")[1].split("=")[0]
-    assert len(done.steps) == (1 if done.stop_reason == "tolerance" else 2)
+    assert done.stop_reason == overrides[0].split("=")[0].rpartition(".")[2]
+    assert len(done.steps) == (1 if done.stop_reason == "expected_improvement" else 2)
     for kept in range(len(lines) + 1):
         folder = tmp_path / f"stopped after {kept}"
         shutil.copytree(tmp_path / "whole", folder)

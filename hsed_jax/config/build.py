@@ -1,16 +1,23 @@
 """From what a user said to the objects that compute: no `None` reaches the numerics."""
 
+import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
+from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
-from hsed_jax.config import parts
+from hsed_jax.config import laboratories, parts
+from hsed_jax.config.laboratories import IMPOSED
 from hsed_jax.config.own_effects import load_own_effects
 from hsed_jax.config.plan import check_plan
-from hsed_jax.config.schema import ErrorEntry, Study
+from hsed_jax.config.schema import Study
+from hsed_jax.config.sections import ErrorEntry
+from hsed_jax.design.feasible import Limits
 from hsed_jax.design.sequential import SequentialDesign
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
@@ -20,20 +27,20 @@ from hsed_jax.inference.observation import Grid, Histories, Observation, Quantit
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.predict import predictor
 from hsed_jax.inference.priors import Prior
-from hsed_jax.laboratories.virtual import VirtualLaboratory
+from hsed_jax.laboratories.base import ExperimentFailed, Laboratory, experiment_id
+from hsed_jax.laboratories.request import Programme
+from hsed_jax.laboratories.sensors import Sensors
 from hsed_jax.measurements import (
     Campaign,
-    Channel,
     Characteristics,
     Experiment,
-    Noise,
     characteristics,
     parse_unit,
     read_campaign,
 )
-from hsed_jax.physics.outputs import output
+from hsed_jax.physics.outputs import QUANTITIES, output
 from hsed_jax.physics.scales import Scales
-from hsed_jax.physics.simulator import Parametrised, Simulator, Timeline
+from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator, Timeline
 from hsed_jax.physics.structures import Structure
 
 # The integration resolves the shortest period with this many steps; peaks are then good to 1e-4 (tests/test_response.py).
@@ -43,7 +50,6 @@ STEP_PER_YIELD = 0.2
 _MOST_STEPS_PER_SAMPLE = 20
 _MOST_STEPS = 1_000_000
 _VIRTUAL_SAMPLES = 400
-_IMPOSED = ("time", "ground_acceleration")
 
 
 @dataclass(frozen=True)
@@ -53,10 +59,14 @@ class Built:
     Attributes:
         study: what the user said.
         campaign: measured experiments; by default the campaign that the study names.
+        workspace: folder in which the laboratory has its folders; by default a temporary one.
+        function: the laboratory, where it is a function given from Python.
     """
 
     study: Study
     campaign: Campaign | None = None
+    workspace: Path | None = None
+    function: Callable[..., Any] | None = None
 
     def __post_init__(self):
         """Let the study's own effects join the catalogue."""
@@ -204,19 +214,30 @@ class Built:
         return self._simulator(tuple(self.study.model.effects), tuple(self.parameters[1].items()))
 
     @cached_property
-    def laboratory(self) -> VirtualLaboratory:
+    def sensors(self) -> Sensors:
+        """What the laboratory measures."""
+        return laboratories.sensors_of(self.study, self.outputs)
+
+    @cached_property
+    def programme(self) -> Programme:
+        """What the laboratory's experiments have in common."""
+        timeline = self.planned
+        assert self.excitation is not None
+        return Programme(self.space.units, self.excitation, timeline)
+
+    @cached_property
+    def laboratory(self) -> Laboratory:
         """Where experiments are performed."""
-        entry = self.study.experiments.virtual
-        if entry is None:
-            raise UserError("experiments: the step design needs a laboratory, such as virtual, to perform what it asks")
-        return VirtualLaboratory(
-            self._simulator(tuple(entry.effects), ()),
-            parts.true_parameters(entry),
-            tuple(self.study.quantities),
-            self.outputs if self.study.observe == "histories" else (),
-            parts.true_noise(entry, list(self.outputs)),
-            self.study.seed,
+        site = laboratories.Site(
+            self.study,
+            self.sensors,
+            self.programme,
+            self.structure,
+            lambda effects: self._simulator(effects, ()),
+            self.workspace,
+            self.function,
         )
+        return laboratories.laboratory_of(site)
 
     @cached_property
     def outputs(self) -> tuple[str, ...]:
@@ -224,10 +245,10 @@ class Built:
         if self.study.observe == "quantities":
             return tuple(self.study.quantities)
         if self.measured is None:
-            names = tuple(self.study.channels or ("elongation", "force"))
-            known = None
+            known = laboratories.declared_responses(self.study)
+            names = tuple(self.study.channels or known or ("elongation", "force"))
         else:
-            imposed = (*_IMPOSED, "elongation") if self.component_test else _IMPOSED
+            imposed = (*IMPOSED, "elongation") if self.component_test else IMPOSED
             known = tuple(name for name in self.measured.channels if name not in imposed)
             names = tuple(self.study.channels or known)
         for name in names:
@@ -301,36 +322,57 @@ class Built:
             kriging=entry.kriging.model_dump(),
             variance_over_parameters=entry.variance == "inputs_and_parameters",
             seed=self.study.seed,
+            exceeding=self.limits,
         )
 
+    @cached_property
+    def limits(self) -> Limits | None:
+        """What specimen and actuator can bear; None where the study sets no limit."""
+        entry = self.study.design.limits
+        if entry is None:
+            return None
+        known = (entry.force, entry.stroke, entry.energy)
+        most = {name: limit for name, limit in zip(QUANTITIES, known, strict=True) if limit is not None}
+        if entry.velocity is not None:
+            most["velocity"] = entry.velocity
+        if not most:
+            raise UserError("design.limits: give at least one of stroke, force, velocity, energy")
+        simulator, names = dataclasses.replace(self.simulator, timeline=self.planned), tuple(self.parameters[0])
+        channels = ("elongation_rate",) if "velocity" in most else ()
+
+        def respond(theta, point):
+            parameters = dict(zip(names, theta, strict=False))
+            response = simulator.respond(parameters, Conditions(self.space.inputs(point)), channels)
+            values = dict(response.quantities)
+            if channels:
+                values["velocity"] = jnp.max(jnp.abs(response.channels["elongation_rate"]))
+            return values, response.ok
+
+        return Limits(most, entry.probability, respond)
+
     def perform(self) -> Campaign:
-        """The virtual laboratory's experiments at the initial design, and those for testing."""
-        entry = self.study.experiments.virtual
-        assert entry is not None
-        campaign, train = self.empty_campaign(), self.study.design.initial
-        declared = self.space.declared(self.space.initial_design(train + entry.test))
-        for number, inputs in enumerate(declared):
+        """The laboratory's experiments at the initial design, and of a virtual one those for testing."""
+        virtual, train = self.study.experiments.virtual, self.study.design.initial
+        campaign, test = self.empty_campaign(), 0 if virtual is None else virtual.test
+        for number, inputs in enumerate(self.space.declared(self.space.initial_design(train + test))):
             si = {name: float(values[0]) for name, values in self.space.si(inputs[None]).items()}
-            measured = self.laboratory.perform(number, si)
-            split = "train" if number < train else "test"
-            name = f"E{number + 1:02d}"
-            campaign = campaign.add(
-                Experiment(name, si, record=measured.record, quantities=measured.quantities, split=split)
-            )
+            about: dict[str, Any] = {"split": "train" if number < train else "test"}
+            try:
+                measured = self.laboratory.perform(number, si)
+                about |= {"record": measured.record, "quantities": measured.quantities}
+            except ExperimentFailed as failure:
+                about |= {"status": "failed", "reason": str(failure)}
+            campaign = campaign.add(Experiment(experiment_id(number), si, **about))
         return campaign
 
     def empty_campaign(self) -> Campaign:
         """The campaign that the laboratory fills."""
-        noise = {
-            n: Noise(relative=e.size) if e.relative else Noise(absolute=e.size)
-            for n, e in self.laboratory.noise.items()
-        }
-        named = {name: Channel(name, output(name).unit, noise=noise.get(name)) for name in self.outputs}
-        if self.study.observe == "quantities":
-            return Campaign(self.study.study, "ground_motion", inputs=dict(self.space.units), quantities=named)
-        channels = {name: Channel(name, unit) for name, unit in (("time", "s"), ("ground_acceleration", "m/s^2"))}
         return Campaign(
-            self.study.study, "ground_motion", inputs=dict(self.space.units), channels={**channels, **named}
+            self.study.study,
+            "ground_motion",
+            inputs=dict(self.space.units),
+            channels=self.sensors.recorded,
+            quantities=dict(self.sensors.quantities),
         )
 
     def check(self) -> None:
@@ -340,7 +382,7 @@ class Built:
             UserError: something is.
         """
         needed = ["space", "structure", "parameters", "excitation", "outputs", "timeline", "simulator", "errors"]
-        if self.study.experiments.virtual is not None or "design" in self.study.steps:
+        if self.study.experiments.laboratory is not None or "design" in self.study.steps:
             needed.append("laboratory")
         try:
             check_plan(self.study)
@@ -351,12 +393,9 @@ class Built:
             raise UserError(f"{file}{error}") from None
 
     def _declared_error(self, name: str) -> ErrorEntry:
-        """The noise that the campaign declares, and where it declares none, inferred."""
-        if self.measured is None:
-            entry = self.study.experiments.virtual
-            declared = parts.per_output("experiments.virtual.noise", entry.noise, list(self.outputs)) if entry else {}
-            return declared.get(name, ErrorEntry(unknown=True))
-        channels = self.measured.quantities if self.study.observe == "quantities" else self.measured.channels
+        """The noise that the campaign or the laboratory declares, and where they declare none, inferred."""
+        source = self.sensors if self.measured is None else self.measured
+        channels = source.quantities if self.study.observe == "quantities" else source.channels
         noise = channels[name].noise if name in channels else None
         if noise is None or not (noise.absolute or noise.relative):
             return ErrorEntry(unknown=True)

@@ -9,7 +9,8 @@ from typing import Any
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from hsed_jax.config.schema import TAGS, Study
+from hsed_jax.config.schema import Study
+from hsed_jax.config.sections import TAGS
 from hsed_jax.errors import UserError
 
 

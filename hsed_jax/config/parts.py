@@ -9,11 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hsed_jax.config.schema import ErrorEntry, ExcitationEntry, ModelEntry, StructureEntry, VirtualEntry
+from hsed_jax.config.experiments import VirtualEntry
+from hsed_jax.config.schema import ExcitationEntry, ModelEntry, StructureEntry
+from hsed_jax.config.sections import ErrorEntry
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
-from hsed_jax.laboratories.virtual import Noise
 from hsed_jax.measurements import parse_unit, read_at2
 from hsed_jax.measurements.units import TIME, VELOCITY
 from hsed_jax.physics.bouc_wen import BoucWen
@@ -142,17 +143,6 @@ def true_parameters(entry: VirtualEntry) -> dict[str, float]:
         for name, value in values.items():
             truth[f"{effect}.{name}"] = within(f"{where}.effects.{effect}.{name}", value, forms[name])
     return truth
-
-
-def true_noise(entry: VirtualEntry, outputs: list[str]) -> dict[str, Noise]:
-    """The noise of a virtual laboratory, per output."""
-    noise = {}
-    for name, error in per_output("experiments.virtual.noise", entry.noise, outputs).items():
-        if error.unknown:
-            raise UserError(f"experiments.virtual.noise: the noise of {name} must be a number: relative or absolute")
-        relative = error.relative is not None
-        noise[name] = Noise(float(error.relative or error.absolute or 0.0), relative)
-    return noise
 
 
 def parameter_units(names: tuple[str, ...], constants: Mapping[str, float]) -> dict[str, str]:

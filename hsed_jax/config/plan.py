@@ -27,8 +27,10 @@ def check_plan(study: Study) -> None:
         raise UserError("steps: diagnose and improve need the comparison; put calibrate, compare before them")
     if "improve" in steps and "diagnose" not in steps and study.improve.add is None:
         raise UserError("steps: improve needs diagnose before it, or improve.add with the effects to add")
+    if study.experiments.folder is not None and "design" not in steps:
+        raise UserError("steps: experiments.folder is asked by the step design; put design first")
     check_added(study.model, study.improve.add or [], "improve.add: ")
-    if study.experiments.virtual is not None or "design" in steps:
+    if study.experiments.laboratory is not None or "design" in steps:
         _check_design(study)
 
 

@@ -4,31 +4,23 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import (
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
-    Discriminator,
     Field,
     PrivateAttr,
-    Tag,
     field_validator,
     model_validator,
 )
 
+from hsed_jax.config.experiments import ExperimentsEntry
+from hsed_jax.config.sections import ErrorsEntry, Positive, Section
 from hsed_jax.physics.outputs import QUANTITIES
+from hsed_jax.tables import Table, Tabular
 
-Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
 Ratio = Annotated[float, Field(ge=0, lt=1)]
 End = int | Literal["ground"]
 Value = float | str
 """A number, or the name of an input."""
-
-
-class Section(BaseModel):
-    """A part of a study: unknown keys are errors, values do not change."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class SpringEntry(Section):
@@ -151,64 +143,40 @@ class ModelEntry(Section):
     """Python files with effects of your own, relative to the study; they join the catalogue."""
 
 
-class ErrorEntry(Section):
-    """Error of an output: relative to what was measured, absolute (SI), or unknown and inferred (relative)."""
-
-    relative: Positive | None = None
-    absolute: Positive | None = None
-    unknown: Literal[True] | None = None
-
-    @model_validator(mode="after")
-    def _one_kind(self) -> "ErrorEntry":
-        if sum(kind is not None for kind in (self.relative, self.absolute, self.unknown)) != 1:
-            raise ValueError("give exactly one of relative, absolute, unknown")
-        return self
-
-
-TAGS = ("same error for all", "error per output")
-
-
-def _error_kind(value: Any) -> str:
-    """Which of the two shapes an error has: keys that are no kinds of errors must be names of outputs."""
-    per_output = isinstance(value, dict) and bool(value) and not set(value) & set(ErrorEntry.model_fields)
-    return TAGS[per_output]
-
-
-ErrorsEntry = Annotated[
-    Annotated[ErrorEntry, Tag(TAGS[0])] | Annotated[dict[str, ErrorEntry], Tag(TAGS[1])], Discriminator(_error_kind)
-]
-"""One error for all outputs, or one per output."""
-
-
-class VirtualEntry(Section):
-    """A virtual laboratory: the specimen's true parameters and effects, and the noise of its sensors."""
-
-    parameters: dict[str, float]
-    effects: dict[str, dict[str, float]] = {}
-    noise: ErrorsEntry | None = None
-    test: Annotated[int, Field(ge=0)] = 0
-    """Experiments at further inputs that are performed for testing and never fitted."""
-
-
-class ExperimentsEntry(Section):
-    """Where measurements come from: one of these."""
-
-    virtual: VirtualEntry | None = None
-    campaign: str | None = None
-
-    @model_validator(mode="after")
-    def _one_source(self) -> "ExperimentsEntry":
-        if (self.virtual is None) == (self.campaign is None):
-            raise ValueError("give one of virtual, campaign")
-        return self
-
-
 class KrigingEntry(Section):
     """The surrogate of the discrepancy."""
 
     trend: Literal["constant", "linear", "quadratic"] = "constant"
     kernel: Literal["matern32", "matern52", "gaussian"] = "matern52"
     starts: Count = 10
+
+
+class StopEntry(Section):
+    """When a design has learned enough, before its iterations are used up."""
+
+    expected_improvement: Positive | None = None
+    """Stop when the largest expected improvement falls below this."""
+    stable_map: Positive | None = None
+    """Stop when no parameter of the MAP moved by more than this share of itself over three steps."""
+    posterior_width: Positive | None = None
+    """Stop when the 90 % interval of every parameter is narrower than this share of its mean."""
+    verdict: bool = False
+    """Stop when the diagnosis, made after every step, names what is missing."""
+
+
+class LimitsEntry(Section):
+    """What specimen and actuator can bear (SI): inputs whose predicted response exceeds it are not asked."""
+
+    stroke: Positive | None = None
+    """Largest elongation [m]."""
+    force: Positive | None = None
+    """Largest force [N]."""
+    velocity: Positive | None = None
+    """Largest rate of the elongation [m/s]."""
+    energy: Positive | None = None
+    """Energy that the specimen may absorb in one experiment [J]."""
+    probability: Annotated[float, Field(gt=0, lt=1)] = 0.05
+    """Of exceeding a limit that is accepted."""
 
 
 class DesignEntry(Section):
@@ -220,8 +188,8 @@ class DesignEntry(Section):
     acquisition: Literal["expected_improvement", "max_variance", "discriminate", "random", "sobol"] = (
         "expected_improvement"
     )
-    tolerance: Positive | None = None
-    """Stop when the largest expected improvement falls below this."""
+    stop: StopEntry = StopEntry()
+    limits: LimitsEntry | None = None
     variance: Literal["inputs", "inputs_and_parameters"] = "inputs"
     """Over what the variance in Eq. 12 is taken."""
     kriging: KrigingEntry = KrigingEntry()
@@ -258,7 +226,7 @@ class ImproveEntry(Section):
 Step = Literal["design", "calibrate", "compare", "diagnose", "improve"]
 
 
-class Study(Section):
+class Study(Tabular, Section):
     """A study, as written in its YAML file."""
 
     study: Annotated[str, Field(pattern=r"^\w[\w.\- ]*$")]
@@ -296,7 +264,7 @@ class Study(Section):
 
     @property
     def folder(self) -> Path:
-        """Where relative paths start from: the folder of the study's file."""
+        """The folder of the study's file, where relative paths start from."""
         return self._folder
 
     @property
@@ -304,13 +272,32 @@ class Study(Section):
         """The file that the study was read from, as the user named it."""
         return self._file
 
+    def _table(self) -> Table:
+        def words(name: str, given: Any) -> str:
+            if isinstance(given, dict):
+                ((kind, numbers),) = given.items()
+                given = f"{kind} {', '.join(map(str, numbers)) if isinstance(numbers, list) else numbers}"
+            return f"{name} {given}"
+
+        rows = [
+            ("law", self.model.spring),
+            *(("parameter", words(name, given)) for name, given in self.model.parameters.items()),
+            *(
+                ("effect", " ".join([name, *(words(k, v) for k, v in given.items())]))
+                for name, given in self.model.effects.items()
+            ),
+            *(("input", f"{words(name, entry.prior)} {entry.unit}") for name, entry in self.inputs.items()),
+            ("observed", "time histories" if self.observe == "histories" else ", ".join(self.quantities)),
+            ("steps", ", ".join(self.steps)),
+        ]
+        return Table(f"study {self.study}: a model of {self.experiments.described()}", rows=rows)
+
     def written(self) -> dict[str, Any]:
         """The study with every default written out, ready for YAML; reading it again gives the same study."""
         plain = self.model_dump(mode="json", exclude_none=True)
         plain["inputs"] = {name: entry.written() for name, entry in self.inputs.items()}
+        plain["experiments"] = self.experiments.located(self.folder).model_dump(mode="json", exclude_none=True)
         # Written elsewhere, a relative path would lead elsewhere.
-        if self.experiments.campaign is not None:
-            plain["experiments"]["campaign"] = str((self.folder / self.experiments.campaign).absolute())
         plain["model"]["own_effects"] = [str((self.folder / name).absolute()) for name in self.model.own_effects]
         if self.excitation is not None and self.excitation.recorded is not None:
             plain["excitation"]["recorded"]["file"] = str((self.folder / self.excitation.recorded.file).absolute())

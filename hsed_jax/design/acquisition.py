@@ -117,6 +117,18 @@ class Given(eqx.Module):
         return jnp.pad(self.log_utilities, (0, more), constant_values=-jnp.inf)
 
 
+@final
+class Restricted(eqx.Module):
+    """Another acquisition among the candidates that may be asked."""
+
+    acquisition: Acquisition
+    closed: Bool[Array, " M"]
+
+    def __call__(self, kriging: Kriging, candidates: Float[Array, "M d"], key: PRNGKeyArray) -> Float[Array, " M"]:
+        """The utilities, −∞ where a candidate is closed."""
+        return jnp.where(self.closed, -jnp.inf, self.acquisition(kriging, candidates, key))
+
+
 ACQUISITIONS: dict[str, Acquisition] = {
     "expected_improvement": improvement,
     "max_variance": max_variance,

@@ -3,10 +3,13 @@ r"""Sequential experimental design (Abbiati & Marelli, section 2.3) as pure `ini
 `ask` is Steps 2 to 6: calibrate on what has been measured, form the discrepancy norm, fit its Kriging, and take the candidate
 that maximises the acquisition.  Whoever performs the experiment (Step 7) answers with `tell`.  Loop, files and progress live
 elsewhere.  Arrays have the planned size from the start, so every step runs the programs of the first.
+
+Experiments that are asked and not yet measured are pending: their inputs are not asked again, and the surrogate believes its own
+mean there (the Kriging believer of Ginsbourger, Le Riche & Carraro 2010), so that several can be out at once.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -15,8 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from hsed_jax.design.acquisition import ACQUISITIONS, Acquisition, choose, sobol_candidates
+from hsed_jax.design.acquisition import ACQUISITIONS, Acquisition, Choice, Restricted, choose, sobol_candidates
 from hsed_jax.design.discrepancy import discrepancy, variance_over
+from hsed_jax.design.feasible import near_failures
 from hsed_jax.design.kriging import Kriging, condition, fit_kriging
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
@@ -36,6 +40,7 @@ class DesignState:
         conditions: SI inputs by name, each (N,).
         outputs: measured outputs, SI, (N, J); NaN where missing or not yet measured.
         count: how many experiments there are.
+        status: of each experiment, as in `Experiment`; empty beyond `count`, (N,).
         theta: last MAP in unconstrained coordinates, a start of the next; None before the first.
         step_size: of NUTS, to go on from.
     """
@@ -44,6 +49,7 @@ class DesignState:
     conditions: dict[str, np.ndarray]
     outputs: np.ndarray
     count: int = 0
+    status: np.ndarray = field(default_factory=lambda: np.empty(0, dtype="U9"))
     theta: np.ndarray | None = None
     step_size: float = 0.8
 
@@ -88,6 +94,7 @@ class SequentialDesign:
         kriging: options of `fit_kriging`.
         variance_over_parameters: take the variance of Eq. 12 over the posterior of θ, too.
         seed: of the candidate set.
+        exceeding: which candidates (M, d) exceed a limit of the specimen, from draws of the posterior (n, p): (M,) bool.
     """
 
     posterior: Posterior
@@ -101,29 +108,54 @@ class SequentialDesign:
     kriging: dict[str, Any]
     variance_over_parameters: bool
     seed: int
+    exceeding: Callable[[np.ndarray, Array], np.ndarray] | None = None
 
     def init(self) -> DesignState:
         """No experiment yet."""
         n, d, j = self.size, len(self.space.names), len(self.relative)
         # Padding repeats a valid input, so that padded simulations are harmless.
         middle = self.space.declared(np.full((n, d), 0.5))
-        return DesignState(np.full((n, d), 0.5), self.space.si(middle), np.full((n, j), np.nan))
+        return DesignState(
+            np.full((n, d), 0.5), self.space.si(middle), np.full((n, j), np.nan), 0, np.full(n, "", dtype="U9")
+        )
 
-    def tell(self, state: DesignState, cube: Sequence[float], outputs: Sequence[float]) -> DesignState:
-        """Add a measured experiment.
+    def tell(
+        self,
+        state: DesignState,
+        cube: Sequence[float],
+        outputs: Sequence[float],
+        status: str | None = None,
+        row: int | None = None,
+    ) -> DesignState:
+        """Add an experiment, or say what became of one that is there.
 
         Arguments:
-            cube: its inputs in the unit cube, (d,).
+            cube: its inputs in the unit cube, (d,); they may differ from those that were asked.
             outputs: measured outputs, SI, (J,); NaN where missing.
+            status: `completed`, `pending`, `failed` or `abandoned`; by default whether there is an output.
+            row: of the experiment, where it is there already.
         """
-        if state.count >= self.size:
+        i = state.count if row is None else row
+        if i >= self.size:
             raise ValueError(f"The design was planned for {self.size} experiments, and all of them are there.")
-        i = state.count
         si = self.space.si(self.space.declared(np.asarray(cube)[None]))
-        points, values = state.cube.copy(), state.outputs.copy()
+        points, values, states = state.cube.copy(), state.outputs.copy(), state.status.copy()
         points[i], values[i] = cube, outputs
+        states[i] = status or ("completed" if np.isfinite(values[i]).any() else "failed")
         conditions = {name: np.concatenate([x[:i], si[name], x[i + 1 :]]) for name, x in state.conditions.items()}
-        return DesignState(points, conditions, values, i + 1, state.theta, state.step_size)
+        count = max(state.count, i + 1)
+        return replace(state, cube=points, conditions=conditions, outputs=values, count=count, status=states)
+
+    def larger(self, state: DesignState) -> tuple["SequentialDesign", DesignState]:
+        """The same design with room for twice as many experiments; its programs compile anew."""
+        design = replace(self, size=2 * self.size)
+        grown, n = design.init(), self.size
+        conditions = {name: np.concatenate([state.conditions[name], x[n:]]) for name, x in grown.conditions.items()}
+        tables = {
+            name: np.concatenate([getattr(state, name), getattr(grown, name)[n:]])
+            for name in ("cube", "outputs", "status")
+        }
+        return design, replace(state, conditions=conditions, **tables)
 
     def data(self, state: DesignState) -> Data:
         """The measured experiments, padded to the planned size."""
@@ -155,12 +187,19 @@ class SequentialDesign:
         chains = self._sample(data, maximum, jnp.asarray(state.step_size), of_nuts)
         norms = np.asarray(self._discrepancy(data, maximum.theta, chains.theta))
         surrogate = self._fit(state, norms, of_kriging)
-        tested = (jnp.asarray(state.cube), jnp.asarray(np.arange(self.size) < state.count))
-        best = choose(surrogate, self.candidate_set, *tested, "expected_improvement", of_choice)
+        believing = self._believing(state, surrogate, norms)
+        closed = self._closed(state, chains.theta)
+
+        def chosen_by(by: Acquisition) -> Choice:
+            if closed is not None:
+                by = Restricted(by, jnp.asarray(closed))
+            known = jnp.asarray(state.cube), jnp.asarray(np.arange(self.size) < state.count)
+            return choose(believing, self.candidate_set, *known, by, of_choice)
+
+        best = chosen_by(ACQUISITIONS["expected_improvement"])
         choice = best
         if acquisition is not None or self.acquisition != "expected_improvement":
-            by = acquisition or ACQUISITIONS[self.acquisition]
-            choice = choose(surrogate, self.candidate_set, *tested, by, of_choice)
+            choice = chosen_by(acquisition or ACQUISITIONS[self.acquisition])
         chosen = np.asarray(self.candidate_set[int(choice.index)])
         info = StepInfo(
             maximum,
@@ -172,15 +211,38 @@ class SequentialDesign:
             float(best.value),
             chosen,
         )
-        going_on = DesignState(
-            state.cube, state.conditions, state.outputs, state.count, np.asarray(maximum.u), float(chains.step_size)
-        )
+        going_on = replace(state, theta=np.asarray(maximum.u), step_size=float(chains.step_size))
         return chosen, going_on, info
 
     def _fit(self, state: DesignState, norms: np.ndarray, key: PRNGKeyArray) -> Kriging:
         mask = self._measured(state) & np.isfinite(norms)
         responses = jnp.asarray(np.where(mask, norms, 0.0))
         return fit_kriging(jnp.asarray(state.cube), responses, jnp.asarray(mask), key=key, **self.kriging)
+
+    def _believing(self, state: DesignState, kriging: Kriging, norms: np.ndarray) -> Kriging:
+        """The surrogate with its own mean as the response of every pending experiment."""
+        pending = state.status == "pending"
+        if not pending.any():
+            return kriging
+        believed = np.where(pending, np.asarray(kriging.predict(jnp.asarray(state.cube))[0]), norms)
+        return self._conditioned(state, believed, pending, kriging.lengths, kriging.nugget)
+
+    def _closed(self, state: DesignState, draws: Float[Array, "c s p"]) -> np.ndarray | None:
+        """Candidates that are not to be asked, (M,); None where all may be.
+
+        Raises:
+            UserError: none is left.
+        """
+        closed = near_failures(np.asarray(self.candidate_set), state.cube[state.status == "failed"],
+                               state.cube[state.status == "completed"])  # fmt: skip
+        if self.exceeding is not None:
+            closed = closed | self.exceeding(np.asarray(draws).reshape(-1, draws.shape[-1]), self.candidate_set)
+        if closed.all():
+            raise UserError(
+                "every candidate is predicted to exceed a limit (design.limits) or lies where experiments failed; "
+                "widen the limits or the inputs"
+            )
+        return closed if closed.any() else None
 
     def _check_enough(self, state: DesignState) -> None:
         usable, terms = int(self._measured(state).sum()), len(self.space.names)
@@ -205,14 +267,22 @@ class SequentialDesign:
         """
         responses = np.full(self.size, np.nan)
         responses[: len(norms)] = norms
-        mask = self._measured(state) & np.isfinite(responses)
+        return self._conditioned(
+            state, responses, np.zeros(self.size, dtype=bool), jnp.asarray(lengths), jnp.asarray(nugget)
+        )
+
+    def _conditioned(
+        self, state: DesignState, responses: np.ndarray, more: np.ndarray, lengths: Array, nugget: Array
+    ) -> Kriging:
+        """Kriging of known hyper-parameters on what was measured, and on `more` rows."""
+        mask = (self._measured(state) | more) & np.isfinite(responses)
         options = {name: value for name, value in self.kriging.items() if name != "starts"}
         return condition(
             jnp.asarray(state.cube),
             jnp.asarray(np.where(mask, responses, 0.0)),
             jnp.asarray(mask),
-            jnp.asarray(lengths),
-            jnp.asarray(nugget),
+            lengths,
+            nugget,
             **options,
         )
 

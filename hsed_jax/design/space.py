@@ -49,6 +49,12 @@ class InputSpace:
         """Inputs in their declared units (n, d) by name in SI, each (n,)."""
         return {name: declared[:, i] * self.factors[name] for i, name in enumerate(self.names)}
 
+    def inputs(self, point: Float[Array, " d"]) -> dict[str, Array]:
+        """One point of the unit cube as inputs by name in SI; may be traced."""
+        return {
+            name: prior.quantile(point[i]) * self.factors[name] for i, (name, prior) in enumerate(self.priors.items())
+        }
+
     def bounds(self) -> np.ndarray:
         """What the design may reach, in declared units, shape (d, 2)."""
         d = len(self.names)

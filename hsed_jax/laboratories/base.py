@@ -1,9 +1,11 @@
 """What every laboratory offers: it performs an experiment at given inputs, or says why it could not."""
 
 from collections.abc import Mapping
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
-from hsed_jax.measurements import Record
+import numpy as np
+
+from hsed_jax.measurements import Noise, Record
 
 
 class ExperimentFailed(Exception):
@@ -17,6 +19,7 @@ class Measured(NamedTuple):
     record: Record | None = None
 
 
+@runtime_checkable
 class Laboratory(Protocol):
     """Performs experiments."""
 
@@ -27,3 +30,20 @@ class Laboratory(Protocol):
             ExperimentFailed: there is nothing to use, and why.
         """
         ...
+
+
+def experiment_id(number: int) -> str:
+    """The name of experiment `number` (from 0): E01 is the first."""
+    return f"E{number + 1:02d}"
+
+
+def noisy(values: np.ndarray, noise: Noise | None, random: np.random.Generator) -> np.ndarray:
+    """Values of one output, any shape, with Gaussian noise.
+
+    Numbers are drawn where there is no noise, too: the noise of one output does not depend on whether another has any.
+    """
+    draw = random.standard_normal(values.shape)
+    if noise is None:
+        return values
+    # A sum of arrays without dimensions is a scalar and no array any more.
+    return np.asarray(values + noise.standard_deviation(values) * draw)

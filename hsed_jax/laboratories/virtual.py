@@ -8,17 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hsed_jax.laboratories.base import ExperimentFailed, Measured
-from hsed_jax.measurements import Record
+from hsed_jax.laboratories.base import ExperimentFailed, Measured, noisy
+from hsed_jax.measurements import Noise, Record
 from hsed_jax.physics.simulator import Conditions, Simulator
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Gaussian noise of one output: standard deviation relative to its magnitude, or absolute (SI)."""
-
-    size: float
-    relative: bool
 
 
 @dataclass(frozen=True)
@@ -51,7 +43,9 @@ class VirtualLaboratory:
         if self.channels:
             return Measured({}, self._record(inputs, random))
         exact = self.exact(inputs)
-        return Measured({name: float(self._noisy(name, np.asarray(value), random)) for name, value in exact.items()})
+        return Measured(
+            {name: float(noisy(np.asarray(value), self.noise.get(name), random)) for name, value in exact.items()}
+        )
 
     def exact(self, inputs: Mapping[str, float]) -> dict[str, float]:
         """The quantities of the specimen at `inputs` (SI) without noise.
@@ -76,15 +70,7 @@ class VirtualLaboratory:
         step, steps, every = self.simulator.timeline
         time = step * every * np.arange(steps // every + 1)
         channels = {name: np.asarray(values) for name, values in response.channels.items()}
-        return Record(time, {name: self._noisy(name, values, random) for name, values in channels.items()})
-
-    def _noisy(self, name: str, values: np.ndarray, random: np.random.Generator) -> np.ndarray:
-        noise = self.noise.get(name)
-        draw = random.standard_normal(values.shape)
-        if noise is None:
-            return values
-        # A sum of arrays without dimensions is a scalar and no array any more.
-        return np.asarray(values + noise.size * (np.sqrt(np.mean(values**2)) if noise.relative else 1.0) * draw)
+        return Record(time, {name: noisy(values, self.noise.get(name), random) for name, values in channels.items()})
 
     @cached_property
     def _simulate_histories(self):

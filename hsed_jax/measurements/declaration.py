@@ -78,8 +78,8 @@ def read_declaration(path: Path) -> tuple[Campaign, dict[str, str]]:
             entry.name,
             entry.protocol,
             entry.inputs,
-            {name: _channel(f"channels.{name}", name, c) for name, c in entry.channels.items()},
-            {name: _channel(f"quantities.{name}", name, c) for name, c in entry.quantities.items()},
+            {name: declared_channel(f"channels.{name}", name, c) for name, c in entry.channels.items()},
+            {name: declared_channel(f"quantities.{name}", name, c) for name, c in entry.quantities.items()},
             source=str(path.parent),
         )
         if not header.channels and not header.quantities:
@@ -107,7 +107,12 @@ def write_declaration(campaign: Campaign) -> str:
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
 
 
-def _channel(where: str, name: str, entry: ChannelEntry) -> Channel:
+def declared_channel(where: str, name: str, entry: ChannelEntry) -> Channel:
+    """The channel or quantity that an entry declares, its noise in SI; a column told by its position is called like it.
+
+    Raises:
+        UserError: an unknown unit or an impossible noise, with `where`, the path of the entry, in front.
+    """
     try:
         noise = None
         if entry.noise is not None:
@@ -115,7 +120,7 @@ def _channel(where: str, name: str, entry: ChannelEntry) -> Channel:
             noise = Noise(
                 None if absolute is None else float(parse_unit(entry.unit).to_si(absolute)), entry.noise.relative
             )
-        column = "" if where.startswith("channels") and entry.column.isdecimal() else entry.column
+        column = "" if "channels." in where and entry.column.isdecimal() else entry.column
         return Channel(name, entry.unit, column, noise)
     except UserError as error:
         raise UserError(f"{where}: {error}") from None

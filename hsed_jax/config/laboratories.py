@@ -1,0 +1,192 @@
+"""The laboratory that a study names, and what it measures; each fault names its key."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from shutil import which
+from typing import Any
+
+from hsed_jax.config import parts
+from hsed_jax.config.experiments import (
+    CommandEntry,
+    FolderEntry,
+    MeasuredEntry,
+    OpenSeesEntry,
+    OwnMaterialEntry,
+    VirtualEntry,
+)
+from hsed_jax.config.schema import Study
+from hsed_jax.errors import UserError
+from hsed_jax.laboratories import opensees
+from hsed_jax.laboratories.base import Laboratory
+from hsed_jax.laboratories.command import CommandLaboratory, check_template
+from hsed_jax.laboratories.folder import FolderLaboratory
+from hsed_jax.laboratories.opensees import OpenSeesLaboratory
+from hsed_jax.laboratories.python import PythonLaboratory, function_of
+from hsed_jax.laboratories.request import Programme
+from hsed_jax.laboratories.sensors import Sensors
+from hsed_jax.laboratories.virtual import VirtualLaboratory
+from hsed_jax.measurements import Channel, Noise
+from hsed_jax.measurements.declaration import declared_channel
+from hsed_jax.physics.outputs import output
+from hsed_jax.physics.simulator import Simulator
+from hsed_jax.physics.structures import Structure
+
+IMPOSED = ("time", "ground_acceleration")
+# What a quantity is taken from, where it is not measured by itself.
+_SOURCES = {
+    "peak_force": ("force",),
+    "peak_elongation": ("elongation",),
+    "dissipated_energy": ("force", "elongation"),
+}
+
+
+@dataclass(frozen=True)
+class Site:
+    """What a laboratory is built in.
+
+    Attributes:
+        study: what the user said.
+        sensors: what is measured.
+        programme: what the experiments have in common.
+        structure: the numerical substructure.
+        simulator: of the given effects, for a virtual specimen.
+        workspace: folder for the folders of experiments; None: a temporary one.
+        function: given from Python, for a laboratory that is a function.
+    """
+
+    study: Study
+    sensors: Sensors
+    programme: Programme
+    structure: Structure | None
+    simulator: Callable[[tuple[str, ...]], Simulator]
+    workspace: Path | None
+    function: Callable[..., Any] | None
+
+
+def declared_responses(study: Study) -> tuple[str, ...] | None:
+    """Channels of responses that the laboratory declares; None where it measures what it is asked for."""
+    entry = study.experiments.laboratory
+    if not isinstance(entry, MeasuredEntry) or not entry.channels:
+        return None
+    return tuple(name for name in entry.channels if name not in IMPOSED)
+
+
+def sensors_of(study: Study, outputs: tuple[str, ...]) -> Sensors:
+    """What the laboratory of a study measures.
+
+    Arguments:
+        study: the study.
+        outputs: the quantities or channels that it observes.
+
+    Raises:
+        UserError: a channel or unit that is none, or something observed that is not measured.
+    """
+    entry, where = study.experiments.laboratory, f"experiments.{study.experiments.kind}"
+    histories = study.observe == "histories"
+    channels, quantities = (outputs, ()) if histories else ((), outputs)
+    if isinstance(entry, OpenSeesEntry) and not histories:
+        channels = ("elongation", "force")
+    if isinstance(entry, VirtualEntry | OpenSeesEntry):
+        noise = sensor_noise(f"{where}.noise", entry, (*channels, *quantities))
+        recorded = (*IMPOSED, *(name for name in channels if name not in IMPOSED)) if channels else ()
+        return Sensors(_si(recorded, noise), _si(quantities, noise))
+    if not isinstance(entry, MeasuredEntry):
+        raise UserError("experiments: there is no laboratory")
+    if not entry.channels and not entry.quantities:
+        recorded = ("time", *channels) if channels else ()
+        return Sensors(_si(recorded, {}), _si(quantities, {}), at_sample_times=histories)
+    made = {
+        kind: {name: declared_channel(f"{where}.{kind}.{name}", name, given) for name, given in declared.items()}
+        for kind, declared in (("channels", entry.channels), ("quantities", entry.quantities))
+    }
+    columns = {name: given.column or name for name, given in entry.channels.items()}
+    found = parts.at(where, Sensors, made["channels"], made["quantities"], columns, histories)
+    for name in quantities:
+        if name not in entry.quantities and not set(_SOURCES[name]) <= set(entry.channels):
+            raise UserError(
+                f"{where}: {name} is observed and not measured; declare it in quantities, or its source in channels "
+                f"({', '.join(_SOURCES[name])})"
+            )
+    if histories and not entry.channels:
+        raise UserError(f"{where}.channels: histories are observed, and the laboratory declares no channels")
+    return found
+
+
+def _si(names: tuple[str, ...], noise: Mapping[str, Noise]) -> dict[str, Channel]:
+    return {name: Channel(name, output(name).unit, noise=noise.get(name)) for name in names}
+
+
+def sensor_noise(where: str, entry: VirtualEntry | OpenSeesEntry, measured: tuple[str, ...]) -> dict[str, Noise]:
+    """The noise of a simulated laboratory, per quantity or channel."""
+    noise = {}
+    for name, error in parts.per_output(where, entry.noise, list(measured)).items():
+        if error.unknown:
+            raise UserError(f"{where}: the noise of {name} must be a number: relative or absolute")
+        noise[name] = Noise(absolute=error.absolute, relative=error.relative)
+    return noise
+
+
+def laboratory_of(site: Site) -> Laboratory:
+    """The laboratory.
+
+    Raises:
+        UserError: a file or program is missing, a parameter is unknown, or what it needs is not installed.
+    """
+    study, entry = site.study, site.study.experiments.laboratory
+    if isinstance(entry, VirtualEntry):
+        return _virtual(site, entry)
+    if isinstance(entry, OpenSeesEntry):
+        return _opensees(site, entry)
+    if isinstance(entry, CommandEntry):
+        template = entry.words(study.folder)
+        parts.at("experiments.command.run", check_template, template, study.inputs)
+        if "{" not in template[0] and which(template[0]) is None:
+            raise UserError(f"experiments.command.run: there is no program {template[0]} that may be executed")
+        return CommandLaboratory(template, site.programme, site.sensors, entry.timeout, site.workspace)
+    if isinstance(entry, FolderEntry):
+        return FolderLaboratory()
+    if entry is None:
+        raise UserError("experiments: the step design needs a laboratory, such as virtual, to perform what it asks")
+    function = site.function
+    if function is None:
+        if entry.file is None:
+            raise UserError("experiments.python.file: this key is required, unless a function is given from Python")
+        function = parts.at("experiments.python", function_of, study.folder / entry.file, entry.function)
+    return PythonLaboratory(function, site.programme, site.sensors)
+
+
+def _virtual(site: Site, entry: VirtualEntry) -> VirtualLaboratory:
+    sensors, study = site.sensors, site.study
+    return VirtualLaboratory(
+        site.simulator(tuple(entry.effects)),
+        parts.true_parameters(entry),
+        tuple(study.quantities),
+        tuple(name for name in sensors.channels if name not in IMPOSED),
+        _noise(sensors),
+        study.seed,
+    )
+
+
+def _opensees(site: Site, entry: OpenSeesEntry) -> OpenSeesLaboratory:
+    assert site.study.structure is not None
+    assert site.structure is not None
+    if site.study.structure.damping.specimen_stiffness == "model":
+        raise UserError(
+            "structure.damping.specimen_stiffness: the laboratory opensees needs a number [N/m] to form C with"
+        )
+    if isinstance(entry.material, OwnMaterialEntry):
+        file = site.study.folder / entry.material.file
+        material = parts.at("experiments.opensees", opensees.own_material, file, entry.parameters)
+    else:
+        material = parts.at("experiments.opensees", opensees.built_in, entry.material, entry.parameters)
+    opensees.require_openseespy()
+    step = site.programme.timeline.step / opensees.STEPS_PER_STEP if entry.step is None else entry.step
+    files = {"model.json": opensees.as_json(opensees.model(site.structure, material, step))}
+    command = CommandLaboratory(opensees.program(), site.programme, site.sensors, entry.timeout, site.workspace, files)
+    return OpenSeesLaboratory(command, _noise(site.sensors), site.study.seed)
+
+
+def _noise(sensors: Sensors) -> dict[str, Noise]:
+    measured = {**sensors.channels, **sensors.quantities}
+    return {name: channel.noise for name, channel in measured.items() if channel.noise is not None}

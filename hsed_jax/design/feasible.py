@@ -1,0 +1,79 @@
+r"""Which inputs may be asked: not those that would break a limit of the specimen, nor those where experiments failed."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hsed_jax.physics.batch import tiled_map
+
+# A failure closes what lies within about this distance of it in the unit cube, unless more experiments there succeeded.
+_REACH = 0.1
+_DRAWS = 8
+
+
+def near_failures(
+    candidates: Float[np.ndarray, "M d"], failed: Float[np.ndarray, "F d"], succeeded: Float[np.ndarray, "S d"]
+) -> np.ndarray:
+    r"""Candidates where failure is more likely than success, (M,) bool.
+
+    The probability of failure is that of a kernel classifier, $\sum_f k / (\tfrac12 + \sum_f k + \sum_s k)$ with
+    $k = \exp(-\|x-x_i\|^2/2\ell^2)$ over failed f and completed s experiments (Nadaraya 1964; Watson 1964), the half being a
+    prior success: far from every failure nothing is closed.
+
+    Arguments:
+        candidates: in the unit cube.
+        failed, succeeded: experiments in the unit cube.
+    """
+    if not len(failed):
+        return np.zeros(len(candidates), dtype=bool)
+
+    def weight(points: np.ndarray) -> np.ndarray:
+        squared = np.sum((candidates[:, None] - points[None]) ** 2, axis=-1)
+        return np.exp(-0.5 * squared / _REACH**2).sum(axis=1)
+
+    failures, successes = weight(failed), weight(succeeded)
+    return failures > 0.5 * (0.5 + failures + successes)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What specimen and actuator can bear.
+
+    Attributes:
+        most: largest value allowed, SI, by name of what `respond` gives.
+        probability: of exceeding any of them that is accepted.
+        respond: from parameters of the model (p,) and a point of the unit cube (d,) to the peaks by name and whether the
+            simulation converged.
+    """
+
+    most: Mapping[str, float]
+    probability: float
+    respond: Callable[[Array, Array], tuple[dict[str, Array], Array]]
+
+    def __call__(self, draws: np.ndarray, candidates: Array) -> np.ndarray:
+        """Candidates predicted to exceed a limit with more than the accepted probability, (M,) bool.
+
+        Arguments:
+            draws: of the posterior, (n, p); a few of them, spread over the chain, are used.
+            candidates: in the unit cube, (M, d).
+        """
+        few = jnp.asarray(draws[:: max(1, len(draws) // _DRAWS)][:_DRAWS])
+        broken = np.zeros(len(candidates))
+        for theta in few:
+            broken += np.asarray(self._broken(theta, candidates))
+        return broken / len(few) > self.probability
+
+    @cached_property
+    def _broken(self):
+        def one(theta, point):
+            peaks, ok = self.respond(theta, point)
+            over = jnp.stack([peaks[name] > limit for name, limit in self.most.items()]).any()
+            # Where the simulation diverges nobody knows what would happen.
+            return over | ~(ok > 0)
+
+        return jax.jit(lambda theta, points: tiled_map(jax.vmap(lambda point: one(theta, point)), points))

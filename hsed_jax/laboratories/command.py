@@ -1,0 +1,90 @@
+"""A command laboratory: any program that reads a request from its folder and leaves its measurements there."""
+
+import re
+import sys
+import tempfile
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+from hsed_jax.errors import UserError
+from hsed_jax.laboratories.answer import read_answer
+from hsed_jax.laboratories.base import Measured
+from hsed_jax.laboratories.process import run_program
+from hsed_jax.laboratories.request import Programme
+from hsed_jax.laboratories.sensors import Sensors
+
+_NAME = re.compile(r"\{(\w+)\}")
+WORDS = ("folder", "id", "python")
+"""What a template may name besides inputs: the folder of the experiment, its id, and the Python that runs this package."""
+
+
+@dataclass(frozen=True)
+class CommandLaboratory:
+    """Runs a program per experiment, in a folder of its own.
+
+    The folder `<workspace>/E07-1` (first attempt at E07) receives `request.json`, `ground_motion.csv` and `.AT2`; the program
+    leaves `record.csv` (or another format of records) and `quantities.json` or `.csv` there, whichever the sensors declare.
+    A further attempt has a further folder, so nothing that an unfinished one left is ever read.
+
+    Attributes:
+        template: the program and its arguments; {folder}, {id}, {python} and {NAME} of an input stand for their values.
+        programme: what experiments have in common.
+        sensors: what it measures.
+        timeout: [s] for one experiment.
+        workspace: folder of the experiments' folders; None: a temporary one.
+        files: further files for the program, name and text.
+    """
+
+    template: tuple[str, ...]
+    programme: Programme
+    sensors: Sensors
+    timeout: float
+    workspace: Path | None = None
+    files: Mapping[str, str] = field(default_factory=dict)
+
+    def perform(self, number: int, inputs: Mapping[str, float]) -> Measured:
+        """Run the program for experiment `number` (from 0) at `inputs` (SI) and read what it measured.
+
+        Raises:
+            ExperimentFailed: the program failed or took too long, or what it left is missing or no measurement.
+        """
+        request = self.programme.request(number, inputs)
+        folder = self._new_folder(request.id)
+        request.write(folder, self.sensors.channels, self.sensors.quantities)
+        for name, text in self.files.items():
+            (folder / name).write_text(text, encoding="utf-8")
+        known = {"folder": str(folder), "id": request.id, "python": sys.executable}
+        known |= {name: repr(value) for name, value in request.inputs.items()}
+        words = [_NAME.sub(lambda match: known.get(match[1], match[0]), word) for word in self.template]
+        run_program(words, folder, self.timeout)
+        return read_answer(folder, request, self.sensors)
+
+    @cached_property
+    def _root(self) -> Path:
+        return Path(tempfile.mkdtemp(prefix="laboratory-")) if self.workspace is None else self.workspace.absolute()
+
+    def _new_folder(self, name: str) -> Path:
+        """A folder that did not exist before."""
+        attempt = 1
+        while True:
+            folder = self._root / f"{name}-{attempt}"
+            try:
+                folder.mkdir(parents=True)
+                return folder
+            except FileExistsError:
+                attempt += 1
+
+
+def check_template(template: Iterable[str], inputs: Iterable[str]) -> None:
+    """Refuse a template that names what is not there.
+
+    Raises:
+        UserError: an unknown name in braces, with those that are allowed.
+    """
+    known = (*WORDS, *inputs)
+    for word in template:
+        for name in _NAME.findall(word):
+            if name not in known:
+                raise UserError(f"it names {{{name}}}; it can name {', '.join(f'{{{k}}}' for k in known)}")

@@ -1,0 +1,34 @@
+"""A script that runs a program for as long as the process that started it lives.
+
+Standard input is the lifeline: a pipe that the starting process holds open and that ends with it, however it ends.  Then the
+whole process group is killed: an orphan would go on writing, and computing, for nobody.  Run by path and without the
+package, so that it starts in milliseconds.
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+
+
+def _watch() -> None:
+    while os.read(0, 1):
+        pass
+    os.killpg(0, signal.SIGKILL)
+
+
+def _run(words: list[str]) -> int:
+    threading.Thread(target=_watch, daemon=True).start()
+    try:
+        program = subprocess.Popen(words, stdin=subprocess.DEVNULL)
+    except OSError as error:
+        print(f"{words[0]} cannot be started: {error.strerror}", file=sys.stderr)
+        return 127
+    status = program.wait()
+    # As a shell tells it: 128 and the signal.
+    return status if status >= 0 else 128 - status
+
+
+if __name__ == "__main__":
+    sys.exit(_run(sys.argv[1:]))

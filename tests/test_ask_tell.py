@@ -1,0 +1,277 @@
+"""Asking and telling by hand: requests on the disk, answers from it, and the command line of both."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+from hsed_jax import AskTell, campaign_of
+from hsed_jax.config.build import Built
+from hsed_jax.config.load import load_study
+from hsed_jax.errors import UserError
+from hsed_jax.measurements import read_at2, read_campaign
+from hsed_jax.run import main
+from hsed_jax.store import RunFolder
+from hsed_jax.workflow import Waiting, run
+
+STUDY = {
+    "study": "by_hand",
+    "structure": {
+        "masses": [8e3, 9e3],
+        "springs": [{"between": ["ground", 1], "stiffness": 4e5}, {"between": [2, "ground"], "stiffness": 1e6}],
+        "specimen": {"between": [1, 2]},
+        "damping": {"modal": 0.05, "specimen_stiffness": 5e5},
+    },
+    "excitation": {"near_fault_pulse": {"V_P": "V_P", "T_P": "T_P"}, "duration": 4.0},
+    "inputs": {"V_P": {"uniform": [150, 300], "unit": "cm/s"}, "T_P": {"uniform": [0.5, 1.5], "unit": "s"}},
+    "model": {"parameters": {"A": {"uniform": [2e5, 9e5]}, "beta": {"uniform": [0.5, 2.0]}, "gamma": 0.0, "n": 1.0}},
+    "experiments": {"folder": {}},
+    "error": {"relative": 0.05},
+    "design": {"initial": 3, "iterations": 4, "candidates": 256, "kriging": {"starts": 2}},
+    "calibration": {"chains": 2, "step_warmup": 20, "step_draws": 20, "starts": 2},
+    "steps": ["design", "calibrate"],
+}
+CHANNELS = {
+    "time": {"column": "t", "unit": "s"},
+    "elongation": {"column": "du", "unit": "mm"},
+    "force": {"column": "F", "unit": "kN"},
+}
+WITH_RECORDS = STUDY | {"experiments": {"folder": {"channels": CHANNELS}}}
+SPECIMEN = {
+    "virtual": {
+        "parameters": {"A": 5e5, "beta": 1.0, "gamma": 0.0, "n": 1.0},
+        "effects": {"stiffness_degradation": {"eta": 2e-5}},
+    }
+}
+
+
+@pytest.fixture(scope="module")
+def specimen():
+    """What is tested: from inputs in SI to quantities."""
+    laboratory = Built(load_study(STUDY | {"experiments": SPECIMEN})).laboratory
+    return lambda **inputs: laboratory.perform(0, inputs).quantities
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    """What is tested, with records: from inputs in SI to columns."""
+    laboratory = Built(load_study(STUDY | {"experiments": SPECIMEN, "observe": "histories"})).laboratory
+
+    def perform(**inputs):
+        record = laboratory.perform(0, inputs).record
+        return pd.DataFrame({"t": record.time, "du": 1e3 * record.channels["elongation"],
+                             "F": 1e-3 * record.channels["force"]})  # fmt: skip
+
+    return perform
+
+
+def here(*arguments):
+    status = main(list(arguments))
+    assert status == 0, arguments
+
+
+def elsewhere(*arguments):
+    subprocess.run([sys.executable, "-m", "hsed_jax", *arguments], check=True, capture_output=True)
+
+
+def requested(folder):
+    """The request of the newest attempt in a run folder that nobody answered, as people read it."""
+    files = sorted(folder.glob("laboratory/*/request.json"), key=lambda f: f.stat().st_mtime_ns)
+    return json.loads(files[-1].read_text())
+
+
+@pytest.mark.parametrize(
+    ("call", "steps"), [(here, 2), pytest.param(elsewhere, 5, marks=pytest.mark.slow)], ids=["one process", "many"]
+)
+def test_a_campaign_by_the_command_line_alone_ends_as_the_same_events_at_once(call, steps, tmp_path, specimen):
+    folder, file = tmp_path / "run", tmp_path / "study.yaml"
+    study = STUDY | {"design": STUDY["design"] | {"iterations": steps}}
+    file.write_text(yaml.safe_dump(study, sort_keys=False))
+
+    def ask(*more):
+        call("ask", str(file), "--output", str(folder), *more)
+        return requested(folder)
+
+    def tell(id, *more):
+        call("tell", str(folder), id, *more)
+
+    def told(inputs, scale=1.0):
+        si = {name: scale * about["si"] for name, about in inputs.items()}
+        return [f"--quantity={name}={value!r}" for name, value in specimen(**si).items()]
+
+    for number in range(3 + steps):
+        request = ask()
+        id, inputs = request["id"], request["inputs"]
+        if number == 1:
+            tell(id, "--failed", "the pump stopped")
+            tell(id, *told(ask("--again", id)["inputs"]))
+        elif number == 3:
+            tell(id, "--abandoned", "the specimen broke")
+        elif number == 4:  # tested elsewhere than asked
+            tested = [f"--input={name}={1.01 * about['value']!r}" for name, about in inputs.items()]
+            tell(id, *tested, *told(inputs, 1.01))
+        else:
+            tell(id, *told(inputs))
+
+    at_once = tmp_path / "at_once"
+    with AskTell(load_study(study), at_once) as one:
+        for number in range(3 + steps):
+            (asked,) = one.ask()
+            if number == 1:
+                one.failed(asked.id, "the pump stopped")
+                asked = one.ask_again(asked.id)
+                one.tell(asked.id, quantities=specimen(**asked.si))
+            elif number == 3:
+                one.abandoned(asked.id, "the specimen broke")
+            elif number == 4:
+                tested = {name: 1.01 * value for name, value in asked.inputs.items()}
+                si = {name: 1.01 * value for name, value in asked.si.items()}
+                one.tell(asked.id, inputs=tested, quantities=specimen(**si))
+            else:
+                one.tell(asked.id, quantities=specimen(**asked.si))
+        assert one.stop_reason == "iterations"
+        assert one.ask() == []
+        with AskTell(output=folder) as other:
+            assert other.stop_reason == "iterations"
+            for name in ("cube", "outputs", "status", "theta"):
+                np.testing.assert_array_equal(getattr(other.conduct.state, name), getattr(one.conduct.state, name))
+            assert other.conduct.state.step_size == one.conduct.state.step_size
+    assert [e.status for e in read_campaign(folder / "campaign")].count("completed") == 2 + steps
+
+    # The rest of the study goes on from there.
+    done = run(load_study(study), folder, resume=True, progress=False, figures=False)
+    assert json.loads((folder / "summary.json").read_text())["status"] == "complete"
+    assert done.calibration is not None
+
+
+def test_a_request_tells_all_that_a_laboratory_needs(tmp_path, recorded):
+    study = load_study(WITH_RECORDS | {"design": STUDY["design"] | {"limits": {"stroke": 0.6}}})
+    with AskTell(study, tmp_path / "run") as design:
+        (asked,) = design.ask()
+        folder = design.folder(asked.id)
+        request = json.loads((folder / "request.json").read_text())
+        assert request["inputs"]["V_P"] == {"value": 225.0, "unit": "cm/s", "si": 2.25}
+        assert request["limits"]["stroke"] == 0.6
+        motion = pd.read_csv(folder / "ground_motion.csv").to_numpy()
+        step, acceleration = read_at2(folder / "ground_motion.AT2")
+        np.testing.assert_allclose(acceleration, motion[:, 1], atol=1e-6 * np.abs(motion[:, 1]).max())
+        assert step == pytest.approx(motion[1, 0])
+        # 2.25 m/s is the velocity of the pulse.
+        velocity = np.cumsum(motion[:, 1]) * step
+        assert np.abs(velocity).max() == pytest.approx(2.25, rel=0.1)
+        # The specimen lies within what is expected, but for the degradation that the model lacks.
+        expected, measured = pd.read_csv(folder / "expected.csv"), recorded(**asked.si)
+        assert [c for c in expected if c.startswith("force")] == ["force 5% [kN]", "force 50% [kN]", "force 95% [kN]"]
+        assert np.all(expected["force 5% [kN]"] <= expected["force 95% [kN]"])
+        early = expected["t [s]"] < 0.5
+        inside = expected["elongation 5% [mm]"][early].min() <= measured["du"][measured["t"] < 0.5].min()
+        assert inside
+        assert request["expected"]["peak_force"]["5%"] < measured["F"].abs().max() * 1e3 * 1.3
+
+
+def test_what_is_left_in_the_folder_of_a_request_is_the_answer(tmp_path, recorded):
+    with AskTell(load_study(WITH_RECORDS), tmp_path / "run") as design:
+        (asked,) = design.ask()
+        with pytest.raises(UserError, match=r"left no record\.csv"):
+            design.tell(asked.id)
+        columns = recorded(**asked.si)
+        columns.to_csv(design.folder(asked.id) / "record.csv", index=False)
+        design.tell(asked.id)
+        kept = design.campaign[asked.id].record
+        np.testing.assert_allclose(kept.channels["force"], 1e3 * columns["F"], rtol=1e-12)
+        # The ground motion that was asked for stands beside it.
+        assert np.abs(kept.channels["ground_acceleration"]).max() > 1.0
+
+
+def test_a_run_waits_for_an_answer_and_goes_on_with_it(tmp_path, recorded):
+    study = load_study(WITH_RECORDS, ["design.initial=2", "design.iterations=1", "steps=[design]"])
+    folder, resume = tmp_path / "run", False
+    for number in range(3):
+        with pytest.raises(Waiting, match=f"E0{number + 1} is asked"):
+            run(study, folder, resume=resume, progress=False, figures=False)
+        resume = True
+        request = requested(folder)
+        si = {name: about["si"] for name, about in request["inputs"].items()}
+        recorded(**si).to_csv(folder / "laboratory" / f"{request['id']}-1" / "record.csv", index=False)
+    run(study, folder, resume=True, progress=False, figures=False)
+    assert json.loads((folder / "summary.json").read_text())["status"] == "complete"
+
+
+def test_several_are_out_at_once_and_asking_again_changes_nothing(tmp_path):
+    with AskTell(load_study(STUDY), tmp_path / "run") as design:
+        two = design.ask(2)
+        assert [asked.id for asked in two] == ["E01", "E02"]
+        assert [asked.id for asked in design.ask(2)] == ["E01", "E02"]
+    events = RunFolder(tmp_path / "run", load_study(STUDY).written(), resume=True)
+    assert [event["event"] for event in events.events()] == ["asked", "asked"]
+    events.close()
+
+
+def test_a_request_that_was_not_written_is_written_when_asked_for(tmp_path):
+    with AskTell(load_study(STUDY), tmp_path / "run") as design:
+        design.conduct.ask()  # killed before the request was on the disk
+    with AskTell(output=tmp_path / "run") as design:
+        (asked,) = design.ask()
+        assert (design.folder(asked.id) / "request.json").is_file()
+
+
+def test_a_record_until_the_failure_is_kept_and_not_fitted(tmp_path, recorded):
+    with AskTell(load_study(WITH_RECORDS), tmp_path / "run") as design:
+        (asked,) = design.ask()
+        half = recorded(**asked.si).iloc[:40]
+        design.failed(asked.id, "the rod slipped", record=half)
+    (kept,) = read_campaign(tmp_path / "run" / "campaign")
+    assert (kept.status, kept.reason, len(kept.record)) == ("failed", "the rod slipped", 40)
+
+
+def test_earlier_experiments_are_taken_once(tmp_path):
+    campaign = campaign_of(load_study(STUDY | {"experiments": SPECIMEN}))
+    with AskTell(load_study(STUDY), tmp_path / "run") as design:
+        assert design.take(campaign) == ["E01", "E02", "E03"]
+        assert design.take(campaign) == []
+        for experiment in campaign:
+            assert design.campaign[experiment.id].quantities == pytest.approx(experiment.quantities)
+        # They stand for the initial design.
+        design.ask()
+        assert len(design.conduct.steps) == 1
+
+
+def test_a_second_process_is_refused(tmp_path):
+    with AskTell(load_study(STUDY), tmp_path / "run"):
+        with pytest.raises(UserError, match="is in use by another running process"):
+            AskTell(output=tmp_path / "run")
+        with pytest.raises(UserError, match="is in use by another running process"):
+            run(load_study(STUDY), tmp_path / "run", resume=True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["tell", "RUN", "E01"], "left no quantities.json"),
+        (["tell", "RUN", "E09", "--quantity", "peak_force=1"], "was not asked"),
+        (["tell", "RUN", "E01", "--quantity", "peak_force=many"], "write NAME=VALUE with a number"),
+        (["tell", "RUN", "E01", "--quantity", "peak=1"], "the study declares peak_force"),
+        (["tell", "RUN", "E01", "--record", "none.csv"], "declares no channels"),
+        (["tell", "RUN", "E01", "--failed", " "], "say why"),
+        (["tell", "RUN"], "give the ID"),
+        (["ask", "RUN", "--again", "E01"], "only one that failed"),
+        (["ask", "RUN", "--again", "E07"], "there is no experiment 'E07'"),
+        (["ask", "RUN", "--count", "0"], "at least 1"),
+        (["ask", "RUN", "seed=3"], "its study is fixed"),
+        (["ask", "nowhere.yaml"], "nowhere.yaml"),
+    ],
+)
+def test_a_mistake_gets_one_message_and_changes_nothing(arguments, said, tmp_path, capsys):
+    folder = tmp_path / "run"
+    with AskTell(load_study(STUDY), folder) as design:
+        design.ask()
+    journal = (folder / "journal.jsonl").read_text()
+    assert main([str(folder) if word == "RUN" else word for word in arguments]) == 2
+    output = capsys.readouterr().err
+    assert said in output
+    assert output.count("\n") == 1
+    assert (folder / "journal.jsonl").read_text() == journal

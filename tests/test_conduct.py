@@ -1,0 +1,253 @@
+"""Asking and telling: the same events give the same design, in one process or in many, whatever fails on the way."""
+
+import numpy as np
+import pytest
+
+from hsed_jax.conduct import Conduct
+from hsed_jax.config.build import Built
+from hsed_jax.config.load import load_study
+from hsed_jax.design.feasible import near_failures
+from hsed_jax.design.stopping import StopRules, stop_reason
+from hsed_jax.errors import UserError
+from hsed_jax.laboratories.base import Measured
+from hsed_jax.store import RunFolder
+
+STUDY = {
+    "study": "asked",
+    "structure": {
+        "masses": [8e3, 9e3],
+        "springs": [{"between": ["ground", 1], "stiffness": 4e5}, {"between": [2, "ground"], "stiffness": 1e6}],
+        "specimen": {"between": [1, 2]},
+        "damping": {"modal": 0.05, "specimen_stiffness": 5e5},
+    },
+    "excitation": {"near_fault_pulse": {"V_P": "V_P", "T_P": "T_P"}, "duration": 4.0},
+    "inputs": {"V_P": {"uniform": [1.5, 3.0], "unit": "m/s"}, "T_P": {"uniform": [0.5, 1.5], "unit": "s"}},
+    "model": {"parameters": {"A": {"uniform": [2e5, 9e5]}, "beta": {"uniform": [0.5, 2.0]}, "gamma": 0.0, "n": 1.0}},
+    "experiments": {
+        "virtual": {
+            "parameters": {"A": 5e5, "beta": 1.0, "gamma": 0.0, "n": 1.0},
+            "effects": {"stiffness_degradation": {"eta": 2e-5}},
+        }
+    },
+    "error": {"relative": 0.05},
+    "design": {"initial": 3, "iterations": 6, "candidates": 256, "kriging": {"starts": 2}},
+    "calibration": {"chains": 2, "step_warmup": 20, "step_draws": 20, "starts": 2},
+    "steps": ["design", "calibrate"],
+}
+
+
+@pytest.fixture(scope="module")
+def built():
+    return Built(load_study(STUDY))
+
+
+@pytest.fixture
+def begin(built, tmp_path):
+    """A factory: the design in a folder, taken up where its journal ends."""
+    open_stores = []
+
+    def take_up(folder="run"):
+        for store in open_stores:
+            store.close()
+        path = tmp_path / folder
+        store = RunFolder(path, built.study.written(), resume=path.exists())
+        open_stores.append(store)
+        return Conduct(built, store)
+
+    yield take_up
+    for store in open_stores:
+        store.close()
+
+
+def measure(built, asked):
+    return built.laboratory.perform(asked.number, asked.si)
+
+
+def events(built, conduct):
+    """A campaign as life is: each entry does one thing with the design as it stands then."""
+    exact = {"V_P": 2.2, "T_P": 0.9}
+
+    def initial(conduct):
+        asked = conduct.ask()
+        conduct.tell(asked.id, measure(built, asked))
+
+    def off_request(conduct):
+        asked = conduct.ask()
+        tested = {name: 1.01 * value for name, value in asked.inputs.items()}
+        si = tested  # the inputs' units are SI
+        conduct.tell(asked.id, built.laboratory.perform(asked.number, si), tested)
+
+    def fails(conduct):
+        conduct.give_up(conduct.ask().id, "the pump stopped")
+
+    def abandoned(conduct):
+        conduct.give_up(conduct.ask().id, "the specimen broke", abandon=True)
+
+    def uninvited(conduct):
+        conduct.tell("X1", built.laboratory.perform(90, exact), exact)
+
+    def two_at_once(conduct):
+        first, second = conduct.ask(), conduct.ask()
+        conduct.tell(second.id, measure(built, second))
+        conduct.tell(first.id, measure(built, first))
+
+    return [initial, initial, off_request, fails, uninvited, abandoned, two_at_once, initial]
+
+
+def same(one, other):
+    assert one.count == other.count
+    for name in ("cube", "outputs", "status", "theta"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+    assert one.step_size == other.step_size
+
+
+@pytest.fixture(scope="module")
+def at_once(built, tmp_path_factory):
+    """The state after all events in one process."""
+    store = RunFolder(tmp_path_factory.mktemp("once") / "run", built.study.written())
+    conduct = Conduct(built, store)
+    for event in events(built, conduct):
+        event(conduct)
+    store.close()
+    return conduct
+
+
+def test_taken_up_after_every_event_the_design_is_the_same(begin, built, at_once):
+    for event in events(built, at_once):
+        event(begin())
+    same(begin().state, at_once.state)
+
+
+def test_what_became_of_each_experiment_is_in_the_campaign(at_once):
+    found = {e.id: e.status for e in at_once.campaign}
+    assert list(found.values()).count("completed") == 7
+    assert [id for id, status in found.items() if status == "failed"] == ["E04"]
+    assert at_once.campaign["E04"].reason == "the pump stopped"
+    assert [e.reason for e in at_once.campaign if e.status == "abandoned"] == ["the specimen broke"]
+    assert found["X1"] == "completed"
+    assert at_once.pending == []
+
+
+def test_inputs_as_tested_are_what_the_design_learns_from(at_once):
+    third = at_once.campaign["E03"]
+    asked = at_once.design.space.declared(at_once.design.space.initial_design(3))[2]
+    assert list(third.inputs.values()) == pytest.approx(1.01 * asked)
+    assert at_once.state.conditions["V_P"][2] == pytest.approx(1.01 * asked[0])
+
+
+def test_two_that_are_out_at_once_are_not_the_same_experiment(at_once):
+    measured = at_once.state.cube[: at_once.state.count]
+    distances = np.linalg.norm(measured[:, None] - measured[None], axis=-1) + 10 * np.eye(len(measured))
+    assert distances.min() > 1e-3
+
+
+def test_an_experiment_that_failed_can_be_asked_again_and_an_abandoned_one_cannot(begin, built):
+    conduct = begin()
+    first = conduct.ask()
+    conduct.give_up(first.id, "no oil")
+    again = begin().ask_again(first.id)
+    assert again.inputs == first.inputs
+    taken_up = begin()
+    assert taken_up.pending == [first.id]
+    taken_up.give_up(first.id, "no specimen", abandon=True)
+    with pytest.raises(UserError, match="abandoned"):
+        begin().ask_again(first.id)
+    with pytest.raises(UserError, match="abandoned already"):
+        begin().tell(first.id, measure(built, first))
+
+
+@pytest.mark.parametrize(
+    ("tell", "said"),
+    [
+        (lambda c: c.tell("E09", Measured({"peak_force": 1.0})), "was not asked; give its inputs"),
+        (lambda c: c.tell("X1", Measured({"peak_force": 1.0}), {"V_P": 2.0}), "its inputs are V_P, T_P"),
+        (lambda c: c.tell("X1", Measured({"peak_force": 1.0}), {"V_P": 9.0, "T_P": 1.0}), "lie outside"),
+        (lambda c: c.tell(c.ask().id, Measured({})), "nothing that the study observes"),
+        (lambda c: c.give_up("E09", "why not"), "was not asked"),
+    ],
+)
+def test_what_does_not_fit_is_refused_and_nothing_is_written(begin, tell, said):
+    conduct = begin()
+    with pytest.raises(UserError, match=said):
+        tell(conduct)
+    told = [e for e in conduct.store.events() if e["event"] != "asked"]
+    assert told == []
+
+
+def test_more_experiments_than_planned_find_room(begin, built):
+    conduct = begin()
+    planned = len(conduct.state.cube)
+    for number in range(planned + 2):
+        inputs = {"V_P": 1.6 + 0.1 * number, "T_P": 1.0}
+        conduct.tell(
+            f"X{number}",
+            Measured({"peak_force": 1e5 + number, "peak_elongation": 0.2, "dissipated_energy": 2e4}),
+            inputs,
+        )
+    assert conduct.state.count == planned + 2
+    same(begin().state, conduct.state)
+
+
+# What may be asked.
+
+
+def test_a_limit_keeps_the_design_where_the_response_stays_below_it(built, tmp_path):
+    free = Built(load_study(STUDY))
+    study = load_study(STUDY | {"design": STUDY["design"] | {"limits": {"stroke": 0.35}}})
+    limited = Built(study)
+    draws = np.tile([[5e5, 1.0]], (8, 1))
+    closed = limited.limits(draws, limited.design.candidate_set)
+    assert 0.1 < closed.mean() < 0.9
+    declared = limited.space.declared(np.asarray(limited.design.candidate_set))
+    for index in (int(np.argmax(closed)), int(np.argmin(closed))):
+        si = {name: float(values[index]) for name, values in limited.space.si(declared).items()}
+        plain = free.simulator.quantities({"A": 5e5, "beta": 1.0}, _conditions(si), ("peak_elongation",))[0]
+        assert (float(plain[0]) > 0.35) == closed[index]
+
+
+def _conditions(si):
+    import jax.numpy as jnp
+
+    from hsed_jax.physics.simulator import Conditions
+
+    return Conditions({name: jnp.asarray(value) for name, value in si.items()})
+
+
+def test_failures_close_what_is_near_them_until_experiments_there_succeed():
+    grid = np.stack(np.meshgrid(*[np.linspace(0.05, 0.95, 19)] * 2), axis=-1).reshape(-1, 2)
+    failed = np.array([[0.5, 0.5]])
+    closed = near_failures(grid, failed, np.empty((0, 2)))
+    distance = np.linalg.norm(grid - failed, axis=1)
+    assert closed[distance < 0.05].all() and not closed[distance > 0.2].any()
+    assert not near_failures(grid, failed, np.array([[0.5, 0.52], [0.5, 0.48]])).any()
+    assert not near_failures(grid, np.empty((0, 2)), failed).any()
+
+
+# When it has learned enough.
+
+
+def steps(maps, improvement=1.0, width=0.1, **more):
+    def posterior(a):
+        return {"A": {"mean": a, "q05": a * (1 - width / 2), "q95": a * (1 + width / 2)}}
+
+    return [{"max_expected_improvement": improvement, "map": {"A": a}, "posterior": posterior(a)} | more for a in maps]
+
+
+@pytest.mark.parametrize(
+    ("rules", "taken", "reason"),
+    [
+        ({}, steps([1.0] * 9, improvement=0.0), None),
+        ({"expected_improvement": 1e-3}, steps([1.0], improvement=1e-4), "expected_improvement"),
+        ({"expected_improvement": 1e-3}, steps([1.0], improvement=1e-2), None),
+        ({"stable_map": 0.01}, steps([2.0, 1.001, 1.002, 0.999, 1.0]), "stable_map"),
+        ({"stable_map": 0.01}, steps([1.0, 1.02, 1.0, 1.0]), None),
+        ({"stable_map": 0.01}, steps([1.0, 1.0, 1.0]), None),
+        ({"posterior_width": 0.2}, steps([3.0], width=0.1), "posterior_width"),
+        ({"posterior_width": 0.05}, steps([3.0], width=0.1), None),
+        ({"verdict": True}, steps([3.0], verdict="missing_effects"), "verdict"),
+        ({"verdict": True}, steps([3.0], verdict="adequate"), None),
+        ({"expected_improvement": 1.0}, [], None),
+    ],
+)
+def test_a_rule_stops_the_design_and_says_which(rules, taken, reason):
+    assert stop_reason(StopRules(**rules), taken) == reason
