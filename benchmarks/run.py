@@ -18,7 +18,7 @@ from typing import Any
 
 # Rows that are measured on one core, and the others.
 ONE_CORE = ("simulate", "kriging", "posterior")
-ROWS = (*ONE_CORE, "campaign")
+ROWS = (*ONE_CORE, "campaign", "sweep")
 _PACKAGES = (
     "hsed_jax",
     "jax",
@@ -31,6 +31,7 @@ _PACKAGES = (
     "numba",
     "scikit-learn",
     "emcee",
+    "distributed",
 )
 
 

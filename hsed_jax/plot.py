@@ -14,13 +14,21 @@ from matplotlib.axes import Axes
 from matplotlib.backends.registry import BackendFilter, backend_registry
 
 from hsed_jax.analysis import Calibration, compare, locate
+from hsed_jax.ask_tell import AskTell
 from hsed_jax.config.build import Built
 from hsed_jax.config.schema import Study
 from hsed_jax.criticism.findings import Diagnosis
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
 from hsed_jax.remedy import Improvement
-from hsed_jax.reporting import design_figures, diagnosis_figures, misfit_figures, misfit_maps, posterior_figures
+from hsed_jax.reporting import (
+    design_figures,
+    diagnosis_figures,
+    misfit_figures,
+    misfit_maps,
+    posterior_figures,
+    request_figures,
+)
 from hsed_jax.reporting.outcome import Outcome
 from hsed_jax.reporting.style import Picture
 from hsed_jax.workflow import Run
@@ -213,6 +221,27 @@ def parameters(improvement: Improvement, truth: Mapping[str, float] | None = Non
 
 
 # A sequential design.
+
+
+def expected(design: AskTell, experiment: str) -> np.ndarray:
+    """What the model expects of an experiment that was asked, over time, and what was measured where it was told.
+
+    Arguments:
+        design: that asked.
+        experiment: its id.
+
+    Returns:
+        Axes, one per channel.
+
+    Raises:
+        UserError: there is no such experiment.
+    """
+    asked = design.conduct.request(experiment)
+    given = ", ".join(f"{n} = {v:.4g} {design.built.space.units[n]}" for n, v in asked.inputs.items())
+    found = design.expected(asked)
+    measured = design.campaign[experiment].record
+    picture = request_figures.expected_response(f"{experiment} at {given}", found.time, found.channels, measured)
+    return _several(picture)
 
 
 def expected_improvement(run: Run) -> Axes:

@@ -9,9 +9,13 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hsed_jax.errors import UserError
+from hsed_jax.sweeps import command as sweeping
+
+if TYPE_CHECKING:
+    from hsed_jax.ask_tell import AskTell
 
 
 class _CallableModule(ModuleType):
@@ -72,6 +76,8 @@ def command_line() -> argparse.ArgumentParser:
         "--add", action="append", metavar="EFFECT", help="add this effect; may be said several times"
     )
     improvement.set_defaults(steps=["calibrate", "compare", "diagnose", "improve"])
+    _add_ask_and_tell(commands)
+    sweeping.add_commands(commands)
     text = "write the report of a run again, or one page of several runs side by side"
     report = commands.add_parser("report", help=text, description=text.capitalize() + ".")
     report.add_argument("runs", nargs="+", metavar="RUN", help="run folder")
@@ -96,6 +102,36 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     existing.add_argument("--force", action="store_true", help="replace the run in the folder")
     parser.add_argument("--check", action="store_true", help="validate, run nothing")
     parser.set_defaults(command=_run)
+
+
+def _add_ask_and_tell(commands: Any) -> None:
+    text = "ask for the next experiments, to be performed by hand"
+    ask = commands.add_parser("ask", help=text, description=text.capitalize() + ".")
+    _add_design(ask)
+    ask.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="override a key by its dotted path")
+    which = ask.add_mutually_exclusive_group()
+    which.add_argument("--count", type=int, default=1, metavar="N", help="have N experiments out at once (default: 1)")
+    which.add_argument("--again", metavar="ID", help="ask an experiment that failed once more")
+    ask.set_defaults(command=_ask)
+    text = "tell what was measured, or that an experiment failed"
+    tell = commands.add_parser("tell", help=text, description=text.capitalize() + ".")
+    _add_design(tell)
+    tell.add_argument("id", nargs="?", metavar="ID", help="of the experiment; one that was not asked needs its inputs")
+    tell.add_argument("--record", metavar="FILE", help="the record (default: what lies in the folder of the request)")
+    tell.add_argument("--quantity", action="append", metavar="NAME=VALUE", help="in its declared unit; say it for each")
+    tell.add_argument(
+        "--input", action="append", metavar="NAME=VALUE", help="as tested, where it differs; say it for each"
+    )
+    ended = tell.add_mutually_exclusive_group()
+    ended.add_argument("--failed", metavar="REASON", help="it failed and may be asked again")
+    ended.add_argument("--abandoned", metavar="REASON", help="it is never to be asked again")
+    ended.add_argument("--campaign", metavar="CAMPAIGN", help="take the experiments of an earlier campaign")
+    tell.set_defaults(command=_tell_measured, overrides=[])
+
+
+def _add_design(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("study", metavar="STUDY.yaml|RUN", help="study, or the run folder of one that was begun")
+    parser.add_argument("--output", metavar="DIR", help="run folder (default: runs/<study>)")
 
 
 def _guarded(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> int:
@@ -168,6 +204,58 @@ def _run(options: Any) -> int:
         return 3
     _tell(done, output)
     return 0
+
+
+def _opened(options: Any) -> "AskTell":
+    from hsed_jax.ask_tell import AskTell
+    from hsed_jax.config.load import load_study
+
+    if Path(options.study).is_dir():
+        if options.output or options.overrides:
+            raise UserError(f"{options.study} is a run folder: its study is fixed; leave out --output and KEY=VALUE")
+        return AskTell(output=options.study)
+    return AskTell(load_study(options.study, options.overrides), options.output)
+
+
+def _ask(options: Any) -> int:
+    with _opened(options) as design:
+        for asked in [design.ask_again(options.again)] if options.again else design.ask(options.count):
+            print(design.told(asked))
+        if design.stop_reason is not None and not design.conduct.pending:
+            print(f"the design is complete: {design.stop_reason}; go on with: hsed run {design.path / 'study.yaml'} "
+                  f"--output {design.path} --resume")  # fmt: skip
+    return 0
+
+
+def _tell_measured(options: Any) -> int:
+    quantities, inputs = _numbers("--quantity", options.quantity), _numbers("--input", options.input)
+    if (options.id is None) != (options.campaign is not None):
+        raise UserError("give the ID of an experiment, or --campaign")
+    with _opened(options) as design:
+        if options.campaign is not None:
+            from hsed_jax.measurements import read_campaign
+
+            print(f"taken: {', '.join(design.take(read_campaign(options.campaign))) or 'nothing new'}")
+        elif options.failed is not None:
+            design.failed(options.id, options.failed, record=options.record, inputs=inputs)
+        elif options.abandoned is not None:
+            design.abandoned(options.id, options.abandoned, record=options.record, inputs=inputs)
+        else:
+            design.tell(options.id, record=options.record, quantities=quantities, inputs=inputs)
+        print(design)
+    return 0
+
+
+def _numbers(option: str, given: Sequence[str] | None) -> dict[str, float] | None:
+    """NAME=VALUE of an option that was said several times."""
+    found = {}
+    for word in given or ():
+        name, _, value = word.partition("=")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            raise UserError(f"{option} {word}: write NAME=VALUE with a number, such as V_P=2.1") from None
+    return found or None
 
 
 def _report(options: Any) -> int:

@@ -20,9 +20,10 @@ from hsed_jax.criticism.improve import Step, Trail
 from hsed_jax.design.sequential import DesignState
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.nuts import Chains, Convergence
-from hsed_jax.measurements import Experiment
+from hsed_jax.measurements import Experiment, Record
 from hsed_jax.remedy import Improvement
 from hsed_jax.reporting.outcome import Outcome
+from hsed_jax.requests import Expected
 from hsed_jax.workflow import Run
 
 STUDY = hx.load_study("configs/paper.yaml")
@@ -80,7 +81,18 @@ def design():
     return bare(Run, study=STUDY, conduct=SimpleNamespace(steps=steps), outcome=lambda status: outcome)
 
 
+def asked():
+    """A design that asked for one experiment, of which a record was told."""
+    time = np.linspace(0.0, 2.0, 21)
+    band = np.stack([np.sin(time) - 0.1, np.sin(time), np.sin(time) + 0.1])
+    conduct = SimpleNamespace(request=lambda id: SimpleNamespace(id=id, inputs={"V_P": 2.0, "T_P": 1.0}))
+    told = {"E01": SimpleNamespace(record=Record(time, {"force": 1.1 * np.sin(time)}))}
+    found = Expected(time, {"elongation": band, "force": band}, {})
+    return SimpleNamespace(conduct=conduct, built=Built(STUDY), campaign=told, expected=lambda asked: found)
+
+
 CASES = {
+    "expected": (lambda: hx.plot.expected(asked(), "E01"), 2),
     "ground_motions": (lambda: hx.plot.ground_motions(STUDY), 2),
     "histories": (lambda: hx.plot.histories(calibration(histories(2, 1)), "E3"), 3),
     "loops": (lambda: hx.plot.loops(calibration(histories(2, 1))), 3),

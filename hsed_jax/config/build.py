@@ -8,11 +8,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from hsed_jax.config import laboratories, parts
 from hsed_jax.config.laboratories import IMPOSED
+from hsed_jax.config.limits import limits_of
 from hsed_jax.config.own_effects import load_own_effects
 from hsed_jax.config.plan import check_plan
 from hsed_jax.config.schema import Study
@@ -38,9 +38,9 @@ from hsed_jax.measurements import (
     parse_unit,
     read_campaign,
 )
-from hsed_jax.physics.outputs import QUANTITIES, output
+from hsed_jax.physics.outputs import output
 from hsed_jax.physics.scales import Scales
-from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator, Timeline
+from hsed_jax.physics.simulator import Parametrised, Simulator, Timeline
 from hsed_jax.physics.structures import Structure
 
 # The integration resolves the shortest period with this many steps; peaks are then good to 1e-4 (tests/test_response.py).
@@ -331,24 +331,8 @@ class Built:
         entry = self.study.design.limits
         if entry is None:
             return None
-        known = (entry.force, entry.stroke, entry.energy)
-        most = {name: limit for name, limit in zip(QUANTITIES, known, strict=True) if limit is not None}
-        if entry.velocity is not None:
-            most["velocity"] = entry.velocity
-        if not most:
-            raise UserError("design.limits: give at least one of stroke, force, velocity, energy")
-        simulator, names = dataclasses.replace(self.simulator, timeline=self.planned), tuple(self.parameters[0])
-        channels = ("elongation_rate",) if "velocity" in most else ()
-
-        def respond(theta, point):
-            parameters = dict(zip(names, theta, strict=False))
-            response = simulator.respond(parameters, Conditions(self.space.inputs(point)), channels)
-            values = dict(response.quantities)
-            if channels:
-                values["velocity"] = jnp.max(jnp.abs(response.channels["elongation_rate"]))
-            return values, response.ok
-
-        return Limits(most, entry.probability, respond)
+        simulator = dataclasses.replace(self.simulator, timeline=self.planned)
+        return limits_of(entry, simulator, tuple(self.parameters[0]), self.space)
 
     def perform(self) -> Campaign:
         """The laboratory's experiments at the initial design, and of a virtual one those for testing."""

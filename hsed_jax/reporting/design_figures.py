@@ -22,32 +22,31 @@ _CHANNELS = ("elongation", "force", "energy")
 
 
 def design_pictures(outcome: Outcome) -> Iterator[tuple[str, Picture]]:
-    """The paper's figures, by file name, as far as the outcome has the material: a virtual specimen, a pulse, a design."""
+    """The paper's figures, by file name, as far as the outcome has the material: a pulse, a design, a virtual specimen."""
     space, laboratory = outcome.space, outcome.laboratory
-    if laboratory is None or outcome.simulator.excitation is None:
-        return
-    yield "fig3_ground_motions", ground_motions(outcome.simulator, space)
-    middle = space.declared(np.full((1, len(space.names)), 0.5))[0]
-    measured = _response(laboratory.simulator, laboratory.parameters, space, middle)
-    truth = {name: value for name, value in laboratory.parameters.items() if "." not in name}
-    if not outcome.simulator.effects:
-        predicted = _response(outcome.simulator, truth, space, middle)
-        yield "fig4_loops_and_energy", figures.loops_and_energy(measured, predicted)
+    has_motion = outcome.simulator.excitation is not None and bool(space.names)
+    if laboratory is not None and has_motion:
+        yield "fig3_ground_motions", ground_motions(outcome.simulator, space)
+        yield from _of_specimen(outcome, laboratory)
     if outcome.design is not None and outcome.state is not None:
-        yield from _of_design(outcome, outcome.design, outcome.state, laboratory)
-    if outcome.fit is not None:
+        if laboratory is not None and len(space.names) == 2 and not laboratory.channels:
+            yield "fig4bis_one_experiment_map", _estimate_maps(outcome, outcome.design, laboratory)
+        yield "fig6_exploration", exploration(outcome, outcome.state)
+        if outcome.steps:
+            yield "fig5_expected_improvement", expected_improvement(outcome)
+            yield "fig7_estimates", estimates(outcome)
+    if outcome.fit is not None and laboratory is not None and has_motion:
         yield "fig8_responses", _responses(outcome, laboratory, outcome.fit)
 
 
-def _of_design(
-    outcome: Outcome, design: SequentialDesign, state: DesignState, laboratory: VirtualLaboratory
-) -> Iterator[tuple[str, Picture]]:
-    if len(outcome.space.names) == 2 and not laboratory.channels:
-        yield "fig4bis_one_experiment_map", _estimate_maps(outcome, design, laboratory)
-    yield "fig6_exploration", exploration(outcome, state)
-    if outcome.steps:
-        yield "fig5_expected_improvement", expected_improvement(outcome)
-        yield "fig7_estimates", estimates(outcome)
+def _of_specimen(outcome: Outcome, laboratory: VirtualLaboratory) -> Iterator[tuple[str, Picture]]:
+    space = outcome.space
+    middle = space.declared(np.full((1, len(space.names)), 0.5))[0]
+    truth = {name: value for name, value in laboratory.parameters.items() if "." not in name}
+    if not outcome.simulator.effects:
+        measured = _response(laboratory.simulator, laboratory.parameters, space, middle)
+        predicted = _response(outcome.simulator, truth, space, middle)
+        yield "fig4_loops_and_energy", figures.loops_and_energy(measured, predicted)
 
 
 def exploration(outcome: Outcome, state: DesignState) -> Picture:

@@ -1,0 +1,45 @@
+"""Figure of a request: what is expected of an experiment that has not been measured yet, or was a moment ago."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from hsed_jax.measurements import Record
+from hsed_jax.physics.outputs import output
+from hsed_jax.reporting import style
+from hsed_jax.reporting.style import Picture
+
+
+@style.in_house_style
+def expected_response(
+    title: str, time: np.ndarray, channels: Mapping[str, np.ndarray], measured: Record | None
+) -> Picture:
+    """Every channel over time with its band, and what was measured.
+
+    Arguments:
+        title: which experiment.
+        time: [s], shape (n,).
+        channels: SI, by name: lower end, median and upper end, (3, n).
+        measured: the record, where there is one.
+    """
+    figure, panels = style.panels(len(channels), 2.0, across=1)
+    for panel, (name, (low, middle, high)) in zip(panels, channels.items(), strict=True):
+        known = None if measured is None else measured.channels.get(name)
+        divisor, unit = style.readable(output(name).unit, low, high)
+        band = {"color": style.PREDICTED["color"], "alpha": 0.2, "linewidth": 0}
+        panel.fill_between(time, low / divisor, high / divisor, **band, label="90 % of what is expected")
+        panel.plot(time, middle / divisor, **{**style.PREDICTED, "label": "expected"})
+        if measured is not None and known is not None:
+            panel.plot(measured.time, known / divisor, **{**style.MEASURED, "label": "measured"})
+        panel.set_ylabel(style.channel_label(name, unit))
+        panel.margins(x=0.0)
+    panels[-1].set_xlabel("Time [s]")
+    style.panel_titles(panels)
+    style.legend(figure, *panels)
+    figure.legends[0].set_title(style.plain(title, 90))
+    told = "" if measured is None else ", and measured (dashed)"
+    return Picture(
+        figure,
+        f"{style.plain(title, 90)}: the response that the calibrated model expects, with the 90 % band of its parameters{told}.",
+        f"Histories of {', '.join(channels)}.",
+    )

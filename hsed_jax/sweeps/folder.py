@@ -1,0 +1,154 @@
+"""The folder of a sweep: the only module that knows its layout.
+
+`sweep.yaml` is the plan, `runs/0001` the run folder of the first point and `outcomes/0001.json` how it ended, written by the
+process that ran it.  Table, results and figures are made of these, so that a kill at any moment loses at most the studies that
+were under way.
+"""
+
+import fcntl
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from hsed_jax.errors import UserError
+from hsed_jax.sweeps.plan import Plan
+
+
+class SweepFolder:
+    """The folder of a sweep, owned by this process.
+
+    Arguments:
+        path: of the folder.
+        plan: what to run; None to go on with the plan in the folder.
+        resume: go on with what is there.
+        force: throw away what is there.
+
+    Raises:
+        UserError: the folder exists and neither was said, it holds something else, or another process has it.
+    """
+
+    def __init__(self, path: str | Path, plan: Plan | None, *, resume: bool, force: bool):
+        self.path = Path(path).absolute()
+        written = self.path / "sweep.yaml"
+        occupied = self.path.exists() and (
+            # A sweep killed in its first moments leaves a lock and a draft.
+            not self.path.is_dir() or any(i.name != ".lock" and i.suffix != ".part" for i in self.path.iterdir())
+        )
+        if occupied and not written.is_file():
+            raise UserError(f"{path} exists and is no folder of a sweep; choose another --output")
+        if occupied and not (resume or force):
+            raise UserError(f"{path} holds a sweep already; say --resume to go on with it or --force to replace it")
+        if resume and not occupied:
+            raise UserError(f"{path}: there is no sweep to resume; leave out --resume to start one")
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            self._lock = (self.path / ".lock").open("w")
+        except OSError as error:
+            raise UserError(f"{path} cannot be written to ({error.strerror}); choose another --output") from None
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if resume:
+                self.plan = _agreed(str(path), _read(written), plan)
+            else:
+                assert plan is not None
+                self.plan = plan
+                self._begin(written)
+            for name in ("runs", "outcomes"):
+                (self.path / name).mkdir(exist_ok=True)
+        except BlockingIOError:
+            self.close()
+            raise UserError(
+                f"{path} is in use by another running process; wait for it or choose another --output"
+            ) from None
+        except BaseException:
+            self.close()
+            raise
+
+    def _begin(self, written: Path) -> None:
+        for item in self.path.iterdir():
+            if item.name != ".lock":
+                shutil.rmtree(item) if item.is_dir() and not item.is_symlink() else item.unlink()
+        content = {"study": self.plan.study, "points": list(self.plan.points)}
+        replace(written, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+
+    def close(self) -> None:
+        """Let another process have the folder."""
+        self._lock.close()
+
+    def pending(self) -> list[int]:
+        """Numbers of the points that have not completed, from 0."""
+        ends = enumerate(outcomes(self.path, len(self.plan.points)))
+        return [number for number, ended in ends if ended["status"] != "complete"]
+
+    def note_failure(self, number: int, message: str, traceback: str) -> None:
+        """Note that a study could not be run to an end, where its process could not do so itself."""
+        note(self.path, number, {"status": "failed", "message": message, "traceback": traceback})
+
+
+def run_folder(path: Path, number: int) -> Path:
+    """The run folder of a point; the first is 0."""
+    return path / "runs" / f"{number + 1:04d}"
+
+
+def note(path: Path, number: int, ended: dict[str, Any]) -> None:
+    """Write how the study of a point ended."""
+    replace(path / "outcomes" / f"{number + 1:04d}.json", json.dumps(ended, indent=1, ensure_ascii=False) + "\n")
+
+
+def outcome(path: Path, number: int) -> dict[str, Any]:
+    """How the study of a point ended; `{"status": "pending"}` if it has not, or if its results were deleted."""
+    try:
+        ended = json.loads((path / "outcomes" / f"{number + 1:04d}.json").read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return {"status": "pending"}
+    lost = ended["status"] == "complete" and not (run_folder(path, number) / "summary.json").is_file()
+    return {"status": "pending"} if lost else ended
+
+
+def outcomes(path: Path, count: int) -> list[dict[str, Any]]:
+    """How the studies of all points ended."""
+    return [outcome(path, number) for number in range(count)]
+
+
+@contextmanager
+def alone(path: Path, number: int) -> Iterator[None]:
+    """Wait until no other process runs the study of a point, and keep it so.
+
+    A cluster starts a study again when it has lost sight of a worker, which may go on all the same; and a worker may outlive a
+    sweep that was killed.
+    """
+    with (path / "outcomes" / f"{number + 1:04d}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+def replace(path: Path, text: str) -> None:
+    """Write a file so that a kill leaves either the old or the new one."""
+    unfinished = path.with_name(f"{path.name}.{os.getpid()}.part")
+    with unfinished.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    unfinished.replace(path)
+
+
+def _read(written: Path) -> Plan:
+    content = yaml.safe_load(written.read_text(encoding="utf-8"))
+    return Plan(content["study"], tuple(content["points"]))
+
+
+def _agreed(path: str, before: Plan, now: Plan | None) -> Plan:
+    """The plan to go on with; refuses to mix two sweeps in one folder."""
+    if now is None or now == before:
+        return before
+    what = "study" if now.study != before.study else "points"
+    raise UserError(
+        f"{path} holds a sweep of {'another' if what == 'study' else 'other'} {what}; resume with the {what} it was "
+        "started with, or choose another --output"
+    )
