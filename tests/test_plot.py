@@ -15,12 +15,13 @@ from test_misfit_figures import histories, quantities
 
 import hsed_jax as hx
 from hsed_jax.analysis import Calibration
+from hsed_jax.ask_tell import AskTell
 from hsed_jax.config.build import Built
 from hsed_jax.criticism.improve import Step, Trail
 from hsed_jax.design.sequential import DesignState
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.nuts import Chains, Convergence
-from hsed_jax.measurements import Experiment, Record
+from hsed_jax.measurements import Campaign, Channel, Experiment, Record
 from hsed_jax.remedy import Improvement
 from hsed_jax.reporting.outcome import Outcome
 from hsed_jax.requests import Expected
@@ -85,10 +86,13 @@ def asked():
     """A design that asked for one experiment, of which a record was told."""
     time = np.linspace(0.0, 2.0, 21)
     band = np.stack([np.sin(time) - 0.1, np.sin(time), np.sin(time) + 0.1])
-    conduct = SimpleNamespace(request=lambda id: SimpleNamespace(id=id, inputs={"V_P": 2.0, "T_P": 1.0}))
-    told = {"E01": SimpleNamespace(record=Record(time, {"force": 1.1 * np.sin(time)}))}
+    channels = {"time": Channel("time", "s"), "force": Channel("force", "N")}
+    experiment = Experiment("E01", record=Record(time, {"force": 1.1 * np.sin(time)}))
+    told = Campaign("told", "ground_motion", channels=channels, experiments=(experiment,))
     found = Expected(time, {"elongation": band, "force": band}, {})
-    return SimpleNamespace(conduct=conduct, built=Built(STUDY), campaign=told, expected=lambda asked: found)
+    request = SimpleNamespace(inputs={"V_P": 2.0, "T_P": 1.0})
+    conduct = SimpleNamespace(request=lambda id: request, campaign=told)
+    return bare(AskTell, conduct=conduct, built=Built(STUDY), expected=lambda asked: found)
 
 
 CASES = {
