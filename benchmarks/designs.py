@@ -19,7 +19,7 @@ import hsed_jax as hx
 
 RESULTS = Path(__file__).with_name("designs.json")
 CHOOSERS = ("expected_improvement", "max_variance", "discriminate", "sobol", "random")
-INITIAL, AFTER = 3, (3, 6, 12)
+INITIAL, AFTER = 3, (1, 3, 6)
 _POINTS = 256
 _COMMON = ("experiments.virtual.noise={relative: 0.02}", "error=null", "design.candidates=4096",
            "calibration={chains: 2, step_warmup: 50, step_draws: 50}")  # fmt: skip
@@ -28,7 +28,7 @@ _COMMON = ("experiments.virtual.noise={relative: 0.02}", "error=null", "design.c
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("--seeds", type=int, default=4, metavar="N", help="how many seeds (default: 4)")
+    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="how many seeds (default: 3)")
     parser.add_argument("--quick", action="store_true", help="one seed, few experiments: to see that it runs")
     parser.add_argument("--markdown", action="store_true", help="the table of the last results, nothing measured")
     options = parser.parse_args()

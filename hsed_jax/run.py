@@ -4,7 +4,6 @@ Exit status: 0 done; 1 a defect of ours; 2 the user's input is wrong; 3 stopped 
 """
 
 import argparse
-import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,6 +11,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from hsed_jax.errors import UserError
+from hsed_jax.interruptions import heed_interruptions
 from hsed_jax.sweeps import command as sweeping
 
 if TYPE_CHECKING:
@@ -183,8 +183,8 @@ def _check(options: Any) -> int:
 def _run(options: Any) -> int:
     if options.check:
         return _check(options)
-    # A termination is an interruption like Ctrl-C: the run stops between two steps with all it has.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    # The run stops between two steps with all it has.
+    heed_interruptions()
     from hsed_jax.config.load import load_study
     from hsed_jax.workflow import Interrupted, run
 

@@ -133,7 +133,8 @@ run = hx.run(study, RUN, resume=True, progress=False)
 run.comparison
 
 # %% [markdown]
-# The error is far above the noise: the model lacks something, and [what that is](03_hidden_effect.py) is another lesson.
+# The error is far above the noise: the model lacks something. What that is, is the question of another lesson,
+# `03_hidden_effect`.
 #
 # The same from a terminal:
 #

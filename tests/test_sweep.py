@@ -446,6 +446,31 @@ def test_resuming_runs_what_failed_and_nothing_else(disturbed):
     assert (here / "performed.txt").read_text().split() == [*performed, "E02", "E03", "E04"]
 
 
+DROPPING = """
+import gc, signal, sys, time
+from hsed_jax.sweeps.command import _heed_interruptions
+_heed_interruptions()
+
+
+def once(*_):
+    gc.callbacks.remove(once)
+    signal.raise_signal(signal.SIGTERM)
+
+
+gc.callbacks.append(once)
+try:
+    gc.collect(0)
+    time.sleep(30)
+except KeyboardInterrupt:
+    sys.exit(7)
+"""
+
+
+def test_an_interruption_that_python_drops_is_heeded_all_the_same():
+    done = subprocess.run([sys.executable, "-c", DROPPING], capture_output=True, text=True, timeout=PATIENCE)
+    assert (done.returncode, done.stderr) == (7, "")
+
+
 def command(*words):
     return [sys.executable, "-c", "import sys; from hsed_jax.run import main; sys.exit(main())", *map(str, words)]
 

@@ -6,6 +6,13 @@ from typing import Any
 from hsed_jax.measurements import Campaign
 from hsed_jax.reporting.page_tables import unit_words
 
+_LABORATORIES = {
+    "folder": "people or a controller",
+    "command": "a program",
+    "python": "a Python function",
+    "opensees": "OpenSees",
+}
+
 
 def asked(study: Mapping[str, Any], campaign: Campaign) -> list[str]:
     """Sentences on specimen, excitation, model, experiments, what is observed, its error, and the steps."""
@@ -67,9 +74,12 @@ def _experiments(study: Mapping[str, Any], campaign: Campaign) -> str:
     counts = [f"{len(campaign.train)} to fit", *([f"{len(campaign.test)} held out"] if len(campaign.test) else [])]
     other = len(campaign) - len(campaign.completed)
     counts += [f"{other} not completed"] if other else []
-    virtual = study["experiments"].get("virtual")
-    if virtual is None:
+    (kind,) = [name for name, entry in study["experiments"].items() if entry is not None]
+    if kind == "campaign":
         return f"Experiments: the measured campaign “{campaign.name}”, {', '.join(counts)}."
+    if kind != "virtual":
+        return f"Experiments: performed by {_LABORATORIES[kind]}, {', '.join(counts)}."
+    virtual = study["experiments"]["virtual"]
     effects = _listed(list(virtual.get("effects") or {})) or "no further effects"
     return (
         f"Experiments: a virtual laboratory, {', '.join(counts)}, whose specimen has {effects}, unknown to the model."

@@ -1,13 +1,13 @@
 """The commands `hsed sweep` and `hsed sensitivity`.  Parsing and telling only."""
 
 import argparse
-import signal
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from hsed_jax.errors import UserError
+from hsed_jax.interruptions import heed_interruptions
 
 _GRID = ("values", "points", "ranges", "samples", "slurm")
 
@@ -62,8 +62,7 @@ def _add_study(parser: argparse.ArgumentParser, help: str) -> None:
 
 
 def _sweep(options: Any) -> int:
-    # A termination is an interruption like Ctrl-C.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    heed_interruptions()
     from hsed_jax.config.load import load_study
     from hsed_jax.sweeps.sweep import sweep
     from hsed_jax.workflow import Interrupted
