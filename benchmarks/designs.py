@@ -19,9 +19,9 @@ import hsed_jax as hx
 
 RESULTS = Path(__file__).with_name("designs.json")
 CHOOSERS = ("expected_improvement", "max_variance", "discriminate", "sobol", "random")
-INITIAL, AFTER = 3, (1, 3, 6)
+INITIAL, AFTER = 3, (1, 4, 7)
 _POINTS = 256
-_COMMON = ("experiments.virtual.noise={relative: 0.02}", "error=null", "design.candidates=4096",
+_COMMON = ("experiments.virtual.noise={relative: 0.1}", "error=null", "design.candidates=4096",
            "calibration={chains: 2, step_warmup: 50, step_draws: 50}")  # fmt: skip
 
 
