@@ -75,7 +75,8 @@ def here(*arguments):
 
 
 def elsewhere(*arguments):
-    subprocess.run([sys.executable, "-m", "hsed_jax", *arguments], check=True, capture_output=True)
+    command = "import sys; from hsed_jax.run import main; sys.exit(main())"
+    subprocess.run([sys.executable, "-c", command, *arguments], check=True, capture_output=True)
 
 
 def requested(folder):
