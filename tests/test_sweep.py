@@ -448,8 +448,8 @@ def test_resuming_runs_what_failed_and_nothing_else(disturbed):
 
 DROPPING = """
 import gc, signal, sys, time
-from hsed_jax.sweeps.command import _heed_interruptions
-_heed_interruptions()
+from hsed_jax.interruptions import heed_interruptions
+heed_interruptions()
 
 
 def once(*_):
