@@ -208,7 +208,7 @@ def simulate(
         )
 
     # The study may be of records; what is simulated here has none.
-    simulator = replace(built.simulator, timeline=built.planned)
+    simulator = built.planned_simulator
 
     def one(lane):
         return simulator.respond(lane[0], Conditions(lane[1]), channels)

@@ -90,7 +90,7 @@ class Requests:
         names = tuple(self.built.parameters[0])
         wanted = [name for name in self.built.sensors.channels if name not in ("time", "ground_acceleration")]
         wanted = list(dict.fromkeys([*wanted, "elongation", "force"]))
-        simulator = replace(self.built.simulator, timeline=self.built.planned)
+        simulator = self.built.planned_simulator
 
         def one(theta, inputs):
             response = simulator.respond(dict(zip(names, theta, strict=False)), Conditions(inputs), tuple(wanted))

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import read_campaign
 
@@ -66,7 +67,7 @@ class RunFolder:
             if resume and written.exists():
                 self._agree(yaml.safe_load(written.read_text(encoding="utf-8")), dict(study))
             else:
-                _replace(written, yaml.safe_dump(dict(study), sort_keys=False, allow_unicode=True))
+                write_whole(written, yaml.safe_dump(dict(study), sort_keys=False, allow_unicode=True))
             self._provenance(study.get("seed"))
         except BaseException:
             # An exception that a notebook keeps would keep the lock, too.
@@ -92,13 +93,13 @@ class RunFolder:
         text = self._journal.read_text(encoding="utf-8")
         whole, _, rest = text.rpartition("\n")
         if rest:
-            _replace(self._journal, whole + "\n" if whole else "")
+            write_whole(self._journal, whole + "\n" if whole else "")
         return [_with_nan(json.loads(line)) for line in whole.splitlines() if line]
 
     def write_summary(self, summary: Mapping[str, Any]) -> None:
         """Write `summary.json`: numbers are numbers, what is not finite is left out."""
         text = json.dumps(_finite(summary), indent=2, ensure_ascii=False, allow_nan=False)
-        _replace(self.path / "summary.json", text + "\n")
+        write_whole(self.path / "summary.json", text + "\n")
 
     def write_results(self, tree: "xr.DataTree") -> None:
         """Write `results.nc`."""
@@ -108,7 +109,7 @@ class RunFolder:
 
     def write_report(self, page: str) -> None:
         """Write `report.html`."""
-        _replace(self.path / "report.html", page)
+        write_whole(self.path / "report.html", page)
 
     @property
     def campaign(self) -> Path:
@@ -135,7 +136,7 @@ class RunFolder:
         path = self.path / "provenance.json"
         content = json.loads(path.read_text(encoding="utf-8"))
         content["sessions"][-1]["end"] = _now()
-        _replace(path, json.dumps(content, indent=2) + "\n")
+        write_whole(path, json.dumps(content, indent=2) + "\n")
 
     @property
     def _journal(self) -> Path:
@@ -184,7 +185,7 @@ class RunFolder:
             },
             "sessions": [*sessions, {"start": _now()}],
         }
-        _replace(path, json.dumps(content, indent=2) + "\n")
+        write_whole(path, json.dumps(content, indent=2) + "\n")
 
 
 def laboratory_folder(path: str | Path) -> Path:
@@ -238,7 +239,7 @@ def write_page(page: str, path: str | Path) -> None:
     ):
         raise UserError(f"{path} exists and is no report; choose another --output")
     try:
-        _replace(path, page)
+        write_whole(path, page)
     except OSError as error:
         raise UserError(f"{path} cannot be written ({error.strerror}); choose another --output") from None
 
@@ -290,16 +291,6 @@ def _with_nan(value: Any) -> Any:
 def _is_content(path: Path) -> bool:
     """Whether a file of a run folder holds anything: a run killed in its first moments leaves a lock and a draft."""
     return path.name != ".lock" and path.suffix != ".part"
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write a file so that a kill leaves either the old or the new one."""
-    unfinished = path.with_name(path.name + ".part")
-    with unfinished.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    unfinished.replace(path)
 
 
 def _now() -> str:

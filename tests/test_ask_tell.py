@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from test_conduct import STUDY as PERFORMED
 
 from hsed_jax import AskTell, campaign_of
 from hsed_jax.config.build import Built
@@ -18,35 +19,16 @@ from hsed_jax.run import main
 from hsed_jax.store import RunFolder
 from hsed_jax.workflow import Waiting, run
 
-STUDY = {
-    "study": "by_hand",
-    "structure": {
-        "masses": [8e3, 9e3],
-        "springs": [{"between": ["ground", 1], "stiffness": 4e5}, {"between": [2, "ground"], "stiffness": 1e6}],
-        "specimen": {"between": [1, 2]},
-        "damping": {"modal": 0.05, "specimen_stiffness": 5e5},
-    },
-    "excitation": {"near_fault_pulse": {"V_P": "V_P", "T_P": "T_P"}, "duration": 4.0},
-    "inputs": {"V_P": {"uniform": [150, 300], "unit": "cm/s"}, "T_P": {"uniform": [0.5, 1.5], "unit": "s"}},
-    "model": {"parameters": {"A": {"uniform": [2e5, 9e5]}, "beta": {"uniform": [0.5, 2.0]}, "gamma": 0.0, "n": 1.0}},
-    "experiments": {"folder": {}},
-    "error": {"relative": 0.05},
-    "design": {"initial": 3, "iterations": 4, "candidates": 256, "kriging": {"starts": 2}},
-    "calibration": {"chains": 2, "step_warmup": 20, "step_draws": 20, "starts": 2},
-    "steps": ["design", "calibrate"],
-}
+INPUTS = {"V_P": {"uniform": [150, 300], "unit": "cm/s"}, "T_P": {"uniform": [0.5, 1.5], "unit": "s"}}
+DESIGN = PERFORMED["design"] | {"iterations": 4}
+STUDY = PERFORMED | {"study": "by_hand", "inputs": INPUTS, "experiments": {"folder": {}}, "design": DESIGN}
+SPECIMEN = PERFORMED["experiments"]
 CHANNELS = {
     "time": {"column": "t", "unit": "s"},
     "elongation": {"column": "du", "unit": "mm"},
     "force": {"column": "F", "unit": "kN"},
 }
 WITH_RECORDS = STUDY | {"experiments": {"folder": {"channels": CHANNELS}}}
-SPECIMEN = {
-    "virtual": {
-        "parameters": {"A": 5e5, "beta": 1.0, "gamma": 0.0, "n": 1.0},
-        "effects": {"stiffness_degradation": {"eta": 2e-5}},
-    }
-}
 
 
 @pytest.fixture(scope="module")

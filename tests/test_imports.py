@@ -8,7 +8,7 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "hsed_jax"
 LEVELS = (
-    ("errors", "backend", "interruptions", "tables"),
+    ("drafts", "errors", "backend", "interruptions", "tables"),
     ("physics",),
     ("measurements",),
     ("laboratories",),

@@ -214,6 +214,11 @@ class Built:
         return self._simulator(tuple(self.study.model.effects), tuple(self.parameters[1].items()))
 
     @cached_property
+    def planned_simulator(self) -> Simulator:
+        """The computational simulator of experiments to come, on their timeline: a study of records has another."""
+        return dataclasses.replace(self.simulator, timeline=self.planned)
+
+    @cached_property
     def sensors(self) -> Sensors:
         """What the laboratory measures."""
         return laboratories.sensors_of(self.study, self.outputs)
@@ -331,8 +336,7 @@ class Built:
         entry = self.study.design.limits
         if entry is None:
             return None
-        simulator = dataclasses.replace(self.simulator, timeline=self.planned)
-        return limits_of(entry, simulator, tuple(self.parameters[0]), self.space)
+        return limits_of(entry, self.planned_simulator, tuple(self.parameters[0]), self.space)
 
     def perform(self) -> Campaign:
         """The laboratory's experiments at the initial design, and of a virtual one those for testing."""

@@ -2,9 +2,9 @@
 
 import csv
 import io
-import os
 from pathlib import Path
 
+from hsed_jax.drafts import write_whole
 from hsed_jax.measurements.campaign import Campaign
 from hsed_jax.measurements.declaration import write_declaration
 from hsed_jax.measurements.experiment import Experiment
@@ -50,15 +50,15 @@ def _write_record(campaign: Campaign, experiment: Experiment, folder: Path) -> N
             values = record.time if name == "time" else record.channels[name]
             # repr is the shortest text that is read back as the same double
             columns[channel.column] = [repr(value) for value in campaign.unit(name).from_si(values).tolist()]
-    _replace(folder / _record_name(experiment), _csv(list(columns), zip(*columns.values(), strict=True)))
+    _write(folder / _record_name(experiment), _csv(list(columns), zip(*columns.values(), strict=True)))
 
 
 def _write_tables(campaign: Campaign, folder: Path) -> None:
-    _replace(folder / "campaign.yaml", write_declaration(campaign))
+    _write(folder / "campaign.yaml", write_declaration(campaign))
     free = list(dict.fromkeys(name for experiment in campaign for name in experiment.metadata))
     heads = ["id", *campaign.inputs, *(q.column for q in campaign.quantities.values())]
     heads += ["record", "status", "reason", "split", "from", "to", *free]
-    _replace(folder / "experiments.csv", _csv(heads, [_row(campaign, e, free) for e in campaign]))
+    _write(folder / "experiments.csv", _csv(heads, [_row(campaign, e, free) for e in campaign]))
 
 
 def _row(campaign: Campaign, experiment: Experiment, free: list[str]) -> list[str]:
@@ -90,12 +90,6 @@ def _csv(heads: list[str], rows) -> str:
     return buffer.getvalue()
 
 
-def _replace(path: Path, text: str) -> None:
-    """Write a file under another name, on disk, then let it take its place in one step."""
+def _write(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".tmp")
-    with temporary.open("w", encoding="utf-8", newline="") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
+    write_whole(path, text)

@@ -16,6 +16,7 @@ from typing import Any
 
 import yaml
 
+from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
 from hsed_jax.sweeps.plan import Plan
 
@@ -75,7 +76,7 @@ class SweepFolder:
             if item.name != ".lock":
                 shutil.rmtree(item) if item.is_dir() and not item.is_symlink() else item.unlink()
         content = {"study": self.plan.study, "points": list(self.plan.points)}
-        replace(written, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+        write_whole(written, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
 
     def close(self) -> None:
         """Let another process have the folder."""
@@ -98,7 +99,8 @@ def run_folder(path: Path, number: int) -> Path:
 
 def note(path: Path, number: int, ended: dict[str, Any]) -> None:
     """Write how the study of a point ended."""
-    replace(path / "outcomes" / f"{number + 1:04d}.json", json.dumps(ended, indent=1, ensure_ascii=False) + "\n")
+    text = json.dumps(ended, indent=1, ensure_ascii=False) + "\n"
+    write_whole(path / "outcomes" / f"{number + 1:04d}.json", text, f".{os.getpid()}.part")
 
 
 def outcome(path: Path, number: int) -> dict[str, Any]:
@@ -126,16 +128,6 @@ def alone(path: Path, number: int) -> Iterator[None]:
     with (path / "outcomes" / f"{number + 1:04d}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield
-
-
-def replace(path: Path, text: str) -> None:
-    """Write a file so that a kill leaves either the old or the new one."""
-    unfinished = path.with_name(f"{path.name}.{os.getpid()}.part")
-    with unfinished.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    unfinished.replace(path)
 
 
 def _read(written: Path) -> Plan:

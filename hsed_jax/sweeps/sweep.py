@@ -13,11 +13,12 @@ import xarray as xr
 from tqdm import tqdm
 
 from hsed_jax.config.schema import Study
+from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
 from hsed_jax.reporting.style import Picture, save
 from hsed_jax.reporting.sweep_figures import comparison
 from hsed_jax.sweeps import results, workers
-from hsed_jax.sweeps.folder import SweepFolder, outcomes, replace
+from hsed_jax.sweeps.folder import SweepFolder, outcomes
 from hsed_jax.sweeps.plan import Plan, Point, Range, plan_of
 from hsed_jax.tables import Table, Tabular, cell
 from hsed_jax.workflow import Interrupted
@@ -166,7 +167,7 @@ def gather(folder: SweepFolder) -> Sweep:
     made.dataset.to_netcdf(unfinished, engine="h5netcdf")
     unfinished.replace(folder.path / "results.nc")
     listed = "\n".join(f"{number}  {text}" for number, text in made.failures.items())
-    replace(folder.path / "failures.txt", listed or "none\n")
+    write_whole(folder.path / "failures.txt", listed or "none\n")
     if made.count("complete"):
         save(made.figure(), folder.path / "figures", "comparison")
     return made
