@@ -11,14 +11,16 @@ import json
 import os
 import platform
 import sys
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from fresh import alone
+from guard import guarded
+
 # Rows that are measured on one core, and the others.
 ONE_CORE = ("simulate", "kriging", "posterior")
-ROWS = (*ONE_CORE, "campaign", "sweep")
+ROWS = (*ONE_CORE, "memory", "diagnosis", "campaign", "sweep")
 _PACKAGES = (
     "hsed_jax",
     "jax",
@@ -41,31 +43,53 @@ def main() -> None:
     parser.add_argument("rows", nargs="*", metavar="ROW", help=f"what to measure, of {', '.join(ROWS)} (default: all)")
     parser.add_argument("--output", type=Path, default=Path(__file__).with_name("results.json"), metavar="FILE")
     parser.add_argument("--quick", action="store_true", help="small sizes: to see that it runs, not to quote")
+    parser.add_argument(
+        "--guard",
+        action="store_true",
+        help="compare with the last results, keep nothing; 1 if a ratio or an error grew",
+    )
     parser.add_argument("--markdown", action="store_true", help="print the table of the last results, measure nothing")
     options = parser.parse_args()
     if unknown := [row for row in options.rows if row not in ROWS]:
         parser.error(f"there is no row {unknown[0]!r}; the rows are {', '.join(ROWS)}")
+    if options.guard:
+        sys.exit(_guard(options.output, options.rows or ROWS, options.quick))
     if not options.markdown:
-        lines = []
-        for row in options.rows or ROWS:
-            print(f"measuring {row} …", file=sys.stderr, flush=True)
-            lines += measured(row, options.quick)
+        lines = _lines(options.rows or ROWS, options.quick)
         results = {"machine": machine(), "quick": options.quick, "lines": lines}
         options.output.write_text(json.dumps(results, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
     print(table(json.loads(options.output.read_text(encoding="utf-8"))))
 
 
+def _guard(kept: Path, rows: Sequence[str], quick: bool) -> int:
+    """Say what grew, against the results in a file; 1 if anything did."""
+    before = json.loads(kept.read_text(encoding="utf-8"))["lines"]
+    grown, apart = guarded(before, lambda some: _lines(some, quick), rows)
+    for sentence in apart:
+        print(f"not compared: {sentence}")
+    for sentence in grown:
+        print(f"grown: {sentence}")
+    if not grown:
+        print("no ratio and no error has grown")
+    return 1 if grown else 0
+
+
+def _lines(rows: Sequence[str], quick: bool) -> list[dict[str, Any]]:
+    lines = []
+    for row in rows:
+        print(f"measuring {row} …", file=sys.stderr, flush=True)
+        lines += measured(row, quick)
+    return lines
+
+
 def measured(row: str, quick: bool) -> list[dict[str, Any]]:
     """The lines of one row, from a process of its own: threads are counted before anything is imported."""
-    with ProcessPoolExecutor(1, get_context("spawn"), _prepare, (row in ONE_CORE,)) as process:
-        return process.submit(_measure, row, quick).result()
+    return alone(_measure, row, quick, cores=one_core() if row in ONE_CORE else ())
 
 
-def _prepare(one_core: bool) -> None:
-    if one_core:
-        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-        for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
-            os.environ[variable] = "1"
+def one_core() -> set[int]:
+    """The core for what is measured on one."""
+    return {max(os.sched_getaffinity(0))}
 
 
 def _measure(row: str, quick: bool) -> list[dict[str, Any]]:

@@ -1,6 +1,6 @@
 """The sentence of the package in Python: simulate, calibrate, compare, locate.  The command line says the same."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -20,7 +20,6 @@ from hsed_jax.criticism.prediction import Prediction, predict
 from hsed_jax.errors import UserError
 from hsed_jax.inference.fit import Fit, fit
 from hsed_jax.inference.likelihood import Data
-from hsed_jax.inference.maximum import Maximum
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, check_campaign
 from hsed_jax.physics.batch import tiled_map
@@ -108,7 +107,6 @@ def calibrate_built(
     built: Built,
     campaign: Campaign,
     data: Data | None = None,
-    find: Callable[..., Maximum] | None = None,
     start: Array | None = None,
 ) -> Calibration:
     """`calibrate`, with what is built already.
@@ -117,7 +115,6 @@ def calibrate_built(
         built: the study.
         campaign: the experiments.
         data: the training experiments as data; by default made of the campaign.
-        find: the MAP's search for such data, where it is compiled already.
         start: parameters of the model (SI) to start one of the searches from.
     """
     study = built.study
@@ -129,7 +126,6 @@ def calibrate_built(
         key=jax.random.fold_in(jax.random.key(study.seed), _CALIBRATION_KEY),
         units=built.units,
         correlated=study.observe == "histories" and study.correlated_errors,
-        find=find,
         start=start,
     )
     return Calibration(built, campaign, found)

@@ -193,6 +193,8 @@ class Conduct:
             "posterior": summarise(names, info.chains, info.convergence),
             "draws": draws[:: max(1, len(draws) // _DRAWS)][:_DRAWS].tolist(),
             "divergences": info.convergence.divergences,
+            "sampler": info.chains.sampler,
+            "emulator_error": info.chains.emulator_error,
             "log_evidence": float(info.maximum.log_evidence),
             "discrepancy": info.discrepancy.tolist(),
             "kriging": {

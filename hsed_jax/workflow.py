@@ -227,7 +227,7 @@ class Run:
     def _calibrate(self) -> None:
         if self.conduct is not None:
             design, state = self.conduct.design, self.conduct.state
-            self.calibration = calibrate_built(self.built, self.campaign, design.data(state), design.maximise)
+            self.calibration = calibrate_built(self.built, self.campaign, design.data(state))
             return
         if self.built.measured is None:
             self._campaign = self.built.perform()

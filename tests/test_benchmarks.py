@@ -26,8 +26,8 @@ def results(tmp_path_factory):
 @pytest.fixture(scope="module")
 def work(results):
     """The lines by the first word of the work that tells them apart."""
-    batch, alone, histories, jacobian = results["lines"]
-    return {"batch": batch, "alone": alone, "histories": histories, "jacobian": jacobian}
+    names = ("batch", "alone", "histories", "jacobian", "public")
+    return dict(zip(names, results["lines"], strict=True))
 
 
 def test_results_say_what_was_measured_where(results):

@@ -13,10 +13,11 @@ from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import Data, log_likelihood
 from hsed_jax.inference.maximum import maximise
-from hsed_jax.inference.nuts import Chains, Settings, convergence, sample
+from hsed_jax.inference.nuts import Chains, Settings, convergence
 from hsed_jax.inference.posterior import Posterior
-from hsed_jax.inference.predict import predictor
+from hsed_jax.inference.predict import Predictor
 from hsed_jax.inference.priors import Prior
+from hsed_jax.inference.sampling import draw
 from hsed_jax.physics.simulator import Conditions
 
 EXPERIMENTS = 8
@@ -25,7 +26,7 @@ EXPERIMENTS = 8
 def posterior_of(respond, priors, errors) -> Posterior:
     """The posterior of a toy: `respond` gives one output per error."""
     outputs = [f"y{j}" for j in range(len(errors))]
-    return Posterior(predictor(respond), priors, errors, outputs, np.arange(len(errors)))
+    return Posterior(Predictor(respond), priors, errors, outputs, np.arange(len(errors)))
 
 
 def data_of(x, values, scales=1.0) -> Data:
@@ -41,12 +42,14 @@ def data_of(x, values, scales=1.0) -> Data:
 
 
 def find(posterior, data, starts=4):
-    return jax.jit(lambda d, s: maximise(posterior, d, s))(data, posterior.starts(starts))
+    return maximise(posterior, data, posterior.starts(starts))
 
 
-def draw(posterior, data, maximum, settings, seed=0):
-    go = jax.jit(lambda d, m, k: sample(posterior, d, m, jnp.asarray(0.8), k, settings))
-    return go(data, maximum, jax.random.key(seed))
+def drawn(posterior, data, maximum, settings, seed=0):
+    return draw(posterior, data, maximum, jnp.asarray(0.8), jax.random.key(seed), settings)
+
+
+EXACT = pytest.mark.parametrize("sampler", ["nuts", "importance"])
 
 
 # --- the paper's case against a grid -----------------------------------------------------------------------------
@@ -131,9 +134,13 @@ def test_laplace_evidence_of_the_papers_case_is_the_grids_integral(paper_maximum
     assert float(paper_maximum.log_evidence) == pytest.approx(paper_grid[3], abs=0.1)
 
 
-def test_nuts_of_the_papers_case_has_the_moments_of_the_grid(paper, paper_maximum, paper_grid):
+@EXACT
+def test_draws_of_the_papers_case_have_the_moments_of_the_grid(paper, paper_maximum, paper_grid, sampler):
     built, data, _ = paper
-    chains = draw(built.posterior, data, paper_maximum, Settings(4, 100, 500))
+    chains = drawn(built.posterior, data, paper_maximum, Settings(4, 100, 500, sampler=sampler))
+    assert chains.sampler == sampler
+    # NUTS did without the simulator's derivatives here.
+    assert sampler != "nuts" or 0 < chains.emulator_error < 0.1
     judged = convergence(chains)
     assert judged.warning(built.posterior.names) is None
     mean, sd, correlation = moments(*paper_grid[:3])
@@ -143,6 +150,16 @@ def test_nuts_of_the_papers_case_has_the_moments_of_the_grid(paper, paper_maximu
     assert (np.abs(draws.mean(axis=0) - mean) < error * sd).all()
     assert (np.abs(draws.std(axis=0) / sd - 1) < error).all()
     assert np.corrcoef(draws.T)[0, 1] == pytest.approx(correlation, abs=error * (1 - correlation**2) + 0.01)
+
+
+def test_draws_of_the_gaussian_around_the_mode_are_near_the_grids(paper, paper_maximum, paper_grid):
+    built, data, _ = paper
+    chains = drawn(built.posterior, data, paper_maximum, Settings(4, 100, 500, sampler="laplace"))
+    mean, sd, _ = moments(*paper_grid[:3])
+    draws = np.asarray(chains.theta).reshape(-1, 2)
+    assert chains.sampler == "laplace"
+    assert (np.abs(draws.mean(axis=0) - mean) < 0.3 * sd).all()
+    np.testing.assert_allclose(draws.std(axis=0), sd, rtol=0.2)
 
 
 def test_gauss_newton_covariance_of_the_papers_case_is_near_the_grids(paper_maximum, paper_grid):
@@ -193,7 +210,9 @@ def test_padding_the_data_changes_no_number(paper, paper_maximum):
     u = paper_maximum.u + 0.1
     for function in (built.posterior.log_density, built.posterior.log_posterior):
         assert float(function(u, padded)) == pytest.approx(float(function(u, data)), rel=1e-13)
-    np.testing.assert_allclose(built.posterior.curvature(u, padded), built.posterior.curvature(u, data), rtol=1e-9)
+    np.testing.assert_allclose(
+        built.posterior.expand(u, padded).curvature, built.posterior.expand(u, data).curvature, rtol=1e-9
+    )
 
 
 def test_a_diverged_simulation_is_a_very_unlikely_one_and_not_a_number_that_is_missing():
@@ -272,7 +291,8 @@ def test_lognormal_prior_of_a_stiffness_is_as_good_as_any():
 # --- unknown errors ----------------------------------------------------------------------------------------------
 
 
-def test_posterior_of_an_unknown_error_is_the_closed_form():
+@EXACT
+def test_posterior_of_an_unknown_error_is_the_closed_form(sampler):
     # y = θx + ε with a flat prior of θ: p(s | y) ∝ p(s) s^(1−n) exp(−RSS/2s²)
     rng = np.random.default_rng(3)
     x = rng.uniform(0.5, 2.0, 15)
@@ -284,7 +304,7 @@ def test_posterior_of_an_unknown_error_is_the_closed_form():
     assert posterior.names == ("t", "error.y0")
     data = data_of(x, y[:, None])
     found = find(posterior, data)
-    chains = draw(posterior, data, found, Settings(4, 200, 1000))
+    chains = drawn(posterior, data, found, Settings(4, 200, 1000, sampler=sampler))
     judged = convergence(chains)
     assert judged.warning(posterior.names) is None
     best = x @ y / (x @ x)
@@ -324,7 +344,8 @@ def test_an_unknown_relative_error_is_recovered(paper):
 # --- bounds, modes -----------------------------------------------------------------------------------------------
 
 
-def test_a_map_beyond_the_prior_lies_on_its_bound_and_the_draws_do_not_care():
+@EXACT
+def test_a_map_beyond_the_prior_lies_on_its_bound_and_the_draws_do_not_care(sampler):
     # The likelihood's peak, 1.2, is outside of the prior [0, 1]: the posterior is a truncated normal.
     posterior = posterior_of(
         lambda t, c: (t[0] * c.inputs["x"][None], True), {"t": Prior("uniform", [0.0, 1.0])}, [0.3]
@@ -335,7 +356,7 @@ def test_a_map_beyond_the_prior_lies_on_its_bound_and_the_draws_do_not_care():
     assert 1.0 - 2e-3 < float(found.theta[0]) <= 1.0
     assert all(np.isfinite(np.asarray(leaf)).all() for leaf in found)
     truth = stats.truncnorm((0 - 1.2) / 0.15, (1 - 1.2) / 0.15, loc=1.2, scale=0.15)
-    chains = draw(posterior, data, found, Settings(4, 200, 1000))
+    chains = drawn(posterior, data, found, Settings(4, 200, 1000, sampler=sampler))
     judged = convergence(chains)
     assert judged.divergences == 0 and judged.rhat[0] < 1.02
     error = 4 / np.sqrt(judged.ess_bulk[0])

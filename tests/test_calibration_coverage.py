@@ -9,7 +9,8 @@ from scipy import stats
 import hsed_jax as hx
 from hsed_jax.config.build import Built
 from hsed_jax.inference.maximum import maximise
-from hsed_jax.inference.nuts import Settings, sample
+from hsed_jax.inference.nuts import Settings
+from hsed_jax.inference.sampling import draw
 from hsed_jax.measurements import Campaign, Experiment, Record
 
 pytestmark = pytest.mark.slow
@@ -54,8 +55,6 @@ def replications():
     built = Built(study, campaign_of(exact_force(elongation, 2.0e7, 200.0) + 1.0, elongation))
     posterior = built.posterior
     starts, settings = posterior.starts(2), Settings(4, 60, 200)
-    find = jax.jit(lambda data: maximise(posterior, data, starts))
-    draw = jax.jit(lambda data, maximum, key: sample(posterior, data, maximum, jnp.asarray(0.8), key, settings))
     random = np.random.default_rng(20)
     ranks, inside, divergences = [], [], 0
     for number in range(REPLICATIONS):
@@ -69,7 +68,8 @@ def replications():
         data = built.data(campaign, campaign.experiments)
         # A declared relative error is of the measured RMS, which holds the noise itself; a generative model needs the clean one.
         data = data._replace(scales=jnp.full_like(data.scales, np.sqrt(np.mean(clean**2))))
-        chains = draw(data, find(data), jax.random.key(number))
+        maximum = maximise(posterior, data, starts)
+        chains = draw(posterior, data, maximum, jnp.asarray(0.8), jax.random.key(number), settings)
         draws = np.asarray(chains.theta).reshape(-1, 3)
         truth = np.asarray([A, beta, error])
         divergences += int(np.asarray(chains.diverging).sum())

@@ -19,6 +19,7 @@ from hsed_jax.measurements import (
     Record,
     parse_unit,
     read_campaign,
+    units,
     write_campaign,
     write_experiment,
 )
@@ -473,3 +474,26 @@ def test_a_campaign_is_read_in_si_and_shown_as_declared():
         campaign.add(campaign["E01"])
     with pytest.raises(ValueError):
         campaign["E01"].record["force"][0] = 1.0
+
+
+UNITS = ("mm", "kN*mm", "m/s2", "g", "%", "inch/s", "kip", "-", "furlong")
+
+
+def read_units() -> list:
+    units._registry.cache_clear()
+    units._in_si.cache_clear()
+    return [parse_unit(unit) for unit in UNITS]
+
+
+def test_units_are_the_same_read_from_the_table_and_from_what_was_kept_of_it(tmp_path, monkeypatch):
+    (tmp_path / "no_folder").write_text("")
+    monkeypatch.setattr(units, "cache_folder", lambda: tmp_path / "no_folder")
+    plain = read_units()
+    monkeypatch.setattr(units, "cache_folder", lambda: tmp_path)
+    assert read_units() == plain
+    kept = list(tmp_path.glob("pint/*.pickle"))
+    assert kept
+    assert read_units() == plain
+    for file in kept:  # as a process leaves it that was killed
+        file.write_bytes(file.read_bytes()[:100])
+    assert read_units() == plain

@@ -10,7 +10,7 @@ from hsed_jax.inference.correlation import autocorrelation_time, reweighted, wor
 from hsed_jax.inference.likelihood import Data, standardised_residual
 from hsed_jax.inference.maximum import maximise
 from hsed_jax.inference.posterior import Posterior
-from hsed_jax.inference.predict import predictor
+from hsed_jax.inference.predict import Predictor
 from hsed_jax.inference.priors import Prior
 from hsed_jax.physics.simulator import Conditions
 
@@ -101,14 +101,13 @@ def covered():
     """Of truths within their 90 % intervals (Gauss–Newton at the MAP): [repetition, parameter], discounted and not."""
     basis = jnp.asarray(curves())
     posterior = Posterior(
-        predictor(lambda theta, conditions: (conditions.inputs["gain"] * (basis @ theta), jnp.asarray(True))),
+        Predictor(lambda theta, conditions: (conditions.inputs["gain"] * (basis @ theta), jnp.asarray(True))),
         {"a": Prior("normal", [0.0, 10.0]), "b": Prior("normal", [0.0, 10.0])},
         [Prior("half_normal", 3.0)],
         ["y"],
         np.zeros(SAMPLES, dtype=int),
     )
     starts = posterior.starts(2)
-    find = jax.jit(lambda data: maximise(posterior, data, starts))
     residual_of = jax.jit(
         lambda data, theta: standardised_residual(
             *posterior.predict(theta[:2], data.conditions, data.count), posterior.errors(theta), data
@@ -121,9 +120,12 @@ def covered():
         ones = jnp.ones((EXPERIMENTS, SAMPLES))
         conditions = Conditions({"gain": jnp.ones(EXPERIMENTS)})
         data = Data(conditions, jnp.asarray(values), ones, ones, jnp.asarray(EXPERIMENTS))
-        maximum = find(data)
+        maximum = maximise(posterior, data, starts)
         worth = worths(np.asarray(residual_of(data, maximum.theta)), np.asarray(data.weights), posterior.groups)
-        for discounted, found in ((False, maximum), (True, find(reweighted(data, worth, posterior.groups)))):
+        for discounted, found in (
+            (False, maximum),
+            (True, maximise(posterior, reweighted(data, worth, posterior.groups), starts)),
+        ):
             sd = np.sqrt(np.diag(found.covariance))[:2]
             inside[discounted].append(np.abs(np.asarray(found.theta)[:2] - TRUTH) < 1.645 * sd)
     return {discounted: np.asarray(values) for discounted, values in inside.items()}

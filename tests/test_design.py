@@ -15,7 +15,7 @@ from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
 from hsed_jax.inference.nuts import Settings
 from hsed_jax.inference.posterior import Posterior
-from hsed_jax.inference.predict import predictor
+from hsed_jax.inference.predict import Predictor
 from hsed_jax.inference.priors import Prior
 
 # --- the space of inputs -----------------------------------------------------------------------------------------
@@ -99,7 +99,7 @@ def toy_posterior():
         return jnp.stack([theta[0] + theta[1] * x["a"] + 0.5 * x["b"]]), True
 
     priors = {"offset": Prior("uniform", [0.0, 5.0]), "slope": Prior("uniform", [0.0, 3.0])}
-    return Posterior(predictor(respond), priors, [0.05], ["y"], np.arange(1))
+    return Posterior(Predictor(respond), priors, [0.05], ["y"], np.arange(1))
 
 
 @pytest.fixture(scope="module")
@@ -239,7 +239,7 @@ def test_a_missing_quantity_counts_for_nothing_and_the_others_still_count():
     def respond(theta, conditions):
         return jnp.stack([theta[0] * conditions.inputs["a"], theta[0] + conditions.inputs["a"]]), True
 
-    posterior = Posterior(predictor(respond), {"t": Prior("uniform", [0, 5])}, [0.05, 0.1], ["y", "z"], np.arange(2))
+    posterior = Posterior(Predictor(respond), {"t": Prior("uniform", [0, 5])}, [0.05, 0.1], ["y", "z"], np.arange(2))
     space = InputSpace({"a": Prior("uniform", [0, 1])}, {"a": "1"}, {"a": 1.0})
     design = SequentialDesign(posterior, space, 3, np.array([True, False]), Settings(), 2, 16, "random", {}, False, 0)
     data = design.data(design.tell(design.init(), [0.5], [np.nan, 3.0]))
@@ -254,7 +254,7 @@ def test_a_model_that_diverges_at_a_tested_point_has_no_discrepancy_there(toy):
         return jnp.stack([jnp.where((x["a"] == 0.75), jnp.nan, y)]), True
 
     priors = {"offset": Prior("uniform", [0.0, 5.0]), "slope": Prior("uniform", [0.0, 3.0])}
-    design = toy(posterior=Posterior(predictor(respond), priors, [0.05], ["y"], np.arange(1)))
+    design = toy(posterior=Posterior(Predictor(respond), priors, [0.05], ["y"], np.arange(1)))
     state = begun(design)
     _, _, info = design.ask(state, jax.random.key(0))
     assert state.cube[1, 0] == 0.75

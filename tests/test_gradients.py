@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hsed_jax.inference.predict import predictor
+from hsed_jax.inference.predict import Predictor
 from hsed_jax.physics.bouc_wen import BoucWen
 from hsed_jax.physics.excitations import NearFaultPulse
 from hsed_jax.physics.integrate import integrate
@@ -151,7 +151,7 @@ def prediction(paper_simulator, pulse_conditions):
     def respond(theta, conditions):
         return simulator.quantities({"A": theta[0] * 5e5, "beta": theta[1]}, conditions, QUANTITIES)
 
-    predict = predictor(respond)
+    predict = Predictor(respond)
     plain = jax.vmap(lambda theta, c: respond(theta, c)[0], in_axes=(None, 0))
     return lambda theta, count: predict(theta, conditions, count), lambda theta: plain(theta, conditions)
 
@@ -246,7 +246,7 @@ def test_predictor_gives_a_diverged_experiment_zero_value_and_derivative():
         y = theta[0] * x
         return jnp.stack([jnp.where(x > 2, jnp.nan, y), jnp.sqrt(x - 1) * theta[1]]), x < 3
 
-    predict = predictor(respond)
+    predict = Predictor(respond)
     x = jnp.array([1.5, 2.5, 3.5, 0.5])
     (outputs, ok), (moved, _) = jax.jvp(
         lambda t: predict(t, x, jnp.asarray(4)), (jnp.array([2.0, 3.0]),), (jnp.array([1.0, 1.0]),)

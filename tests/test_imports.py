@@ -1,6 +1,8 @@
 """Imports go downwards only, nothing private of JAX is used, and no module grows beyond 400 lines."""
 
 import ast
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -125,3 +127,23 @@ def test_the_checker_catches_private_jax():
     assert private_imports("from jax._src.core import Tracer")
     assert private_imports("import jax\nx = jax._src.core")
     assert not private_imports("from jax.core import Tracer\nimport jax.numpy as jnp")
+
+
+@pytest.mark.parametrize(
+    ("what", "not_needed"),
+    [
+        (
+            "from hsed_jax.run import main\nassert main(['check', 'configs/paper.yaml']) == 0",
+            {"scipy.stats", "scipy.interpolate", "tinygp", "xarray", "pandas", "matplotlib", "hsed_jax.inference.nuts"},
+        ),
+        (
+            "import hsed_jax.store, hsed_jax.reporting.report, hsed_jax.reporting.side_by_side, hsed_jax.config.own_effects",
+            {"scipy.stats", "scipy.interpolate", "numpyro", "diffrax", "optimistix", "tinygp", "pint"},
+        ),
+    ],
+    ids=["check", "report"],
+)
+def test_a_quick_command_does_not_wait_for_packages_that_it_has_no_use_for(what, not_needed):
+    code = f"import sys\n{what}\nprint('loaded:', *sorted({not_needed} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=PACKAGE.parent, check=True)
+    assert done.stdout.splitlines()[-1] == "loaded:"

@@ -116,7 +116,7 @@ class Plain:
         self.built = Built(study, campaign)
         posterior = self.built.posterior
         starts = posterior.starts(2)
-        self._find = jax.jit(lambda data: maximise(posterior, data, starts))
+        self._find = lambda data: maximise(posterior, data, starts)
         self._predict = jax.jit(
             lambda theta, data: posterior.predict(theta[: len(posterior.model_names)], data.conditions, data.count)
         )

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study, parse_yaml
 from hsed_jax.errors import UserError
+from hsed_jax.physics.simulator import Simulator
 from hsed_jax.run import main, run_main
 
 SMALL = """
@@ -282,6 +283,20 @@ def test_a_mistake_gives_one_line_with_file_key_and_what_is_allowed(mistake, tmp
     # Words of the validator, of Python or of a library are no words of a user.
     for word in ("pydantic", "Entry", "dictionary", "NoneType", "Traceback", "__init__", "unable to parse", "numpyro."):
         assert word not in line
+
+
+def test_a_check_simulates_nothing(monkeypatch):
+    class Simulated(Exception):
+        pass
+
+    def respond(*_):
+        raise Simulated
+
+    monkeypatch.setattr(Simulator, "respond", respond)
+    built = Built(load_study(content()))
+    built.check()
+    with pytest.raises(Simulated):  # the specimen's effect has no scales but those of the plain model
+        _ = built.laboratory
 
 
 def test_a_mistake_is_refused_before_anything_is_written(tmp_path, capsys):

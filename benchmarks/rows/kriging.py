@@ -1,7 +1,5 @@
 """Kriging of the discrepancy and expected improvement over many candidates, against scikit-learn."""
 
-import warnings
-from importlib.util import find_spec
 from typing import Any
 
 import hsed_jax  # isort: skip  # first: it sets what JAX must find in its environment
@@ -11,17 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from case import EXPERIMENTS, built, measured
 from measure import line, seconds
-from scipy.stats import norm
+from peers import surrogate
+from peers.surrogate import LENGTHS, NOTE, NUGGETS, STARTS
 
 from hsed_jax.design.acquisition import choose, sobol_candidates
 from hsed_jax.design.kriging import condition, fit_kriging
 from hsed_jax.physics.simulator import Conditions
 
 assert hsed_jax
-
-NOTE = "scikit-learn is not installed, so it was not measured"
-STARTS = 10
-LENGTHS, NUGGETS = (0.02, 20.0), (1e-10, 1.0)
 
 
 def measure(quick: bool) -> list[dict[str, Any]]:
@@ -50,13 +45,13 @@ def measure(quick: bool) -> list[dict[str, Any]]:
     }
     below_best = {"ours": best - float(kriging.log_likelihood)}
     notes = (NOTE,)
-    if find_spec("sklearn") is not None:
+    if surrogate.is_there():
         notes = ()
-        model = _scikit_learn(x, y)
-        of_fit["scikit-learn"] = seconds(lambda: _scikit_learn(x, y), repeats=2)
+        model = surrogate.fitted(x, y)
+        of_fit["scikit-learn"] = seconds(lambda: surrogate.fitted(x, y))
         points = np.asarray(candidates)
-        of_choice["scikit-learn"] = seconds(lambda: _improvement(model, points).argmax(), repeats=2)
-        scale, lengths, noise = _hyperparameters(model)
+        of_choice["scikit-learn"] = seconds(lambda: surrogate.improvement(model, points).argmax())
+        scale, lengths, noise = surrogate.hyperparameters(model)
         below_best["scikit-learn"] = best - likelihood(lengths, noise / scale)
     accuracy = {who: {"log-likelihood below the best": value} for who, value in below_best.items()}
     return [
@@ -78,30 +73,3 @@ def _training_set() -> tuple[np.ndarray, np.ndarray]:
 def _in_ms(cost: dict[str, float]) -> tuple[str, float, dict[str, float]]:
     in_ms = {name: value * 1e3 for name, value in cost.items()}
     return "ms", in_ms.pop("ours"), in_ms
-
-
-def _scikit_learn(x: np.ndarray, y: np.ndarray):
-    from sklearn.gaussian_process import GaussianProcessRegressor
-    from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
-
-    matern = ConstantKernel(1.0, (1e-3, 1e4)) * Matern([0.5] * x.shape[1], LENGTHS, nu=2.5)
-    kernel = matern + WhiteKernel(1e-2, (1e-10, 1.0))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of optima on a bound
-        return GaussianProcessRegressor(kernel, n_restarts_optimizer=STARTS - 1, normalize_y=True, random_state=0).fit(
-            x, y
-        )
-
-
-def _hyperparameters(model) -> tuple[float, np.ndarray, float]:
-    smooth, white = model.kernel_.k1, model.kernel_.k2
-    return smooth.k1.constant_value, smooth.k2.length_scale, white.noise_level
-
-
-def _improvement(model, points: np.ndarray) -> np.ndarray:
-    mean, deviation = model.predict(points, return_std=True)
-    noise = _hyperparameters(model)[2] * model._y_train_std**2
-    deviation = np.sqrt(np.maximum(deviation**2 - noise, 1e-30))
-    best = model.predict(model.X_train_).max()
-    z = (mean - best) / deviation
-    return (mean - best) * norm.cdf(z) + deviation * norm.pdf(z)

@@ -1,22 +1,20 @@
-"""The posterior of 43 experiments: NUTS as a calibration runs it, against emcee on C and on numba."""
+"""The posterior of 43 experiments: NUTS and importance sampling as a calibration runs them, against emcee on C and on numba."""
 
 import time
 import warnings
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, NamedTuple
 
 import hsed_jax  # isort: skip  # first: it sets what JAX must find in its environment
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from arviz_stats.base.array import array_stats
 from case import EXPERIMENTS, built, measured, numbers
 from measure import line
 from peers import jitted, native
 
-from hsed_jax.inference.maximum import maximise
-from hsed_jax.inference.nuts import sample
+from hsed_jax.inference.fit import fit
 
 assert hsed_jax
 
@@ -32,45 +30,62 @@ def measure(quick: bool) -> list[dict[str, Any]]:
     for point, values in zip(*measured(case, EXPERIMENTS), strict=True):
         state = design.tell(state, point.tolist(), values.tolist())
     data = design.data(state)
-    draws = {"ours": _nuts(case, data)}
-    notes = []
+    ours = {sampler: _calibrated(case, data, sampler) for sampler in ("nuts", "importance")}
+    peers, notes = {}, []
     for name, module, kept in (("emcee on C", native, 1000), ("emcee on numba", jitted, 300)):
         simulate = module.compiled()
         if find_spec("emcee") is None or simulate is None:
             notes.append(NOTE if simulate is not None else module.NOTE)
         else:
-            draws[name] = _emcee(case, data, simulate, 20 if quick else kept, 10 if quick else 200)
-    cost = {name: 1000 * taken / _ess(chains) for name, (chains, taken) in draws.items()}
-    centre, spread = (f(draws["ours"][0], axis=(0, 1)) for f in (np.mean, np.std))
-    accuracy = {
-        name: {
-            "mean from ours [sd]": float(np.max(np.abs(chains.mean(axis=(0, 1)) - centre) / spread)),
-            "effective samples": _ess(chains),
-        }
-        for name, (chains, _) in draws.items()
-    }
+            peers[name] = _emcee(case, data, simulate, 20 if quick else kept, 10 if quick else 200)
+    centre, spread = (f(ours["nuts"].chains, axis=(0, 1)) for f in (np.mean, np.std))
+
+    def figures(draws: Draws) -> dict[str, float]:
+        far = np.max(np.abs(draws.chains.mean(axis=(0, 1)) - centre) / spread)
+        return {"mean from NUTS [sd]": float(far), "effective samples": draws.effective}
+
+    cost = {name: draws.cost for name, draws in peers.items()}
+    accuracy = {name: figures(draws) for name, draws in peers.items()}
     what = f"1000 effective samples of the posterior of {EXPERIMENTS} experiments"
-    return [line("posterior", what, "s", cost.pop("ours"), cost, accuracy, tuple(notes))]
+    return [
+        line("posterior", f"{what}, {by}", "s", draws.cost, cost, {"ours": figures(draws), **accuracy}, tuple(notes))
+        for by, draws in (("NUTS", ours["nuts"]), ("importance sampling", ours["importance"]))
+    ]
 
 
-def _nuts(case, data) -> tuple[np.ndarray, float]:
-    """Draws (chains, draws, p) and the time of MAP, adaptation and draws [s]."""
-    posterior, settings = case.posterior, case.settings
-    starts = posterior.starts(case.study.calibration.starts)
+class Draws(NamedTuple):
+    """Draws (chains, draws, p), how many independent ones they are worth, and the time they took [s]."""
 
-    @jax.jit
-    def draw(data, key):
-        maximum = maximise(posterior, data, starts)
-        return sample(posterior, data, maximum, jnp.asarray(0.8), key, settings)
+    chains: np.ndarray
+    effective: float
+    taken: float
 
-    jax.block_until_ready(draw(data, jax.random.key(0)))
+    @property
+    def cost(self) -> float:
+        """Seconds for a thousand effective samples."""
+        return 1000 * self.taken / self.effective
+
+
+def _calibrated(case, data, sampler: str) -> Draws:
+    """A calibration, MAP and all, compiled beforehand."""
+    settings = case.settings._replace(sampler=sampler)
+
+    def calibrated(seed: int):
+        return fit(case.posterior, data, starts=case.study.calibration.starts, settings=settings,
+                   key=jax.random.key(seed), units=case.units)  # fmt: skip
+
+    calibrated(0)
     begin = time.process_time()
-    chains = jax.block_until_ready(draw(data, jax.random.key(1)))
-    return np.asarray(chains.theta), time.process_time() - begin
+    found = calibrated(1)
+    chains = np.asarray(found.chains.theta)
+    taken = time.process_time() - begin
+    # Should another sampler have taken its place, the line would say what is not so.
+    assert found.chains.sampler == sampler
+    return Draws(chains, min(_ess(chains), found.chains.worth), taken)
 
 
-def _emcee(case, data, simulate, kept: int, burnt: int) -> tuple[np.ndarray, float]:
-    """Draws (walkers, draws, p) and the time of burn-in and draws [s]."""
+def _emcee(case, data, simulate, kept: int, burnt: int) -> Draws:
+    """Draws of the walkers; the time is that of burn-in and draws."""
     import emcee
 
     plain = numbers(case)
@@ -97,7 +112,8 @@ def _emcee(case, data, simulate, kept: int, burnt: int) -> tuple[np.ndarray, flo
         warnings.simplefilter("ignore")
         sampler.run_mcmc(start, burnt + kept)
     taken = time.process_time() - begin
-    return np.swapaxes(sampler.get_chain(discard=burnt), 0, 1), taken
+    chains = np.swapaxes(sampler.get_chain(discard=burnt), 0, 1)
+    return Draws(chains, _ess(chains), taken)
 
 
 def _ess(chains: np.ndarray) -> float:

@@ -1,5 +1,8 @@
-"""The simulator: a large batch, one alone, histories, Jacobians; against C and numba, with the accuracy of each."""
+"""The simulator: a large batch, one alone, histories, Jacobians, the public call; against C and numba, with their accuracy."""
 
+import os
+import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import hsed_jax  # isort: skip  # first: it sets what JAX must find in its environment
@@ -8,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from case import ETA, EXPERIMENTS, QUANTITIES, Numbers, built, columns, degrading, lanes, numbers
+from fresh import alone
 from measure import line, seconds
 from peers import jitted, native
 from peers.reference import reference, worst
@@ -31,6 +35,7 @@ def measure(quick: bool) -> list[dict[str, Any]]:
         _alone(peers, missing),
         _histories(200 if quick else 1_000),
         _jacobian(c, missing),
+        _public(2_000 if quick else 10_000),
     ]
 
 
@@ -117,6 +122,41 @@ def _jacobian(c, missing) -> dict[str, Any]:
     what = f"value and Jacobian, {EXPERIMENTS} experiments × {CHAINS} parameter vectors × {thetas.shape[1]} parameters"
     cost = {name: value * 1e3 for name, value in cost.items()}
     return line("simulate", what, "ms", ours * 1e3, cost, accuracy, missing)
+
+
+def _public(count: int) -> dict[str, Any]:
+    # This row has one core; the process it was started from has them all.
+    cores = os.sched_getaffinity(os.getppid())
+    cost, notes = alone(public, count, cores=cores)
+    what = f"{count} simulations by hx.simulate, wall seconds on {len(cores)} cores"
+    return line("simulate", what, "s", cost.pop("ours"), cost, notes=notes)
+
+
+def public(count: int) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Wall seconds of the public call on all cores of this process, and of C with a thread for each core."""
+    case = degrading()
+    plain, free = numbers(case), case.parameters[0]
+    values = lanes(case, count, seed=2)
+    parameters = {name: x for name, x in values.items() if name in free}
+    inputs = {name: x for name, x in values.items() if name not in free}
+    cost = {"ours": _wall(lambda: hsed_jax.simulate(case.study, inputs, parameters, channels=()).quantities)}
+    c, cores = native.compiled(), len(os.sched_getaffinity(0))
+    if c is None:
+        return cost, (native.NOTE,)
+    parts = list(zip(*(np.array_split(x, cores) for x in columns(values)), strict=True))
+    with ThreadPoolExecutor(cores) as threads:
+        cost["C, a thread for each core"] = _wall(lambda: list(threads.map(lambda part: c(plain, *part, ETA), parts)))
+    return cost, ()
+
+
+def _wall(work) -> float:
+    """Best wall time of five calls after the first [s]."""
+    taken = []
+    for _ in range(6):
+        begin = time.perf_counter()
+        jax.block_until_ready(work())
+        taken.append(time.perf_counter() - begin)
+    return min(taken[1:])
 
 
 def _one(simulator: Simulator, lane):

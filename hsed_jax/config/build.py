@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,14 +18,12 @@ from hsed_jax.config.plan import check_plan
 from hsed_jax.config.schema import Study
 from hsed_jax.config.sections import ErrorEntry
 from hsed_jax.design.feasible import Limits
-from hsed_jax.design.sequential import SequentialDesign
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import Data
-from hsed_jax.inference.nuts import Settings
-from hsed_jax.inference.observation import Grid, Histories, Observation, Quantities, assemble
+from hsed_jax.inference.observation import Grid, Histories, Observation, Outputs, Quantities, assemble
 from hsed_jax.inference.posterior import Posterior
-from hsed_jax.inference.predict import predictor
+from hsed_jax.inference.predict import Predictor
 from hsed_jax.inference.priors import Prior
 from hsed_jax.laboratories.base import ExperimentFailed, Laboratory, experiment_id
 from hsed_jax.laboratories.request import Programme
@@ -43,13 +41,14 @@ from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Parametrised, Simulator, Timeline
 from hsed_jax.physics.structures import Structure
 
-# The integration resolves the shortest period with this many steps; peaks are then good to 1e-4 (tests/test_response.py).
-STEPS_PER_PERIOD = 24
+if TYPE_CHECKING:
+    # A check of a study samples nothing, and need not wait for what does.
+    from hsed_jax.design.sequential import SequentialDesign
+    from hsed_jax.inference.nuts import Settings
+
 # A step of an imposed elongation is at most this share of the yield elongation.
 STEP_PER_YIELD = 0.2
 _MOST_STEPS_PER_SAMPLE = 20
-_MOST_STEPS = 1_000_000
-_VIRTUAL_SAMPLES = 400
 
 
 @dataclass(frozen=True)
@@ -132,17 +131,25 @@ class Built:
         """Characteristic values for the effects: as given, else from the campaign, else from the plain model."""
         if self.study.scales is not None:
             return Scales(**self.study.scales.model_dump())
-        found = [math.nan] * 4 if self.characteristics is None else self.characteristics[:4]
-        is_told = [math.isfinite(value) and value > 0 for value in found]
-        virtual = self.study.experiments.virtual
         plain = Scales()
-        if (
-            (self.study.model.effects or (virtual and virtual.effects))
-            and not all(is_told)
-            and self.excitation is not None
-        ):
-            plain = parts.plain_scales(self.structure, self.excitation, self.planned, self.parameters, self.space)
-        return Scales(*(value if told else other for value, told, other in zip(found, is_told, plain, strict=True)))
+        if (timeline := self._plain_timeline) is not None:
+            plain = parts.plain_scales(self.structure, self.excitation, timeline, self.parameters, self.space)
+        values = zip(self._told_scales, plain, strict=True)
+        return Scales(*(simulated if told is None else told for told, simulated in values))
+
+    @cached_property
+    def _told_scales(self) -> list[float | None]:
+        """Scales that the campaign tells; None for each that it does not."""
+        found = [math.nan] * 4 if self.characteristics is None else self.characteristics[:4]
+        return [value if math.isfinite(value) and value > 0 else None for value in found]
+
+    @cached_property
+    def _plain_timeline(self) -> Timeline | None:
+        """The grid on which the plain model tells the scales that nothing else does; None where that is not needed."""
+        virtual = self.study.experiments.virtual
+        has_effects = bool(self.study.model.effects or (virtual and virtual.effects))
+        told = self.study.scales is not None or None not in self._told_scales
+        return self.planned if has_effects and not told and self.excitation is not None else None
 
     @cached_property
     def grid(self) -> Grid | None:
@@ -164,11 +171,7 @@ class Built:
             needed = longest / (STEP_PER_YIELD * yielding) if math.isfinite(yielding) else 1.0
         else:
             longest = max(float(np.max(np.diff(record.time), initial=0.0)) for record in records)
-            needed = (
-                longest
-                * STEPS_PER_PERIOD
-                / parts.shortest_period(self.structure, self.parameters, self.study.excitation, self.space)
-            )
+            needed = longest / parts.longest_step(self.structure, self.parameters, self.study.excitation, self.space)
         return Grid(samples, min(max(math.ceil(needed - 1e-9), 1), _MOST_STEPS_PER_SAMPLE))
 
     @cached_property
@@ -184,29 +187,10 @@ class Built:
         entry = self.study.excitation
         if entry is None or self.excitation is None:
             raise UserError("excitation: give near_fault_pulse or recorded, where no record tells the motion")
-        if entry.duration is None:
-            duration = float(parts.recorded_motion(entry, self.study.folder)[0][-1])
-        else:
-            duration = entry.duration
-        step = (
-            entry.step
-            if entry.step is not None
-            else parts.shortest_period(self.structure, self.parameters, self.study.excitation, self.space)
-            / STEPS_PER_PERIOD
-        )
-        if step > duration:
-            raise UserError(f"excitation.step: {step:g} s is longer than the duration, {duration:g} s")
-        steps = math.ceil(duration / step - 1e-9)
-        if steps > _MOST_STEPS:
-            raise UserError(
-                f"excitation: {steps} steps of {step:.3g} s are too many (at most {_MOST_STEPS}); the shortest period of "
-                "structure and excitation sets the step, unless excitation.step is given"
-            )
-        every = 1
-        if self.study.observe == "histories":
-            every = max(1, round(steps / _VIRTUAL_SAMPLES))
-            steps = every * math.ceil(steps / every)
-        return Timeline(duration / steps, steps, every)
+        step = entry.step
+        if step is None:
+            step = parts.longest_step(self.structure, self.parameters, entry, self.space)
+        return parts.planned_timeline(entry, self.study.folder, step, self.study.observe == "histories")
 
     @cached_property
     def simulator(self) -> Simulator:
@@ -229,6 +213,12 @@ class Built:
         timeline = self.planned
         assert self.excitation is not None
         return Programme(self.space.units, self.excitation, timeline)
+
+    @cached_property
+    def specimen(self) -> dict[str, float]:
+        """The parameters of the virtual specimen."""
+        assert self.study.experiments.virtual is not None
+        return parts.true_parameters(self.study.experiments.virtual)
 
     @cached_property
     def laboratory(self) -> Laboratory:
@@ -297,30 +287,36 @@ class Built:
     def posterior(self) -> Posterior:
         """The posterior of the study."""
         free, _ = self.parameters
-        names, respond = tuple(free), self.observation.respond(self.simulator)
-        predict = predictor(lambda theta, conditions: respond(dict(zip(names, theta, strict=True)), conditions))
-        return Posterior(predict, free, self.errors[0], self.outputs, self.observation.groups)
+        respond = Outputs(self.simulator, self.observation, tuple(free))
+        return Posterior(Predictor(respond), free, self.errors[0], self.outputs, self.observation.groups)
 
     def data(self, campaign: Campaign, experiments: Sequence[Experiment]) -> Data:
         """Experiments of a campaign as data."""
         return assemble(self.observation, campaign, experiments, self.errors[1])
 
     @property
-    def settings(self) -> Settings:
+    def settings(self) -> "Settings":
         """Sizes of NUTS for a calibration."""
+        from hsed_jax.inference.nuts import Settings
+
         sizes = self.study.calibration
-        return Settings(sizes.chains, sizes.warmup, sizes.draws, sizes.target_acceptance)
+        return Settings(sizes.chains, sizes.warmup, sizes.draws, sizes.target_acceptance, sizes.sampler)
 
     @cached_property
-    def design(self) -> SequentialDesign:
+    def design(self) -> "SequentialDesign":
         """The sequential design."""
+        from hsed_jax.design.sequential import SequentialDesign
+        from hsed_jax.inference.nuts import Settings
+
         entry, sizes = self.study.design, self.study.calibration
         return SequentialDesign(
             posterior=self.posterior,
             space=self.space,
             size=entry.initial + entry.iterations,
             relative=self.errors[1][self.observation.groups],
-            settings=Settings(sizes.chains, sizes.step_warmup, sizes.step_draws, sizes.target_acceptance),
+            settings=Settings(
+                sizes.chains, sizes.step_warmup, sizes.step_draws, sizes.target_acceptance, sizes.sampler
+            ),
             starts=sizes.starts,
             candidates=entry.candidates,
             acquisition=entry.acquisition,
@@ -369,9 +365,12 @@ class Built:
         Raises:
             UserError: something is.
         """
-        needed = ["space", "structure", "parameters", "excitation", "outputs", "timeline", "simulator", "errors"]
+        # Not the simulator, nor a specimen that is one: their scales may take a simulation, which only needs its plan.
+        needed = ["space", "structure", "parameters", "excitation", "outputs", "timeline", "_plain_timeline", "errors"]
         if self.study.experiments.laboratory is not None or "design" in self.study.steps:
-            needed.append("laboratory")
+            # A virtual laboratory has a simulator, and the scales of that may take a simulation.
+            virtual = self.study.experiments.virtual is not None
+            needed += ["sensors", "programme", "specimen" if virtual else "laboratory"]
         try:
             check_plan(self.study)
             for part in needed:

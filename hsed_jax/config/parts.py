@@ -1,6 +1,7 @@
 """The parts of a study, built: priors, errors, structure, excitation, parameters; each fault names its key."""
 
 import difflib
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,11 @@ from hsed_jax.physics.parameters import Parameter, parameters_of
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator, Timeline
 from hsed_jax.physics.structures import ModalDamping, RayleighDamping, Spring, Structure
+
+# The integration resolves the shortest period with this many steps; peaks are then good to 1e-4 (tests/test_response.py).
+_STEPS_PER_PERIOD = 24
+_MOST_STEPS = 1_000_000
+_VIRTUAL_SAMPLES = 400
 
 
 def structure(entry: StructureEntry) -> Structure:
@@ -182,17 +188,43 @@ def plain_scales(
     return Scales(*(float(f"{float(value):.2g}") for value in found))
 
 
-def shortest_period(
+def planned_timeline(entry: ExcitationEntry, folder: Path, step: float, histories: bool) -> Timeline:
+    """The grid of the integration for an experiment without a record.
+
+    Arguments:
+        entry: of the excitation.
+        folder: of the study.
+        step: at most so long [s].
+        histories: whether samples of histories are kept.
+    """
+    duration = float(recorded_motion(entry, folder)[0][-1]) if entry.duration is None else entry.duration
+    if step > duration:
+        raise UserError(f"excitation.step: {step:g} s is longer than the duration, {duration:g} s")
+    steps = math.ceil(duration / step - 1e-9)
+    if steps > _MOST_STEPS:
+        raise UserError(
+            f"excitation: {steps} steps of {step:.3g} s are too many (at most {_MOST_STEPS}); the shortest period of "
+            "structure and excitation sets the step, unless excitation.step is given"
+        )
+    every = 1
+    if histories:
+        every = max(1, round(steps / _VIRTUAL_SAMPLES))
+        steps = every * math.ceil(steps / every)
+    return Timeline(duration / steps, steps, every)
+
+
+def longest_step(
     structure: Structure | None,
     parameters: tuple[dict[str, Prior], dict[str, float]],
     entry: ExcitationEntry | None,
     space: InputSpace,
 ) -> float:
-    """Of the structure with the specimen at the upper end of its stiffness, and of the pulse [s]."""
+    """The step that resolves the structure, its specimen at the upper end of its stiffness, and the pulse [s]."""
     free, fixed = parameters
     stiffest = fixed["A"] if "A" in fixed else float(free["A"].quantile(0.999))
     assert structure is not None
-    periods = [1 / float(structure.frequencies(stiffest)[-1])]
+    # Compiled: one program is ready sooner than each of its operations.
+    periods = [1 / float(jax.jit(lambda: structure.frequencies(stiffest))()[-1])]
     pulse = entry.near_fault_pulse if entry else None
     if pulse is not None:
         shortest = pulse.T_P
@@ -200,7 +232,7 @@ def shortest_period(
             shortest = float(space.priors[shortest].quantile(1e-9)) * space.factors[shortest]
         if not isinstance(shortest, str):
             periods.append(shortest)
-    return min(periods)
+    return min(periods) / _STEPS_PER_PERIOD
 
 
 def effect_parameters(where: str, effect: str, entries: Mapping[str, Any]) -> dict[str, Parameter]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy.special import chdtrc
 
 from hsed_jax.criticism.cycles import absorbed_energy, cycle_numbers, energy_per_cycle
 from hsed_jax.criticism.prediction import Prediction
@@ -145,7 +145,7 @@ def discrepancy_p_value(prediction: Prediction, declared: np.ndarray, parameters
     total = int(prediction.used[:, declared[prediction.groups]].sum())
     if total > parameters:
         size = float((z[:, declared[prediction.groups]] ** 2).sum())
-        values.append(float(stats.chi2.sf(size, total - parameters)))
+        values.append(float(chdtrc(total - parameters, size)))
     for group in range(len(prediction.outputs)):
         columns = prediction.groups == group
         if columns.sum() < 30:
@@ -157,7 +157,7 @@ def discrepancy_p_value(prediction: Prediction, declared: np.ndarray, parameters
                 statistic += _ljung_box(residual)
                 lags += 10
         if lags:
-            values.append(float(stats.chi2.sf(statistic, lags)))
+            values.append(float(chdtrc(lags, statistic)))
     if not values:
         return None
     smallest = min(values)

@@ -2,14 +2,18 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.measurements import Experiment
+
+if TYPE_CHECKING:
+    # A report reads predictions and loads no sampler.
+    from hsed_jax.inference.fit import Fit
 
 _DRAWS = 64
 
@@ -58,7 +62,7 @@ class Prediction:
         return tuple(table[row, columns][:length] for table in (self.measured, self.predicted, self.mean, self.sd))  # type: ignore[return-value]
 
 
-def predict(fit: Fit, data: Data, experiments: tuple[Experiment, ...]) -> Prediction:
+def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Prediction:
     """Predict experiments with a calibrated model.
 
     Arguments:

@@ -16,8 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.special import logsumexp
-from scipy.stats import chi2, qmc
+from scipy.special import chdtrc, logsumexp
 
 from hsed_jax.criticism.compare import normalised_error
 from hsed_jax.errors import UserError
@@ -189,6 +188,8 @@ class Search:
 
     def start(self) -> None:
         """The model without further effects, and a first look at every candidate from its gradient."""
+        from scipy.stats import qmc
+
         self._report("the model as it is")
         starts = np.tile(self.models.neutral, (8, 1))
         shares = 0.1 + 0.8 * qmc.Sobol(len(self.law), scramble=True, rng=0).random_base2(3)
@@ -345,7 +346,7 @@ class Search:
 
 def score_p_value(statistic: float) -> float:
     """Probability of a score statistic like this where the effect is absent."""
-    return float(chi2.sf(statistic, 1))
+    return float(chdtrc(1, statistic))
 
 
 def _folds(used: np.ndarray, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -371,6 +372,8 @@ def _folds(used: np.ndarray, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 def _spread(parameters: int) -> np.ndarray:
     """Shares of the priors to start from, (starts, parameters)."""
+    from scipy.stats import qmc
+
     if parameters == 1:
         return np.asarray([[0.1], [0.35], [0.65], [0.9]])
     count = 2 * (parameters + 1)

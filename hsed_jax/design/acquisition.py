@@ -15,7 +15,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, ScalarLike
-from scipy.stats import qmc
 
 from hsed_jax.design.kriging import Kriging
 
@@ -221,6 +220,8 @@ def sobol_candidates(count: int, dimensions: int, seed: int) -> Float[Array, "co
     """
     if count < 1 or dimensions < 1:
         raise ValueError(f"Arguments `count` and `dimensions` must be at least 1, but are {count} and {dimensions}.")
+    from scipy.stats import qmc
+
     sequence = qmc.Sobol(dimensions, scramble=True, rng=seed)
     # Sobol' sets are balanced at powers of two; SciPy warns about any other number.
     return jnp.asarray(sequence.random_base2((count - 1).bit_length())[:count])

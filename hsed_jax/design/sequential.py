@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,9 +27,12 @@ from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.maximum import Maximum, maximise
-from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence, sample
+from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence
 from hsed_jax.inference.posterior import Posterior
+from hsed_jax.inference.sampling import draw
 from hsed_jax.physics.simulator import Conditions
+
+_SPREAD = 256
 
 
 @dataclass(frozen=True)
@@ -87,7 +91,7 @@ class SequentialDesign:
         space: of the inputs.
         size: planned number of experiments, initial ones included.
         relative, absolute: per output, the scale of the error: |measured| or 1 (`relative` is a (J,) mask).
-        settings: of NUTS at each step.
+        settings: of the sample at each step.
         starts: of the MAP.
         candidates: size of the candidate set.
         acquisition: name of it.
@@ -181,10 +185,10 @@ class SequentialDesign:
             UserError: too many experiments failed for a Kriging of the others.
         """
         self._check_enough(state)
-        of_nuts, of_kriging, of_choice = jax.random.split(key, 3)
+        of_draws, of_kriging, of_choice = jax.random.split(key, 3)
         data = self.data(state)
         maximum = self.maximise(data, self.starting_points(state))
-        chains = self._sample(data, maximum, jnp.asarray(state.step_size), of_nuts)
+        chains = draw(self.posterior, data, maximum, jnp.asarray(state.step_size), of_draws, self.settings)
         norms = np.asarray(self._discrepancy(data, maximum.theta, chains.theta))
         surrogate = self._fit(state, norms, of_kriging)
         believing = self._believing(state, surrogate, norms)
@@ -291,10 +295,9 @@ class SequentialDesign:
         spread = self._starts
         return spread if state.theta is None else spread.at[0].set(jnp.asarray(state.theta))
 
-    @cached_property
-    def maximise(self):
-        """`hsed_jax.inference.maximum.maximise` for this study, compiled."""
-        return jax.jit(lambda data, starts: maximise(self.posterior, data, starts))
+    def maximise(self, data: Data, starts: Float[Array, "s p"]) -> Maximum:
+        """The MAP for data of the planned size."""
+        return maximise(self.posterior, data, starts)
 
     @cached_property
     def _starts(self):
@@ -305,27 +308,25 @@ class SequentialDesign:
         """Inputs to choose from, in the unit cube, (candidates, d)."""
         return sobol_candidates(self.candidates, len(self.space.names), self.seed)
 
-    @cached_property
-    def _sample(self):
-        return jax.jit(lambda data, maximum, step, key: sample(self.posterior, data, maximum, step, key, self.settings))
+    def _discrepancy(self, data: Data, theta: Float[Array, " p"], draws: Float[Array, "c s p"]) -> Float[Array, " n"]:
+        """Eq. 12 at the tested inputs; NaN where the model diverged."""
+        thetas = theta[None]
+        if self.variance_over_parameters:
+            thetas = draws.reshape(-1, draws.shape[-1])[:: max(1, draws.shape[0] * draws.shape[1] // 16)]
+        return _discrepancies(self.posterior, data, theta, thetas, self._spread)
 
     @cached_property
-    def _discrepancy(self):
-        over = Conditions(
-            {k: jnp.asarray(x) for k, x in self.space.si(self.space.declared(self.space.spread(256))).items()}
-        )
-        predict, models, groups = self.posterior.predict, len(self.posterior.model_names), self.posterior.groups
+    def _spread(self) -> Conditions:
+        """Inputs over the whole space, that the variance in Eq. 12 is taken over."""
+        inputs = self.space.si(self.space.declared(self.space.spread(_SPREAD)))
+        return Conditions({name: jnp.asarray(values) for name, values in inputs.items()})
 
-        @jax.jit
-        def compute(data, theta, draws):
-            here, ok = predict(theta[:models], data.conditions, data.count)
-            if self.variance_over_parameters:
-                thetas = draws.reshape(-1, draws.shape[-1])[:: max(1, draws.shape[0] * draws.shape[1] // 16), :models]
-                there, good = jax.vmap(lambda t: predict(t, over, jnp.asarray(256)))(thetas)
-                variance = variance_over(there.reshape(-1, there.shape[-1]), good.ravel(), groups)
-            else:
-                variance = variance_over(*predict(theta[:models], over, jnp.asarray(256)), groups)
-            # Where the model diverged there is no discrepancy, which is not the same as none.
-            return jnp.where(ok > 0, discrepancy(data.values, here, variance, data.weights), jnp.nan)
 
-        return compute
+@eqx.filter_jit
+def _discrepancies(posterior, data, theta, thetas, spread):
+    predict, models = posterior.predict, len(posterior.model_names)
+    here, ok = predict(theta[:models], data.conditions, data.count)
+    there, good = jax.vmap(lambda t: predict(t[:models], spread, jnp.asarray(_SPREAD)))(thetas)
+    variance = variance_over(there.reshape(-1, there.shape[-1]), good.ravel(), posterior.groups)
+    # Where the model diverged there is no discrepancy, which is not the same as none.
+    return jnp.where(ok > 0, discrepancy(data.values, here, variance, data.weights), jnp.nan)

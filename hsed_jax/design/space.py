@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.stats import qmc
 
 from hsed_jax.inference.priors import Prior
 
@@ -64,10 +63,15 @@ class InputSpace:
 
     def initial_design(self, count: int) -> np.ndarray:
         """The first points of the Sobol' sequence (Sobol' 1967) without its corner point, in the unit cube (count, d)."""
+        # scipy.stats takes half a second to load, and a check of a study needs no points.
+        from scipy.stats import qmc
+
         d = len(self.names)
         sequence = qmc.Sobol(d, scramble=False).random_base2(int(count).bit_length())
         return sequence[1 : count + 1]
 
     def spread(self, count: int) -> np.ndarray:
         """Points that represent the inputs' distribution, in the unit cube (count, d); count a power of two."""
+        from scipy.stats import qmc
+
         return qmc.Sobol(len(self.names), scramble=True, rng=7).random_base2(int(count - 1).bit_length())[:count]

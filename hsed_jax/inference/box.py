@@ -6,15 +6,17 @@ it, which no unconstrained coordinate can hold.
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.interpolate import CubicSpline
 from scipy.special import expit
 
 from hsed_jax.inference.priors import Prior
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 # A density is tabulated at so many quantiles, up to this log odds to either side, and no closer than this.
 _TAIL, _KNOTS, _APART = 14.0, 257, 1e-4
@@ -84,8 +86,10 @@ class Box:
             self._quantiles[k, shares] = np.asarray(self._priors[k].quantile(np.asarray(shares)), dtype=float)
         return self._quantiles[k, shares]
 
-    def _density(self, k: int) -> CubicSpline:
+    def _density(self, k: int) -> "CubicSpline":
         """Log density of one coordinate as a spline over its prior, exact where that is normal or uniform."""
+        from scipy.interpolate import CubicSpline
+
         shares = expit(np.linspace(-_TAIL, _TAIL, _KNOTS))
         found = self.quantiles(np.asarray([k]), shares[:, None])[:, 0]
         knots = np.unique(np.clip(found, self.low[k], self.high[k]))

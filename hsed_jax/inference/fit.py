@@ -1,10 +1,8 @@
 """A calibrated model: MAP, posterior draws and whether to believe them, as one object that shows itself."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PRNGKeyArray
@@ -12,8 +10,9 @@ from jaxtyping import Array, PRNGKeyArray
 from hsed_jax.inference.correlation import reweighted, worths
 from hsed_jax.inference.likelihood import Data, standardised_residual
 from hsed_jax.inference.maximum import Maximum, maximise
-from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence, sample
+from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence
 from hsed_jax.inference.posterior import Posterior
+from hsed_jax.inference.sampling import draw
 from hsed_jax.tables import Table, Tabular, cell
 
 
@@ -25,7 +24,7 @@ class Fit(Tabular):
         posterior: what was calibrated.
         data: on what.
         maximum: the MAP (Eq. 6) with its Gauss–Newton covariance and the Laplace evidence.
-        chains: draws of NUTS.
+        chains: draws of the posterior.
         convergence: R-hat, bulk ESS, divergences.
         units: SI unit of each parameter, by name.
     """
@@ -66,7 +65,12 @@ class Fit(Tabular):
             )
             for name, s in self.summary().items()
         ]
-        state = f"warning: {self.warning}" if self.warning else "converged, no divergences"
+        found = {
+            "nuts": "converged, no divergences",
+            "importance": "draws by importance sampling",
+            "laplace": "draws of the Gaussian around the MAP, not of the posterior",
+        }[self.chains.sampler]
+        state = f"warning: {self.warning}" if self.warning else found
         heads = ("parameter", "MAP", "mean", "sd", "5 %", "95 %", "ESS", "R-hat")
         return Table(f"calibrated on {int(self.data.count)} experiments; {state}", heads, rows)
 
@@ -80,38 +84,34 @@ def fit(
     key: PRNGKeyArray,
     units: dict[str, str],
     correlated: bool = False,
-    find: Callable[[Data, Array], Maximum] | None = None,
     start: Array | None = None,
 ) -> Fit:
-    """Calibrate: MAP from several starts, then NUTS from its mode.
+    """Calibrate: MAP from several starts, then draws of the posterior around it.
 
     Arguments:
         posterior: prior and likelihood of the study.
         data: measured outputs.
         starts: number of starts of the MAP.
-        settings: sizes of NUTS.
+        settings: sizes of the sample, and by which sampler.
         key: of the random numbers.
         units: SI units of the parameters, for reports.
         correlated: let the samples of an output whose residual at the MAP is correlated count for what they are worth
             (`hsed_jax.inference.correlation`), and fit again.
-        find: `maximise` for this posterior where it is compiled already.
         start: parameters of the model (SI, without inferred errors) to start one of the searches from.
     """
-    find = find or jax.jit(lambda data, starts: maximise(posterior, data, starts))
     points = posterior.starts(starts)
     if start is not None:
         middle = posterior.constrain(points[0])
         points = points.at[0].set(posterior.unconstrain(middle.at[: start.size].set(start)))
-    maximum = find(data, points)
+    maximum = maximise(posterior, data, points)
     if correlated:
         predicted, ok = posterior.predict(maximum.theta[: len(posterior.model_names)], data.conditions, data.count)
         residual = standardised_residual(predicted, ok, posterior.errors(maximum.theta), data)
         worth = worths(np.asarray(residual), np.asarray(data.weights), posterior.groups)
         if np.any(worth < 1):
             data = reweighted(data, worth, posterior.groups)
-            maximum = find(data, points.at[0].set(maximum.u))
-    draw = jax.jit(lambda data, maximum, step, key: sample(posterior, data, maximum, step, key, settings))
-    chains = draw(data, maximum, jnp.asarray(0.8), key)
+            maximum = maximise(posterior, data, points.at[0].set(maximum.u))
+    chains = draw(posterior, data, maximum, jnp.asarray(0.8), key, settings)
     return Fit(posterior, data, maximum, chains, convergence(chains), units)
 
 

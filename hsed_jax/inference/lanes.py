@@ -15,9 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from hsed_jax.inference.observation import Histories, Observation, Quantities
+from hsed_jax.inference.observation import Observation, Outputs
 from hsed_jax.physics.batch import tiled_map
-from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.simulator import Conditions, Simulator
 
 _CHUNK = 256
@@ -35,19 +34,7 @@ class Lanes:
     """
 
     def __init__(self, simulator: Simulator, observation: Observation, names: tuple[str, ...], conditions: Conditions):
-        # A program is known by its static parts: without the ground motion they are equal for studies of one kind.
-        bare: Observation = (
-            Quantities(observation.names)
-            if isinstance(observation, Quantities)
-            else Histories(observation.names, observation.samples)
-        )
-        # So are effects of a user's own, which may have changed under the same name.
-        classes = tuple(EFFECTS[name] for name in simulator.effects)
-        self._run = partial(_outputs, bare, names, classes)
-        self._operands = (
-            jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, simulator),
-            conditions,
-        )
+        self._run = partial(_outputs, Outputs(simulator, observation, names), conditions)
         self._threads = ThreadPoolExecutor(
             len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         )
@@ -62,7 +49,6 @@ class Lanes:
             size = len(experiments[part])
             padding = ((0, _CHUNK - size),)
             outputs, ok = self._run(
-                *self._operands,
                 jnp.asarray(np.pad(thetas[part], (*padding, (0, 0)), mode="edge")),
                 jnp.asarray(np.pad(experiments[part], padding, mode="edge")),
                 jnp.asarray(size),
@@ -74,14 +60,11 @@ class Lanes:
 
 
 @eqx.filter_jit
-def _outputs(observation, names, classes, simulator, conditions, thetas, experiments, count):
-    del classes
-    respond = observation.respond(simulator)
-
+def _outputs(respond, conditions, thetas, experiments, count):
     def one(lane):
         theta, experiment = lane
         at_it = jax.tree.map(lambda leaf: leaf[experiment], conditions)
-        outputs, ok = respond(dict(zip(names, theta, strict=True)), at_it)
+        outputs, ok = respond(theta, at_it)
         # On its way to infinity a diverging simulation passes numbers whose squares are no numbers any more.
         ok = ok & jnp.all(jnp.abs(outputs) < _FAR)
         return jnp.where(ok, outputs, 0.0), ok

@@ -6,35 +6,41 @@ normal, so no mass matrix has to be learnt: only the step size is adapted, from 
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from numpyro.infer.hmc import hmc
 
+from hsed_jax.inference.emulator import Emulator
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.maximum import Maximum
 from hsed_jax.inference.posterior import Posterior
 
 
 class Settings(NamedTuple):
-    """Chains, adaptation draws and kept draws per chain, target acceptance."""
+    """Chains, adaptation draws and kept draws per chain, target acceptance; and the sampler: nuts, importance or laplace."""
 
     chains: int = 4
     warmup: int = 100
     draws: int = 500
     target_acceptance: float = 0.8
+    sampler: str = "nuts"
 
 
 class Chains(NamedTuple):
-    """Draws of NUTS.
+    """Draws of a posterior.
 
     Attributes:
         theta: draws, SI, shape (chains, draws, p).
         log_density: log density in u, shape (chains, draws).
         diverging: divergent transitions, shape (chains, draws).
-        steps: leapfrog steps per draw, shape (chains, draws).
+        steps: leapfrog steps per draw, shape (chains, draws); none where the draws are independent.
         step_size: the adapted step size, averaged over chains.
+        sampler: that drew them: `nuts`, `importance` or `laplace` (of the Gaussian around the mode, not of the posterior).
+        worth: number of independent draws that they are worth at most.
+        emulator_error: of the log density of the emulator that gave NUTS its gradients [nats]; None where the simulator did.
     """
 
     theta: Float[Array, "chains draws p"]
@@ -42,8 +48,12 @@ class Chains(NamedTuple):
     diverging: Bool[Array, "chains draws"]
     steps: Int[Array, "chains draws"]
     step_size: Float[Array, ""]
+    sampler: str = "nuts"
+    worth: float = np.inf
+    emulator_error: float | None = None
 
 
+@eqx.filter_jit
 def sample(
     posterior: Posterior,
     data: Data,
@@ -51,8 +61,9 @@ def sample(
     step_size: Float[Array, ""],
     key: PRNGKeyArray,
     settings: Settings,
+    emulator: Emulator | None = None,
 ) -> Chains:
-    """Draw from the posterior.  Pure and traceable; compile it once per study.
+    """Draw from the posterior.  Pure and traceable.
 
     Arguments:
         posterior: of the study.
@@ -61,11 +72,25 @@ def sample(
         step_size: to begin adaptation from.
         key: of the random numbers.
         settings: sizes.
+        emulator: takes the place of the simulator in gradients; the draws are exact with any, and with a poor one few.
     """
     place, frame = maximum.start, maximum.whitening
 
     def potential_of(data):
-        return lambda w: -posterior.log_density(place + frame @ w, data)
+        def exact(w):
+            return -posterior.log_density(place + frame @ w, data)
+
+        if emulator is None:
+            return exact
+        emulate = emulator
+
+        def emulated(w):
+            predicted = emulate(w)
+            return -posterior.log_density_of(place + frame @ w, predicted, jnp.ones(predicted.shape[0]), data)
+
+        potential = jax.custom_jvp(exact)
+        potential.defjvp(lambda at, along: (exact(*at), jax.jvp(emulated, at, along)[1]))
+        return potential
 
     start, draw = hmc(potential_fn_gen=potential_of, algo="NUTS")
 
@@ -127,6 +152,6 @@ def convergence(chains: Chains) -> Convergence:
     with np.errstate(divide="ignore", invalid="ignore"):
         return Convergence(
             np.asarray([array_stats.rhat(d, chain_axis=0, draw_axis=1) for d in draws], dtype=float),
-            np.asarray([array_stats.ess(d, chain_axis=0, draw_axis=1) for d in draws], dtype=float),
+            np.asarray([min(array_stats.ess(d, chain_axis=0, draw_axis=1), chains.worth) for d in draws], dtype=float),
             int(np.sum(np.asarray(chains.diverging))),
         )

@@ -4,10 +4,12 @@ An observation knows how to predict its outputs for one experiment, and how to t
 Outputs are columns; columns that share an error (all samples of a channel) form a group.
 """
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, final
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +18,7 @@ from jaxtyping import Array, Float
 from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.measurements import Campaign, Experiment, Record
+from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.excitations import AbstractExcitation, Imposed, Tabulated
 from hsed_jax.physics.simulator import Conditions, Recorded, Simulator
 
@@ -126,6 +129,37 @@ class Histories:
 
 
 Observation = Quantities | Histories
+
+
+@final
+class Outputs(eqx.Module):
+    """From a parameter vector and the conditions of one experiment to its outputs: what a study observes of its model.
+
+    What differs between two studies of the same kind (masses, scales) is an array in it, and so an operand of the programs that
+    are compiled for it; a process that looks at a hundred campaigns compiles once.
+
+    Arguments:
+        simulator: of the model.
+        observation: what of a response is predicted.
+        names: of the parameters, in the order of a parameter vector.
+    """
+
+    simulator: Simulator
+    observation: Observation = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)
+    effects: tuple[type, ...] = eqx.field(static=True)
+
+    def __init__(self, simulator: Simulator, observation: Observation, names: tuple[str, ...]):
+        self.simulator = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, simulator)
+        # A program is known by its static parts: without the ground motion they are equal for studies of one kind.
+        self.observation = dataclasses.replace(observation, grid=None, excitation=None)
+        self.names = names
+        # So are effects of a user's own, which may have changed under the same name.
+        self.effects = tuple(EFFECTS[name] for name in simulator.effects)
+
+    def __call__(self, theta: Float[Array, " p"], conditions: Conditions) -> tuple[Float[Array, " J"], Array]:
+        """Outputs (J,) and whether the simulation converged."""
+        return self.observation.respond(self.simulator)(dict(zip(self.names, theta, strict=True)), conditions)
 
 
 def assemble(

@@ -4,52 +4,92 @@ Coordinates u are unconstrained; θ(u) maps them into the support of the priors.
 errors after them.  Nothing here depends on how many experiments there are: the data are padded and counted.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, final
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.stats import qmc
 
 from hsed_jax.inference.likelihood import Data, log_likelihood, standardised_residual
-from hsed_jax.inference.predict import Predict
+from hsed_jax.inference.predict import Predictor
 from hsed_jax.inference.priors import Prior
 
 # Beyond this the logistic and the exponential are at their bounds to double precision.
 _FAR = 30.0
 
 
-class Posterior:
+class Expansion(NamedTuple):
+    """A posterior around one point of u.
+
+    Attributes:
+        log_posterior: log density in θ, unnormalised.
+        log_density: log density in u, unnormalised.
+        gradient: of `log_density`, (p,).
+        curvature: minus its Hessian, made positive, (p, p).
+    """
+
+    log_posterior: Float[Array, ""]
+    log_density: Float[Array, ""]
+    gradient: Float[Array, " p"]
+    curvature: Float[Array, "p p"]
+
+
+@final
+class Posterior(eqx.Module):
     """Prior and likelihood of a study.
 
+    Its priors and names are static, so that programs are compiled once for all posteriors that differ in arrays only.
+
     Arguments:
-        predict: predictions of all experiments (`hsed_jax.inference.predict.predictor`).
+        predict: predictions of all experiments.
         priors: of the model's free parameters, by name, in the order `predict` takes them.
         errors: per output either a declared error (a number) or a `Prior` for an inferred one.
         outputs: names of the outputs, in the order of `errors`.
         groups: the output that each column of the data belongs to, (J,).
     """
 
+    predict: Predictor
+    model_names: tuple[str, ...] = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)
+    outputs: tuple[str, ...] = eqx.field(static=True)
+    _priors: tuple[Prior, ...] = eqx.field(static=True)
+    _columns: tuple[int, ...] = eqx.field(static=True)
+    _inferred: tuple[tuple[int, int], ...] = eqx.field(static=True)
+    _declared: Float[Array, " outputs"]
+
     def __init__(
         self,
-        predict: Predict,
+        predict: Predictor,
         priors: Mapping[str, Prior],
         errors: Sequence[float | Prior],
         outputs: Sequence[str],
         groups: np.ndarray,
     ):
-        self.predict = predict
-        self.model_names = tuple(priors)
         inferred = {f"error.{output}": e for output, e in zip(outputs, errors, strict=True) if isinstance(e, Prior)}
-        self.priors = {**priors, **inferred}
-        self.names = tuple(self.priors)
-        self.outputs, self.groups = tuple(outputs), np.asarray(groups)
+        self.predict = predict
+        self.model_names, self.outputs = tuple(priors), tuple(outputs)
+        self.names, self._priors = (*priors, *inferred), (*priors.values(), *inferred.values())
+        self._columns = tuple(np.asarray(groups).tolist())
         self._declared = jnp.asarray([1.0 if isinstance(e, Prior) else e for e in errors])
-        positions = [
-            self.names.index(f"error.{o}") for o, e in zip(outputs, errors, strict=True) if isinstance(e, Prior)
-        ]
-        self._inferred = (np.flatnonzero([isinstance(e, Prior) for e in errors]), np.asarray(positions, dtype=int))
+        # Number of an output, and where its error stands in θ.
+        self._inferred = tuple(
+            (i, self.names.index(f"error.{name}"))
+            for i, name in enumerate(self.outputs)
+            if isinstance(errors[i], Prior)
+        )
+
+    @property
+    def priors(self) -> dict[str, Prior]:
+        """Of all parameters, inferred errors last."""
+        return dict(zip(self.names, self._priors, strict=True))
+
+    @property
+    def groups(self) -> np.ndarray:
+        """The output that each column of the data belongs to, (J,)."""
+        return np.asarray(self._columns)
 
     def constrain(self, u: Float[Array, " p"]) -> Float[Array, " p"]:
         """θ(u)."""
@@ -62,6 +102,8 @@ class Posterior:
 
     def starts(self, count: int) -> Float[Array, "count p"]:
         """Well-spread starting points: the middle of the prior, then Sobol' points of its central 80 %."""
+        from scipy.stats import qmc
+
         sequence = qmc.Sobol(len(self.names), scramble=True, rng=0)
         spread = 0.1 + 0.8 * sequence.random_base2(count.bit_length())[: max(count - 1, 1)]
         shares = np.vstack([np.full((1, len(self.names)), 0.5), spread])[:count]
@@ -73,19 +115,31 @@ class Posterior:
 
     def errors(self, theta: Float[Array, " p"]) -> Float[Array, " J"]:
         """s of every column: declared or taken from θ."""
-        outputs, positions = self._inferred
-        by_output = self._declared.at[outputs].set(theta[positions]) if len(outputs) else self._declared
+        by_output = self._declared
+        for output, position in self._inferred:
+            by_output = by_output.at[output].set(theta[position])
         return by_output[self.groups]
 
     def log_density(self, u: Float[Array, " p"], data: Data) -> Float[Array, ""]:
         """Log posterior density *in u*, unnormalised: what a sampler of u needs."""
+        return self.log_density_of(u, *self.predictions(u, data), data)
+
+    def predictions(self, u: Float[Array, " p"], data: Data) -> tuple[Float[Array, "n J"], Float[Array, " n"]]:
+        """Outputs of the experiments, and 1 where the simulation converged, else 0."""
+        return self.predict(self._of_model(self.constrain(u)), data.conditions, data.count)
+
+    def log_density_of(
+        self, u: Float[Array, " p"], predicted: Float[Array, "n J"], ok: Float[Array, " n"], data: Data
+    ) -> Float[Array, ""]:
+        """`log_density` where the predictions are known."""
         theta = self.constrain(u)
-        return self._log_likelihood(theta, data) + self.log_prior(theta) + self._log_jacobian(u)
+        likelihood = log_likelihood(predicted, ok, self.errors(theta), data)
+        return likelihood + self.log_prior(theta) + self._log_jacobian(u)
 
     def log_posterior(self, u: Float[Array, " p"], data: Data) -> Float[Array, ""]:
         """Log posterior density *in θ*, unnormalised (Eq. 5): what the MAP maximises."""
         theta = self.constrain(u)
-        return self._log_likelihood(theta, data) + self.log_prior(theta)
+        return log_likelihood(*self.predictions(u, data), self.errors(theta), data) + self.log_prior(theta)
 
     def log_prior(self, theta: Float[Array, " p"]) -> Float[Array, ""]:
         """Log density of the prior."""
@@ -101,51 +155,68 @@ class Posterior:
         """
         theta = self.constrain(u)
         errors = self.errors(theta)
-        predicted, ok = self.predict(self._of_model(theta), data.conditions, data.count)
+        predicted, ok = self.predictions(u, data)
         parts = [standardised_residual(predicted, ok, errors, data).ravel()]
         for prior, x in zip(self.priors.values(), theta, strict=True):
             mode, highest = prior.mode
             parts.append(jnp.sign(x - mode)[None] * _root(2 * (highest - prior.log_density(x)))[None])
-        for output, position in zip(*self._inferred, strict=True):
+        for output, position in self._inferred:
             number = jnp.sum(data.weights[:, self.groups == output])
             parts.append(_root(2 * number * (jnp.log(theta[position]) + 12))[None])
         return jnp.concatenate(parts)
 
-    def information(self, u: Float[Array, " p"], data: Data) -> Float[Array, "p p"]:
-        r"""Gauss–Newton (expected Fisher) information of θ(u) in u, without the prior.
+    def expand(self, u: Float[Array, " p"], data: Data) -> Expansion:
+        r"""The posterior around u to second order, by one simulation of the experiments with their derivatives.
 
-        $F = \sum \frac{\partial f\,\partial f^\top}{\sigma^2} + 2\,\partial\log\sigma\,\partial\log\sigma^\top$
+        The curvature is the Gauss–Newton one (expected Fisher information, and of prior and transformation what is positive):
+        $F = \sum \frac{\partial f\,\partial f^\top}{\sigma^2} + 2\,\partial\log\sigma\,\partial\log\sigma^\top$.
         """
 
-        def scaled(u):
+        def outputs(u):
+            predicted, ok = self.predictions(u, data)
+            return predicted * ok[:, None], ok
+
+        def known(u):
             theta = self.constrain(u)
-            predicted, ok = self.predict(self._of_model(theta), data.conditions, data.count)
-            return predicted * ok[:, None], jnp.log(self.errors(theta))
+            return self.log_prior(theta) + self._log_jacobian(u), self.log_prior(theta)
 
-        by_mean, by_log_error = jax.jacfwd(scaled)(u)
-        sigma = jnp.where(data.weights > 0, self.errors(self.constrain(u)) * data.scales, 1.0)
-        g = (jnp.sqrt(data.weights) / sigma)[..., None] * by_mean
+        predicted, along, ok = _value_and_jacobian(outputs, u)
+        errors, of_errors, _ = _value_and_jacobian(lambda u: (self.errors(self.constrain(u)), None), u)
+        likelihood, (by_mean, by_error) = jax.value_and_grad(
+            lambda predicted, errors: log_likelihood(predicted, ok, errors, data), argnums=(0, 1)
+        )(predicted, errors)
+        density, slope, prior = _value_and_jacobian(known, u)
+        gradient = jnp.einsum("nj,njp->p", by_mean, along) + by_error @ of_errors + slope
+        sigma = jnp.where(data.weights > 0, errors * data.scales, 1.0)
+        g = (jnp.sqrt(data.weights) / sigma)[..., None] * along
+        by_log_error = of_errors / errors[:, None]
         number = jnp.sum(data.weights, axis=0)
-        return jnp.einsum("njp,njq->pq", g, g) + 2 * jnp.einsum("j,jp,jq->pq", number, by_log_error, by_log_error)
-
-    def curvature(self, u: Float[Array, " p"], data: Data) -> Float[Array, "p p"]:
-        """Information plus the curvature of prior and transformation: minus the Hessian of `log_density`, made positive."""
-        log_prior = jax.hessian(lambda v: self.log_prior(self.constrain(v)) + self._log_jacobian(v))(u)
-        prior = jnp.diag(jnp.maximum(-jnp.diag(log_prior), 1e-3))
-        return self.information(u, data) + prior
+        information = jnp.einsum("njp,njq->pq", g, g) + 2 * jnp.einsum(
+            "j,jp,jq->pq", number, by_log_error, by_log_error
+        )
+        of_prior = -jnp.diag(jax.hessian(lambda u: known(u)[0])(u))
+        curvature = information + jnp.diag(jnp.maximum(of_prior, 1e-3))
+        return Expansion(likelihood + prior, likelihood + density, gradient, curvature)
 
     def _of_model(self, theta: Float[Array, " p"]) -> Float[Array, " q"]:
         return theta[: len(self.model_names)]
-
-    def _log_likelihood(self, theta: Float[Array, " p"], data: Data) -> Float[Array, ""]:
-        predicted, ok = self.predict(self._of_model(theta), data.conditions, data.count)
-        return log_likelihood(predicted, ok, self.errors(theta), data)
 
     def _log_jacobian(self, u: Float[Array, " p"]) -> Float[Array, ""]:
         terms = [
             p.to_support.log_abs_det_jacobian(x, p.to_support(x)) for p, x in zip(self.priors.values(), u, strict=True)
         ]
         return sum(terms, start=jnp.zeros(()))
+
+
+def _value_and_jacobian(function: Callable, u: Float[Array, " p"]) -> tuple[Any, Any, Any]:
+    """Value, derivative along u, and what else the function returns."""
+
+    def twice(u):
+        value, more = function(u)
+        return value, (value, more)
+
+    derivative, (value, more) = jax.jacfwd(twice, has_aux=True)(u)
+    return value, derivative, more
 
 
 def _root(value: Float[Array, ""]) -> Float[Array, ""]:

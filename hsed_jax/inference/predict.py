@@ -6,7 +6,10 @@ nested batch axes cost several times as much.
 """
 
 from collections.abc import Callable
+from functools import partial
+from typing import Any, final
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
@@ -15,91 +18,107 @@ from jaxtyping import Array, Float, Int, PyTree
 from hsed_jax.physics.batch import tiled_map
 
 Respond = Callable[[Float[Array, " p"], PyTree], tuple[Float[Array, " J"], Array]]
-Predict = Callable[[Float[Array, " p"], PyTree, Int[Array, ""]], tuple[Float[Array, "n J"], Float[Array, " n"]]]
 
 
-def predictor(respond: Respond) -> Predict:
-    """Turn one experiment's response into the predictions of all, differentiable once.
+@final
+class Predictor(eqx.Module):
+    """One experiment's response turned into the predictions of all, differentiable once.
 
     Arguments:
-        respond: from parameters (p,) and the conditions of one experiment to its outputs (J,) and whether it converged.
-
-    Returns:
-        A function of parameters (p,), stacked conditions (leading axis n) and the count of experiments that matter, to the
-        outputs (n, J) and flags (n,): 1 where the simulation converged, else 0.  Experiments beyond the count are not
-        computed, and zero.  A diverged experiment has zero outputs and zero derivatives.
+        respond: from parameters (p,) and the conditions of one experiment to its outputs (J,) and whether it converged.  Where
+            it is an `eqx.Module`, its arrays are operands of the compiled programs, which all equal ones share.
     """
 
+    respond: Respond
+
+    def __call__(
+        self, theta: Float[Array, " p"], conditions: PyTree, count: Int[Array, ""]
+    ) -> tuple[Float[Array, "n J"], Float[Array, " n"]]:
+        """Outputs (n, J) of the experiments and flags (n,): 1 where the simulation converged, else 0.
+
+        Experiments beyond the count are not computed, and zero.  A diverged experiment has zero outputs and zero derivatives.
+
+        Arguments:
+            theta: parameters.
+            conditions: of the experiments, leading axis n.
+            count: how many experiments matter.
+        """
+        arrays, rest = eqx.partition(self.respond, eqx.is_array)
+        return _predict(rest, arrays, theta, conditions, count)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _predict(rest, arrays, theta, conditions, count):
+    outputs, ok = _over_all(partial(_values, rest))(arrays, theta[None], conditions, count)
+    return outputs[0], ok[0]
+
+
+@_predict.defjvp
+def _(rest, primals, tangents):
+    arrays, theta, conditions, count = primals
+    outputs, ok, jacobian = _over_all(partial(_values_and_jacobian, rest))(arrays, theta[None], conditions, count)
+    return (outputs[0], ok[0]), (jacobian[0] @ tangents[1], jnp.zeros_like(ok[0]))
+
+
+# Compiled on their own so that all programs of all equal studies share one trace, which costs more than compiling it.
+
+
+@eqx.filter_jit
+def _values(rest, arrays, lanes):
     def one(lane):
-        outputs, ok = respond(*lane)
+        outputs, ok = eqx.combine(rest, arrays)(*lane)
         ok = ok & jnp.all(jnp.isfinite(outputs))
         return jnp.where(ok, outputs, 0.0), ok
 
-    def values(lanes):
-        outputs, ok = jax.vmap(one)(lanes)
-        return outputs, ok.astype(float)
+    outputs, ok = jax.vmap(one)(lanes)
+    return outputs, ok.astype(float)
 
-    def values_and_jacobian(lanes):
-        thetas, conditions = lanes
 
-        def many(t):
-            return values((t, conditions))
+@eqx.filter_jit
+def _values_and_jacobian(rest, arrays, lanes):
+    thetas, conditions = lanes
 
-        def push(direction):
-            return jax.jvp(many, (thetas,), (jnp.broadcast_to(direction, thetas.shape),))
+    def push(direction):
+        tangent = jnp.broadcast_to(direction, thetas.shape)
+        return jax.jvp(lambda t: _values(rest, arrays, (t, conditions)), (thetas,), (tangent,))
 
-        (outputs, ok), (tangents, _) = jax.vmap(push, out_axes=((None, None), (-1, None)))(jnp.eye(thetas.shape[1]))
-        tangents = jnp.where(jnp.isfinite(tangents), tangents, 0.0) * ok.reshape(-1, 1, 1)
-        return outputs, ok, tangents
-
-    values_of_all = _over_all(values)
-    jacobian_of_all = _over_all(values_and_jacobian)
-
-    @jax.custom_jvp
-    def predict(theta, conditions, count):
-        outputs, ok = values_of_all(theta[None], conditions, count)
-        return outputs[0], ok[0]
-
-    @predict.defjvp
-    def _(primals, tangents):
-        theta, conditions, count = primals
-        outputs, ok, jacobian = jacobian_of_all(theta[None], conditions, count)
-        return (outputs[0], ok[0]), (jacobian[0] @ tangents[0], jnp.zeros_like(ok[0]))
-
-    return predict
+    (outputs, ok), (tangents, _) = jax.vmap(push, out_axes=((None, None), (-1, None)))(jnp.eye(thetas.shape[1]))
+    tangents = jnp.where(jnp.isfinite(tangents), tangents, 0.0) * ok.reshape(-1, 1, 1)
+    return outputs, ok, tangents
 
 
 def _over_all(tile_function: Callable) -> Callable:
     """From a function of a tile of lanes to one of parameters (C, p) and conditions (n, …), flat whatever is vmapped."""
 
     @custom_vmap
-    def run(thetas, conditions, count):
+    def run(arrays, thetas, conditions, count):
         size, chains = jax.tree.leaves(conditions)[0].shape[0], thetas.shape[0]
         lanes = (
             jnp.tile(thetas, (size, 1)),
             jax.tree.map(lambda values: jnp.repeat(values, chains, axis=0), conditions),
         )
         # Experiments vary slowest, so those that matter stay a prefix.
-        results = tiled_map(tile_function, lanes, count=count * chains)
+        results = tiled_map(partial(tile_function, arrays), lanes, count=count * chains)
         return jax.tree.map(lambda r: jnp.moveaxis(r.reshape(size, chains, *r.shape[1:]), 0, 1), results)
 
     @run.def_vmap
-    def _(axis_size, in_batched, thetas, conditions, count):
-        batched_thetas, batched_conditions, batched_count = in_batched
-        if any(jax.tree.leaves(batched_conditions)) or batched_count:
+    def _(axis_size, in_batched, *operands: Any):
+        batched_arrays, batched_thetas, batched_conditions, batched_count = in_batched
+        if any(jax.tree.leaves((batched_arrays, batched_conditions))) or batched_count:
             results = jax.lax.map(
                 lambda i: run(
                     *(
                         jax.tree.map(lambda value, is_batched: value[i] if is_batched else value, tree, flags)
-                        for tree, flags in zip((thetas, conditions, count), in_batched, strict=True)
+                        for tree, flags in zip(operands, in_batched, strict=True)
                     )
                 ),
                 jnp.arange(axis_size),
             )
             return results, jax.tree.map(lambda _: True, results)
         assert batched_thetas
+        arrays, thetas, conditions, count = operands
         chains = thetas.shape[1]
-        results = run(thetas.reshape(axis_size * chains, -1), conditions, count)
+        results = run(arrays, thetas.reshape(axis_size * chains, -1), conditions, count)
         return (
             jax.tree.map(lambda r: r.reshape(axis_size, chains, *r.shape[1:]), results),
             jax.tree.map(lambda _: True, results),

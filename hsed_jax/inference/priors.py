@@ -40,7 +40,6 @@ class Prior:
         self.name, self.arguments = name, arguments
         self.distribution = _build(name, arguments)
         self.bounds = _limits(self.distribution)
-        self.to_support = _standardised(self.distribution, self.quantile)
 
     def log_density(self, value: Float[Array, "..."]) -> Any:
         """Log of the density at a value within the support."""
@@ -55,6 +54,16 @@ class Prior:
             return jnp.quantile(draws, jnp.asarray(probability))
 
     @cached_property
+    def to_support(self) -> Any:
+        """The map from u to the support, with u of order one: an unbounded SI number may be 1e6, and so may its spread."""
+        to_support = biject_to(self.distribution.support)
+        if None not in self.bounds:
+            return to_support
+        with jax.ensure_compile_time_eval():
+            below, middle, above = (float(to_support.inv(self.quantile(share))) for share in (0.16, 0.5, 0.84))
+        return ComposeTransform([AffineTransform(middle, 0.5 * (above - below)), to_support])
+
+    @cached_property
     def mode(self) -> tuple[float, float]:
         """The value of highest density and its log density, by search over the support."""
         with jax.ensure_compile_time_eval():
@@ -65,6 +74,12 @@ class Prior:
 
     def __repr__(self) -> str:
         return f"{self.name}({self.arguments})"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Prior) and repr(self) == repr(other)
+
+    def __hash__(self) -> int:
+        return hash(repr(self))
 
 
 def _build(name: str, arguments: Any) -> dist.Distribution:
@@ -122,17 +137,6 @@ def _signature(kind: Any) -> tuple[list[str], int]:
     # numpyro has a default for nearly everything; a prior whose bounds or spread were forgotten is a mistake, though.
     pairs = ({"low", "high"}, {"loc", "scale"})
     return names, 2 if any(pair <= set(names) for pair in pairs) else 1
-
-
-def _standardised(distribution: dist.Distribution, quantile: Any) -> Any:
-    """The map from u to the support, with u of order one: an unbounded SI number may be 1e6, and so may its spread."""
-    to_support = biject_to(distribution.support)
-    low, high = _limits(distribution)
-    if low is not None and high is not None:
-        return to_support
-    with jax.ensure_compile_time_eval():
-        below, middle, above = (float(to_support.inv(quantile(share))) for share in (0.16, 0.5, 0.84))
-    return ComposeTransform([AffineTransform(middle, 0.5 * (above - below)), to_support])
 
 
 def _limits(made: dist.Distribution) -> tuple[float | None, float | None]:

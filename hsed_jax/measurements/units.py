@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hsed_jax.backend import cache_folder
 from hsed_jax.errors import UserError
 from hsed_jax.physics.outputs import CHANNELS, PER_MASS, QUANTITIES, channel
 
@@ -118,7 +119,12 @@ def parse_unit(text: str, dimension: Dimension | None = None) -> Unit:
 def _registry():
     import pint
 
-    return pint.UnitRegistry(non_int_type=Fraction)  # pyright: ignore[reportArgumentType]
+    exact: Any = Fraction  # pint says float and takes any type of number
+    try:
+        # Reading pint's table of units takes a quarter of a second, so what was read is kept.
+        return pint.UnitRegistry(non_int_type=exact, cache_folder=cache_folder() / "pint")
+    except Exception:  # the folder cannot be written to, or a file in it is damaged, which may raise anything
+        return pint.UnitRegistry(non_int_type=exact)
 
 
 @functools.cache

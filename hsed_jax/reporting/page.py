@@ -1,13 +1,18 @@
 """A page that needs nothing else: a template with its styles, its script, its data and the library that draws."""
 
 import json
+import os
+from contextlib import suppress
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from hsed_jax.backend import cache_folder
+from hsed_jax.drafts import write_whole
 from hsed_jax.reporting.page_tables import unit_words
 
 GENERATOR = '<meta name="generator" content="hsed_jax">'
@@ -41,7 +46,17 @@ def _embedded(content: Any) -> str:
 
 @cache
 def _library() -> str:
-    """Vega, Vega-Lite and vega-embed as one script; nothing in it ends the script element."""
+    """Vega, Vega-Lite and vega-embed as one script; nothing in it ends the script element.
+
+    It takes a second to make, and is kept for the next page where a file can be written.
+    """
+    kept = cache_folder() / f"vega-{version('vl-convert-python')}.js"
+    with suppress(OSError):
+        return kept.read_text(encoding="utf-8")
     from vl_convert import javascript_bundle
 
-    return javascript_bundle("window.vegaEmbed = vegaEmbed;").replace("</script", "<\\/script")
+    script = javascript_bundle("window.vegaEmbed = vegaEmbed;").replace("</script", "<\\/script")
+    with suppress(OSError):
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(kept, script, draft=f".{os.getpid()}")
+    return script

@@ -19,7 +19,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from hsed_jax.physics.bouc_wen import BoucWen
 from hsed_jax.physics.effects import EFFECTS
@@ -43,7 +43,6 @@ _RC = {
     "axes.grid": True,
     "axes.axisbelow": True,
     "axes.formatter.limits": (-3, 4),
-    "axes.formatter.use_mathtext": True,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "grid.color": "#e4e4e4",
@@ -79,6 +78,9 @@ class Picture:
 
     def __post_init__(self):
         """Find the layout once and keep it: it would move a little each time the figure is drawn."""
+        for panel in self.figure.axes:
+            _set_powers_of_ten(panel.xaxis)
+            _set_powers_of_ten(panel.yaxis)
         self.figure.draw_without_rendering()
         self.figure.set_layout_engine("none")
 
@@ -88,6 +90,14 @@ class Picture:
         buffer = io.BytesIO()
         self.figure.savefig(buffer, format="png", dpi=110)
         return buffer.getvalue()
+
+
+def _set_powers_of_ten(axis: Axis) -> None:
+    """Write a power of ten that an axis has as ×10⁴; where there is none, no number needs to be set as mathematics."""
+    formatter = axis.get_major_formatter()
+    if isinstance(formatter, ScalarFormatter):
+        formatter.set_locs(list(axis.get_majorticklocs()))
+        formatter.set_useMathText(bool(formatter.get_offset()))
 
 
 @in_house_style

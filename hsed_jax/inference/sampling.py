@@ -1,0 +1,82 @@
+"""Draws of a posterior by the sampler that a study asks for: NUTS, importance sampling, or the Gaussian around the mode.
+
+Importance sampling says itself whether it may be believed; where not, NUTS takes its place.  NUTS takes its gradients from an
+emulator where that is accurate, and from the simulator where not; its draws are exact with either.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from hsed_jax.inference.emulator import emulate
+from hsed_jax.inference.importance import resampled, weigh
+from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.maximum import Maximum
+from hsed_jax.inference.nuts import Chains, Settings, sample
+from hsed_jax.inference.posterior import Posterior
+
+# Error of the emulated log density [nats] that still leaves most proposals accepted.
+_ACCURATE = 0.5
+
+
+def draw(
+    posterior: Posterior,
+    data: Data,
+    maximum: Maximum,
+    step_size: Float[Array, ""],
+    key: PRNGKeyArray,
+    settings: Settings,
+) -> Chains:
+    """Draws of the posterior (chains, draws, p).
+
+    Arguments:
+        posterior: of the study.
+        data: measured outputs.
+        maximum: the mode and the whitening there (`maximise`).
+        step_size: of NUTS, to begin adaptation from.
+        key: of the random numbers.
+        settings: sizes, and by which sampler.
+    """
+    first, second = jax.random.split(key)
+    number = settings.chains * settings.draws
+    if settings.sampler == "laplace":
+        u, height = _gaussian(posterior, data, maximum, first, number)
+        return _independent(posterior, u, height, step_size, settings, number)
+    if settings.sampler == "importance":
+        weighted = weigh(posterior, data, maximum, first, number)
+        if weighted.reliable:
+            u, height = resampled(weighted, number, second)
+            return _independent(posterior, u, height, step_size, settings, weighted.worth)
+    emulator = emulate(posterior, data, maximum, first)
+    error = float(emulator.error)
+    accurate = error < _ACCURATE
+    chains = sample(posterior, data, maximum, step_size, second, settings, emulator if accurate else None)
+    return chains._replace(sampler="nuts", emulator_error=error if accurate else None)
+
+
+@eqx.filter_jit
+def _gaussian(posterior: Posterior, data: Data, maximum: Maximum, key: PRNGKeyArray, number: int):
+    w = jax.random.normal(key, (number, maximum.start.size))
+    height = posterior.log_density(maximum.start, data) - 0.5 * jnp.sum(w**2, axis=1)
+    return maximum.start + w @ maximum.whitening.T, height
+
+
+@eqx.filter_jit
+def _constrained(posterior: Posterior, u: Float[Array, "N p"]) -> Float[Array, "N p"]:
+    return jax.vmap(posterior.constrain)(u)
+
+
+def _independent(
+    posterior: Posterior,
+    u: Float[Array, "N p"],
+    height: Float[Array, " N"],
+    step_size: Float[Array, ""],
+    settings: Settings,
+    worth: float,
+) -> Chains:
+    """Independent draws in the shape of chains."""
+    shape = (settings.chains, settings.draws)
+    theta = _constrained(posterior, u).reshape(*shape, -1)
+    none = jnp.zeros(shape, dtype=int)
+    return Chains(theta, height.reshape(shape), none > 0, none, step_size, settings.sampler, worth)

@@ -1,0 +1,136 @@
+"""Samplers where they are at their limits: a poor emulator, weights that cannot be relied on, many parameters."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_calibration import data_of, drawn, find, posterior_of
+
+from hsed_jax.inference.emulator import emulate
+from hsed_jax.inference.importance import Weighted, resampled, weigh
+from hsed_jax.inference.nuts import Settings, convergence, sample
+from hsed_jax.inference.priors import Prior
+
+# Two parameters whose posterior is a bent ridge: y1 = a, y2 = b + a², so that (a, b + a²) is normal.
+BENT = {"a": Prior("normal", [0.0, 10.0]), "b": Prior("normal", [0.0, 10.0])}
+
+
+def bent(theta, conditions):
+    a, b = theta
+    return jnp.stack([a, b + conditions.inputs["x"] * a**2]), True
+
+
+def ridge(bend, width=1.0):
+    """Posterior, data and mode; in (a, b + bend·a²) standard normal times `width`, as good as."""
+    posterior = posterior_of(bent, BENT, [width, width])
+    data = data_of(np.full(1, bend), np.zeros((1, 2)))
+    return posterior, data, find(posterior, data, starts=1)
+
+
+def straight(chains, bend):
+    """The draws in the coordinates in which they are normal."""
+    a, b = np.moveaxis(np.asarray(chains.theta), -1, 0)
+    return np.stack([a, b + bend * a**2], axis=-1)
+
+
+def test_nuts_is_exact_with_an_emulator_that_is_wrong():
+    posterior, data, maximum = ridge(0.3)
+    emulator = emulate(posterior, data, maximum, jax.random.key(0))
+    assert float(emulator.error) < 1e-6  # the response is a quadratic
+    wrong = emulator.__class__(1.5 * emulator.coefficients, emulator.error)
+    chains = sample(posterior, data, maximum, jnp.asarray(0.5), jax.random.key(1), Settings(4, 300, 1500), wrong)
+    exact = sample(posterior, data, maximum, jnp.asarray(0.5), jax.random.key(1), Settings(4, 300, 1500), emulator)
+    assert not np.array_equal(chains.theta, exact.theta)
+    for found in (chains, exact):
+        normal = straight(found, 0.3)
+        error = 4 / np.sqrt(convergence(found._replace(theta=jnp.asarray(normal))).ess_bulk.min())
+        assert (np.abs(normal.mean(axis=(0, 1))) < error).all()
+        assert (np.abs(normal.std(axis=(0, 1)) - 1) < 2 * error).all()
+
+
+def test_where_a_quadratic_is_not_enough_nuts_asks_the_simulator():
+    # Beyond 2 the response saturates, and only the prior tells one value from another.
+    posterior = posterior_of(
+        lambda t, c: (jnp.tanh(t) * c.inputs["x"], True), {"a": Prior("normal", [0.0, 10.0])}, [0.1]
+    )
+    data = data_of(np.ones(1), np.full((1, 1), 0.99))
+    chains = drawn(posterior, data, find(posterior, data), Settings(4, 300, 1000))
+    assert chains.sampler == "nuts" and chains.emulator_error is None
+    grid = np.linspace(0, 60, 20001)
+    density = np.exp(-0.5 * (grid / 10) ** 2 - 0.5 * ((np.tanh(grid) - 0.99) / 0.1) ** 2)
+    mean = np.average(grid, weights=density)
+    sd = np.sqrt(np.average((grid - mean) ** 2, weights=density))
+    assert np.asarray(chains.theta).mean() == pytest.approx(mean, abs=4 * sd / np.sqrt(convergence(chains).ess_bulk[0]))
+
+
+def test_weights_that_cannot_be_relied_on_leave_it_to_nuts():
+    # A long thin crescent: no Student t covers it.
+    posterior, data, maximum = ridge(3.0, width=3.0)
+    data = data._replace(scales=jnp.asarray([[1.0, 0.002]]))
+    maximum = find(posterior, data, starts=1)
+    weighted = weigh(posterior, data, maximum, jax.random.key(0), 1000)
+    assert not weighted.reliable
+    chains = drawn(posterior, data, maximum, Settings(2, 100, 500, sampler="importance"))
+    assert chains.sampler == "nuts"
+
+
+def test_the_worth_of_weights_is_what_their_mean_scatters_by():
+    posterior, data, maximum = ridge(0.2)
+    means, worths = [], []
+    for seed in range(60):
+        weighted = weigh(posterior, data, maximum, jax.random.key(seed), 400)
+        means.append(weighted.weights @ np.asarray(jax.vmap(posterior.constrain)(weighted.u))[:, 0])
+        worths.append(weighted.worth)
+    # Var(mean) = Var(a)/worth, a being standard normal here; sixty repetitions know a variance to 18 %.
+    assert np.var(means) * np.mean(worths) == pytest.approx(1.0, abs=0.55)
+    assert 200 < np.mean(worths) <= 400
+
+
+def test_resampling_keeps_every_draw_as_often_as_it_weighs():
+    weights = np.asarray([0.5, 0.25, 0.125, 0.125, 0.0])
+    weighted = Weighted(np.arange(5.0)[:, None], -np.arange(5.0), weights, 0.1)
+    u, height = resampled(weighted, 80, jax.random.key(0))
+    np.testing.assert_array_equal(np.bincount(np.asarray(u)[:, 0].astype(int), minlength=5), [40, 20, 10, 10, 0])
+    np.testing.assert_array_equal(height, -np.asarray(u)[:, 0])
+
+
+def test_ten_parameters_by_importance_sampling_have_the_closed_form():
+    names = [f"t{k}" for k in range(10)]
+    mixing = np.random.default_rng(0).standard_normal((30, 10))
+    posterior = posterior_of(
+        lambda t, c: ((c.inputs["x"] @ t)[None], True), {n: Prior("normal", [0.0, 1.0]) for n in names}, [0.5]
+    )
+    truth = np.linspace(-1, 1, 10)
+    y = mixing @ truth + 0.5 * np.random.default_rng(1).standard_normal(30)
+    data = data_of(mixing, y[:, None])
+    covariance = np.linalg.inv(mixing.T @ mixing / 0.25 + np.eye(10))
+    mean, sd = covariance @ (mixing.T @ y / 0.25), np.sqrt(np.diag(covariance))
+    chains = drawn(posterior, data, find(posterior, data, starts=1), Settings(4, 100, 500, sampler="importance"))
+    assert chains.sampler == "importance"
+    draws = np.asarray(chains.theta).reshape(-1, 10)
+    error = 4.5 / np.sqrt(convergence(chains).ess_bulk.min())
+    assert (np.abs(draws.mean(axis=0) - mean) < error * sd).all()
+    np.testing.assert_allclose(np.cov(draws.T), covariance, atol=2 * error * sd.max() ** 2)
+
+
+def test_one_program_serves_all_equal_posteriors(monkeypatch):
+    from hsed_jax.inference import predict
+
+    calls = 0
+
+    class Counting(predict.eqx.Module):
+        gain: jnp.ndarray
+
+        def __call__(self, theta, conditions):
+            nonlocal calls
+            calls += 1
+            return self.gain * theta * conditions.inputs["x"], True
+
+    found = []
+    for gain in (1.0, 2.0):
+        posterior = posterior_of(Counting(jnp.asarray(gain)), {"a": Prior("normal", [0.0, 10.0])}, [0.1])
+        found.append(float(find(posterior, data_of(np.ones(3), np.ones((3, 1)))).theta[0]))
+        if gain == 1.0:
+            traced = calls
+    assert found == pytest.approx([1.0, 0.5], rel=1e-3)
+    assert 0 < traced == calls
