@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,8 +24,8 @@ from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, check_campaign
 from hsed_jax.physics.batch import tiled_map
-from hsed_jax.physics.integrate import Response
-from hsed_jax.physics.simulator import Conditions
+from hsed_jax.physics.response import Response
+from hsed_jax.physics.simulator import Conditions, Simulator
 from hsed_jax.tables import Table, Tabular
 
 # Of the random numbers of a calibration; the steps of a design have the numbers below.
@@ -204,13 +205,18 @@ def simulate(
         )
 
     # The study may be of records; what is simulated here has none.
-    simulator = built.planned_simulator
-
-    def one(lane):
-        return simulator.respond(lane[0], Conditions(lane[1]), channels)
-
+    parameters, inputs = lanes
     if not sizes:
-        return jax.jit(one)(lanes)
+        return built.planned_simulator.respond(parameters, Conditions(inputs), channels)
     ((size,),) = sizes
     batch = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (size,)), lanes)
-    return jax.jit(lambda batch: tiled_map(jax.vmap(one), batch))(batch)
+    return _simulated(built.planned_simulator, channels, batch)
+
+
+@eqx.filter_jit
+def _simulated(simulator: Simulator, channels: tuple[str, ...], lanes: Any) -> Response:
+    def one(lane):
+        parameters, inputs = lane
+        return simulator.respond(parameters, Conditions(inputs), channels)
+
+    return tiled_map(jax.vmap(one), lanes)

@@ -382,7 +382,9 @@ def test_several_starts_find_the_better_of_two_modes():
 def chains_of(theta, diverging=None) -> Chains:
     shape = theta.shape[:2]
     diverging = np.zeros(shape, bool) if diverging is None else diverging
-    return Chains(jnp.asarray(theta), jnp.zeros(shape), jnp.asarray(diverging), jnp.ones(shape, int), jnp.asarray(0.5))
+    return Chains(
+        jnp.asarray(theta), jnp.zeros(shape), jnp.asarray(diverging), jnp.ones(shape, int), jnp.full(shape[0], 0.5)
+    )
 
 
 def white(seed=0):

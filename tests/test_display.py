@@ -15,7 +15,7 @@ from test_misfit_figures import histories, quantities
 from test_plot import STUDY, calibration, fitted, improvement
 
 import hsed_jax as hx
-from hsed_jax.physics.integrate import Response
+from hsed_jax.physics.response import Response
 from hsed_jax.tables import MOST, Table, Tabular, cell
 
 EVIL = "<script>alert('1')</script> & \"$x$\""

@@ -43,7 +43,7 @@ def fitted(names=("A", "beta"), at=(4e5, 1.0), count=3):
     centre = np.asarray(at)
     theta = centre * (1 + 0.01 * np.random.default_rng(0).standard_normal((2, 60, len(names))))
     zeros = jnp.zeros((2, 60))
-    chains = Chains(jnp.asarray(theta), zeros, zeros > 1, zeros.astype(int), jnp.asarray(0.5))
+    chains = Chains(jnp.asarray(theta), zeros, zeros > 1, zeros.astype(int), jnp.full(2, 0.5))
     good = Convergence(np.full(len(names), 1.0), np.full(len(names), 900.0), 0)
     posterior = SimpleNamespace(names=names, model_names=tuple(n for n in names if "error." not in n))
     return bare(Fit, posterior=posterior, units=UNITS, chains=chains, convergence=good,

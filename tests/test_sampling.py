@@ -37,9 +37,10 @@ def test_nuts_is_exact_with_an_emulator_that_is_wrong():
     posterior, data, maximum = ridge(0.3)
     emulator = emulate(posterior, data, maximum, jax.random.key(0))
     assert float(emulator.error) < 1e-6  # the response is a quadratic
+    keys = jax.random.split(jax.random.key(1), 4)
     wrong = emulator.__class__(1.5 * emulator.coefficients, emulator.error)
-    chains = sample(posterior, data, maximum, jnp.asarray(0.5), jax.random.key(1), Settings(4, 300, 1500), wrong)
-    exact = sample(posterior, data, maximum, jnp.asarray(0.5), jax.random.key(1), Settings(4, 300, 1500), emulator)
+    chains = sample(posterior, data, maximum, jnp.asarray(0.5), keys, Settings(4, 300, 1500), wrong)
+    exact = sample(posterior, data, maximum, jnp.asarray(0.5), keys, Settings(4, 300, 1500), emulator)
     assert not np.array_equal(chains.theta, exact.theta)
     for found in (chains, exact):
         normal = straight(found, 0.3)

@@ -177,8 +177,8 @@ def plain_scales(
     law |= {name: value for name, value in fixed.items() if "." not in name}
     plain = Simulator(structure, excitation, timeline)
     middle = space.si(space.declared(np.full((1, len(space.names)), 0.5)))
-    conditions = Conditions({name: float(values[0]) for name, values in middle.items()})
-    response = jax.jit(lambda: plain.respond(law, conditions, ("elongation_rate",)))()
+    conditions = Conditions({name: jnp.asarray(values[0]) for name, values in middle.items()})
+    response = plain.respond(law, conditions, ("elongation_rate",))
     found = (
         response.quantities["peak_force"],
         response.quantities["peak_elongation"],

@@ -215,7 +215,7 @@ class SequentialDesign:
             float(best.value),
             chosen,
         )
-        going_on = replace(state, theta=np.asarray(maximum.u), step_size=float(chains.step_size))
+        going_on = replace(state, theta=np.asarray(maximum.u), step_size=float(np.mean(chains.step_size)))
         return chosen, going_on, info
 
     def _fit(self, state: DesignState, norms: np.ndarray, key: PRNGKeyArray) -> Kriging:

@@ -57,7 +57,7 @@ class Weighted(NamedTuple):
     def reliable(self) -> bool:
         """Whether moments of these draws may be believed."""
         # What a few draws say of their tail is uncertain (Vehtari et al. 2024, section 3.2.4).
-        return self.shape < min(_SHAPE, 1 - 1 / np.log10(len(self.u))) and self.worth >= _WORTHY * len(self.u)
+        return bool(self.shape < min(_SHAPE, 1 - 1 / np.log10(len(self.u))) and self.worth >= _WORTHY * len(self.u))
 
 
 def weigh(posterior: Posterior, data: Data, maximum: Maximum, key: PRNGKeyArray, draws: int) -> Weighted:

@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, Key
 from numpyro.infer.hmc import hmc
 
 from hsed_jax.inference.emulator import Emulator
@@ -37,7 +37,7 @@ class Chains(NamedTuple):
         log_density: log density in u, shape (chains, draws).
         diverging: divergent transitions, shape (chains, draws).
         steps: leapfrog steps per draw, shape (chains, draws); none where the draws are independent.
-        step_size: the adapted step size, averaged over chains.
+        step_size: the adapted step size of each chain, shape (chains,).
         sampler: that drew them: `nuts`, `importance` or `laplace` (of the Gaussian around the mode, not of the posterior).
         worth: number of independent draws that they are worth at most.
         emulator_error: of the log density of the emulator that gave NUTS its gradients [nats]; None where the simulator did.
@@ -47,7 +47,7 @@ class Chains(NamedTuple):
     log_density: Float[Array, "chains draws"]
     diverging: Bool[Array, "chains draws"]
     steps: Int[Array, "chains draws"]
-    step_size: Float[Array, ""]
+    step_size: Float[Array, " chains"]
     sampler: str = "nuts"
     worth: float = np.inf
     emulator_error: float | None = None
@@ -59,7 +59,7 @@ def sample(
     data: Data,
     maximum: Maximum,
     step_size: Float[Array, ""],
-    key: PRNGKeyArray,
+    keys: Key[Array, " chains"],
     settings: Settings,
     emulator: Emulator | None = None,
 ) -> Chains:
@@ -70,7 +70,7 @@ def sample(
         data: measured outputs.
         maximum: the mode to start from and the whitening (`maximise`).
         step_size: to begin adaptation from.
-        key: of the random numbers.
+        keys: of the random numbers, one for each chain; these chains move in lockstep.
         settings: sizes.
         emulator: takes the place of the simulator in gradients; the draws are exact with any, and with a poor one few.
     """
@@ -94,9 +94,10 @@ def sample(
 
     start, draw = hmc(potential_fn_gen=potential_of, algo="NUTS")
 
-    def first(key, w):
+    def first(key):
+        scattered, key = jax.random.split(key)
         return start(
-            w,
+            jax.random.normal(scattered, (place.size,)),
             settings.warmup,
             step_size=step_size,  # pyright: ignore[reportArgumentType]  (annotated as a float, traced all the same)
             adapt_mass_matrix=False,
@@ -106,9 +107,7 @@ def sample(
             rng_key=key,
         )
 
-    spread, keys = jax.random.split(key)
-    scattered = jax.random.normal(spread, (settings.chains, place.size))
-    state = jax.vmap(first)(jax.random.split(keys, settings.chains), scattered)
+    state = jax.vmap(first)(keys)
     move = jax.vmap(lambda state: draw(state, (data,)))
     state = jax.lax.fori_loop(0, settings.warmup, lambda _, s: move(s), state)
 
@@ -120,7 +119,7 @@ def sample(
     u = place + w @ frame.T
     theta = jax.vmap(jax.vmap(posterior.constrain))(u)
     theta, potential, diverging, steps = (jnp.swapaxes(x, 0, 1) for x in (theta, potential, diverging, steps))
-    return Chains(theta, -potential, diverging, steps, jnp.mean(state.adapt_state.step_size))
+    return Chains(theta, -potential, diverging, steps, state.adapt_state.step_size)
 
 
 class Convergence(NamedTuple):

@@ -4,6 +4,8 @@ Importance sampling says itself whether it may be believed; where not, NUTS take
 emulator where that is accurate, and from the simulator where not; its draws are exact with either.
 """
 
+from concurrent.futures import ThreadPoolExecutor
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -18,6 +20,8 @@ from hsed_jax.inference.posterior import Posterior
 
 # Error of the emulated log density [nats] that still leaves most proposals accepted.
 _ACCURATE = 0.5
+# Fields of `Chains` that are arrays.
+_ARRAYS = 5
 
 
 def draw(
@@ -51,8 +55,21 @@ def draw(
     emulator = emulate(posterior, data, maximum, first)
     error = float(emulator.error)
     accurate = error < _ACCURATE
-    chains = sample(posterior, data, maximum, step_size, second, settings, emulator if accurate else None)
-    return chains._replace(sampler="nuts", emulator_error=error if accurate else None)
+    keys = jax.random.split(second, settings.chains)
+    # Chains in lockstep wait for the longest trajectory among them; two at a time, on a thread each, wait for less.  Always two,
+    # so that the draws do not depend on the machine.
+    together = 2 - settings.chains % 2
+
+    def some(first: int) -> Chains:
+        chosen = keys[first : first + together]
+        return jax.block_until_ready(
+            sample(posterior, data, maximum, step_size, chosen, settings, emulator if accurate else None)
+        )
+
+    with ThreadPoolExecutor() as threads:
+        parts = list(threads.map(some, range(0, settings.chains, together)))
+    arrays = [jnp.concatenate(leaves) for leaves in zip(*(part[:_ARRAYS] for part in parts), strict=True)]
+    return Chains(*arrays, sampler="nuts", emulator_error=error if accurate else None)
 
 
 @eqx.filter_jit
@@ -79,4 +96,6 @@ def _independent(
     shape = (settings.chains, settings.draws)
     theta = _constrained(posterior, u).reshape(*shape, -1)
     none = jnp.zeros(shape, dtype=int)
-    return Chains(theta, height.reshape(shape), none > 0, none, step_size, settings.sampler, worth)
+    return Chains(
+        theta, height.reshape(shape), none > 0, none, jnp.full(settings.chains, step_size), settings.sampler, worth
+    )

@@ -2,9 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -53,30 +51,20 @@ class VirtualLaboratory:
         Raises:
             ExperimentFailed: the simulation diverged.
         """
-        values, ok = self._simulate(_conditions(inputs))
+        values, ok = self.simulator.quantities(self.parameters, _conditions(inputs), self.quantities)
         if not ok:
             raise ExperimentFailed("the simulation of the specimen diverged")
         return dict(zip(self.quantities, np.asarray(values).tolist(), strict=True))
 
-    @cached_property
-    def _simulate(self):
-        parameters = {name: float(value) for name, value in self.parameters.items()}
-        return jax.jit(lambda conditions: self.simulator.quantities(parameters, conditions, self.quantities))
-
     def _record(self, inputs: Mapping[str, float], random: np.random.Generator) -> Record:
-        response = self._simulate_histories(_conditions(inputs))
+        names = ("ground_acceleration", *self.channels)
+        response = self.simulator.respond(self.parameters, _conditions(inputs), names)
         if not response.ok:
             raise ExperimentFailed("the simulation of the specimen diverged")
         step, steps, every = self.simulator.timeline
         time = step * every * np.arange(steps // every + 1)
         channels = {name: np.asarray(values) for name, values in response.channels.items()}
         return Record(time, {name: noisy(values, self.noise.get(name), random) for name, values in channels.items()})
-
-    @cached_property
-    def _simulate_histories(self):
-        parameters = {name: float(value) for name, value in self.parameters.items()}
-        names = ("ground_acceleration", *self.channels)
-        return jax.jit(lambda conditions: self.simulator.respond(parameters, conditions, names))
 
 
 def _conditions(inputs: Mapping[str, float]) -> Conditions:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hsed_jax.physics.excitations import Imposed, Tabulated
-from hsed_jax.physics.integrate import Response
+from hsed_jax.physics.response import Response
 
 Scalar = Float[Array, ""] | float
 

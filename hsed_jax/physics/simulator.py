@@ -11,8 +11,8 @@ from hsed_jax.physics.bouc_wen import BoucWen
 from hsed_jax.physics.effects import EFFECTS, AbstractEffect, AbstractSetupEffect, AbstractSpringEffect
 from hsed_jax.physics.effects.base import Setup, combine
 from hsed_jax.physics.excitations import AbstractExcitation, AbstractForcing, Scaled, Tabulated
-from hsed_jax.physics.integrate import Response, integrate
 from hsed_jax.physics.parameters import dimensionless
+from hsed_jax.physics.response import Response
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.sensors import felt, measured
 from hsed_jax.physics.structures import Structure
@@ -99,6 +99,7 @@ class Simulator(eqx.Module):
         damping = slots("damping") * structure.damping_matrix()
         return ShakenStructure(structure.altered(slots("mass"), slots("support")), spring, damping)
 
+    @eqx.filter_jit
     def respond(
         self,
         parameters: Mapping[str, Scalar],
@@ -107,11 +108,16 @@ class Simulator(eqx.Module):
     ) -> Response:
         """The response of one experiment, as the test rig measures it.
 
+        Compiled once for all simulators that differ in arrays only.
+
         Arguments:
             parameters: by name, SI.
             conditions: inputs and record of the experiment.
             channels: names of the histories to keep.
         """
+        # Here and not above: what only builds or checks a simulator does without diffrax.
+        from hsed_jax.physics.integrate import integrate
+
         step, steps, every = self.timeline
         if conditions.recorded is not None:
             forcing, length = conditions.recorded
@@ -129,6 +135,7 @@ class Simulator(eqx.Module):
             return response
         return measured(response, slots, length, every, is_imposed=self.structure is None)
 
+    @eqx.filter_jit
     def quantities(self, parameters: Mapping[str, Scalar], conditions: Conditions, names: tuple[str, ...]):
         """The named quantities of one experiment, shape (len(names),), and whether it converged."""
         response = self.respond(parameters, conditions)
