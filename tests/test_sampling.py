@@ -1,5 +1,7 @@
 """Samplers where they are at their limits: a poor emulator, weights that cannot be relied on, many parameters."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -38,7 +40,7 @@ def test_nuts_is_exact_with_an_emulator_that_is_wrong():
     emulator = emulate(posterior, data, maximum, jax.random.key(0))
     assert float(emulator.error) < 1e-6  # the response is a quadratic
     keys = jax.random.split(jax.random.key(1), 4)
-    wrong = emulator.__class__(1.5 * emulator.coefficients, emulator.error)
+    wrong = dataclasses.replace(emulator, coefficients=1.5 * emulator.coefficients)
     chains = sample(posterior, data, maximum, jnp.asarray(0.5), keys, Settings(4, 300, 1500), wrong)
     exact = sample(posterior, data, maximum, jnp.asarray(0.5), keys, Settings(4, 300, 1500), emulator)
     assert not np.array_equal(chains.theta, exact.theta)

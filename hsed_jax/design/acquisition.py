@@ -69,13 +69,14 @@ def log_standard_improvement(z: Float[Array, " M"]) -> Float[Array, " M"]:
     in_tail = z < -_SWITCH
     body, t = jnp.where(in_tail, -_SWITCH, z), jnp.where(in_tail, -z, _SWITCH)
     density = jnp.exp(-0.5 * body**2) / np.sqrt(2.0 * np.pi)
-    direct = jnp.log(density + body * 0.5 * jax.scipy.special.erfc(-body / np.sqrt(2.0)))
+    direct = density + body * 0.5 * jax.scipy.special.erfc(-body / np.sqrt(2.0))
     deepest = _LEVELS + 1
     ratio = (jnp.sqrt(t**2 + 4.0 * deepest) - t) / (2.0 * deepest)
     for n in range(_LEVELS, 1, -1):
         ratio = 1.0 / (t + n * ratio)
-    tail = -0.5 * t**2 - 0.5 * np.log(2.0 * np.pi) + jnp.log(ratio) - jnp.log(t + ratio)
-    return jnp.where(in_tail, tail, direct)
+    # In the tail over the density, whose logarithm is known; one logarithm serves both branches.
+    log_density = jnp.where(in_tail, -0.5 * t**2 - 0.5 * np.log(2.0 * np.pi), 0.0)
+    return log_density + jnp.log(jnp.where(in_tail, ratio / (t + ratio), direct))
 
 
 def improvement(kriging: Kriging, candidates: Float[Array, "M d"], key: PRNGKeyArray) -> Float[Array, " M"]:

@@ -1,6 +1,7 @@
 r"""The predictions as polynomials of the parameters near the mode: a gradient for NUTS that costs no simulation.
 
-In whitened coordinates w the predictions of every experiment are fitted by $f(w) \approx \sum_{|\alpha|\le2} c_\alpha w^\alpha$.
+The predictions of every experiment are fitted by $f(\theta) \approx \sum_{|\alpha|\le2} c_\alpha x^\alpha$, x the standardised θ:
+in θ they are smooth, also where u runs into the bound of a prior.
 Only gradients are taken from it.  The density itself is always that of the simulator, so that the chain is exact whatever the
 emulator's error: leapfrog with another force is still reversible and keeps volumes, and what the force misses is paid for by
 acceptance (Neal 2011, section 5.5).  The error says whether it is worth while.
@@ -24,47 +25,52 @@ _TOGETHER = 64
 
 @final
 class Emulator(eqx.Module):
-    """Predictions of all experiments, quadratic in w.
+    """Predictions of all experiments, quadratic in the parameters of the model.
 
     Attributes:
+        center, spread: of the parameters, for x = (θ − center)/spread, (p,).
         coefficients: (q, n, J), q = (p + 1)(p + 2)/2.
         error: sd over the posterior of the log density's error [nats].
     """
 
+    center: Float[Array, " p"]
+    spread: Float[Array, " p"]
     coefficients: Float[Array, "q n J"]
     error: Float[Array, ""]
 
-    def __call__(self, w: Float[Array, " p"]) -> Float[Array, "n J"]:
-        """Outputs at whitened coordinates."""
-        return jnp.tensordot(_terms(w), self.coefficients, 1)
+    def __call__(self, theta: Float[Array, " p"]) -> Float[Array, "n J"]:
+        """Outputs at parameters of the model, SI."""
+        return jnp.tensordot(_terms((theta - self.center) / self.spread), self.coefficients, 1)
 
 
 @eqx.filter_jit
 def emulate(posterior: Posterior, data: Data, maximum: Maximum, key: PRNGKeyArray) -> Emulator:
     """Fit the predictions around the mode, at draws somewhat wider than the Gaussian there."""
-    p = maximum.start.size
+    p = len(posterior.model_names)
     count = max(_LEAST, _DRAWS * (p + 1) * (p + 2) // 2)
-    w = _SPREAD * jax.random.normal(key, (count, p))
+    w = _SPREAD * jax.random.normal(key, (count, maximum.start.size))
     u = maximum.start + w @ maximum.whitening.T
+    theta = jax.vmap(posterior.constrain)(u)[:, :p]
+    center, spread = jnp.mean(theta, axis=0), jnp.std(theta, axis=0)
+    spread = jnp.where(spread > 0, spread, 1.0)
     outputs, ok = jax.lax.map(lambda x: posterior.predictions(x, data), u, batch_size=_TOGETHER)
-    terms = jax.vmap(_terms)(w)
+    terms = jax.vmap(_terms)((theta - center) / spread)
     coefficients = jnp.linalg.lstsq(terms, outputs.reshape(count, -1))[0].reshape(-1, *outputs.shape[1:])
+    emulated = jnp.tensordot(terms, coefficients, 1)
 
-    def both(u, w, outputs, ok):
-        emulated = jnp.tensordot(_terms(w), coefficients, 1)
-        return posterior.log_density_of(u, outputs, ok, data), posterior.log_density_of(
-            u, emulated, jnp.ones_like(ok), data
-        )
+    def both(u, outputs, emulated, ok):
+        certain = jnp.ones_like(ok)
+        return posterior.log_density_of(u, outputs, ok, data), posterior.log_density_of(u, emulated, certain, data)
 
-    exact, emulated = jax.vmap(both)(u, w, outputs, ok)
+    exact, approximate = jax.vmap(both)(u, outputs, emulated, ok)
     log_weight = exact + 0.5 * jnp.sum((w / _SPREAD) ** 2, axis=1)
     share = jax.nn.softmax(jnp.where(jnp.isfinite(log_weight), log_weight, -jnp.inf))
-    gap = jnp.where(share > 0, exact - emulated, 0.0)
+    gap = jnp.where(share > 0, exact - approximate, 0.0)
     error = jnp.sqrt(share @ (gap - share @ gap) ** 2)
     # As many coefficients as were fitted are missing from the draws' own error.
-    return Emulator(coefficients, error * jnp.sqrt(count / (count - terms.shape[1])))
+    return Emulator(center, spread, coefficients, error * jnp.sqrt(count / (count - terms.shape[1])))
 
 
-def _terms(w: Float[Array, " p"]) -> Float[Array, " q"]:
-    rows, columns = jnp.triu_indices(w.size)
-    return jnp.concatenate([jnp.ones(1), w, w[rows] * w[columns]])
+def _terms(x: Float[Array, " p"]) -> Float[Array, " q"]:
+    rows, columns = jnp.triu_indices(x.size)
+    return jnp.concatenate([jnp.ones(1), x, x[rows] * x[columns]])

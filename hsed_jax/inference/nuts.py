@@ -85,8 +85,9 @@ def sample(
         emulate = emulator
 
         def emulated(w):
-            predicted = emulate(w)
-            return -posterior.log_density_of(place + frame @ w, predicted, jnp.ones(predicted.shape[0]), data)
+            u = place + frame @ w
+            predicted = emulate(posterior.constrain(u)[: len(posterior.model_names)])
+            return -posterior.log_density_of(u, predicted, jnp.ones(predicted.shape[0]), data)
 
         potential = jax.custom_jvp(exact)
         potential.defjvp(lambda at, along: (exact(*at), jax.jvp(emulated, at, along)[1]))

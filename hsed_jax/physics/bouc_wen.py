@@ -63,7 +63,8 @@ class BoucWen(eqx.Module):
         if not _is_zero(sharper := slots("n")):
             # (|z|/z_u)^δ leaves the strength z_u where it is: sharpness alone changes.
             softening = softening * _power(magnitude / self._strength(), sharper, 0)
-        flow = slots("h") * (slots("a") * self.A * rate - slots("nu") * softening) / slots("eta")
+        # h/η first: rates at one η then share one division.
+        flow = slots("h") / slots("eta") * (slots("a") * self.A * rate - slots("nu") * softening)
         if not _is_zero(compliance := slots("compliance")):
             moving = jnp.where(rate == 0, 1.0, rate)
             flow = flow / (1 + compliance * flow / moving)

@@ -10,6 +10,7 @@ from abc import abstractmethod
 from typing import NamedTuple, final
 
 import equinox as eqx
+import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
@@ -132,9 +133,11 @@ class NearFaultPulse(AbstractExcitation):
         """The pulse as two rotating phasors."""
         carrier, envelope = self._phases(0.0)
         carrier_rate, envelope_rate = self._angular_frequencies()
+        duration = jax.lax.stop_gradient(self.duration)
         return _RotatingPulse(
             pulse=self,
             half_step=0.5 * step,
+            last=eqxi.unvmap_max(jnp.asarray(duration / (0.5 * step))),
             phasors=(_unit(carrier), _unit(envelope)),
             rotations=(_unit(0.5 * step * carrier_rate), _unit(0.5 * step * envelope_rate)),
         )
@@ -169,6 +172,7 @@ class NearFaultPulse(AbstractExcitation):
 class _RotatingPulse(AbstractForcing):
     pulse: NearFaultPulse
     half_step: Scalar
+    last: Scalar  # half steps until the longest pulse of the batch is over
     phasors: tuple
     rotations: tuple
 
@@ -176,9 +180,13 @@ class _RotatingPulse(AbstractForcing):
         return self.phasors, self.pulse.acceleration(0.0)
 
     def advance(self, carry: PyTree, index: ArrayLike) -> tuple[PyTree, PyTree]:
-        carrier, envelope = (_rotate(*pair) for pair in zip(carry, self.rotations, strict=True))
-        inside = jnp.asarray(index) * self.half_step <= self.pulse.duration
-        return (carrier, envelope), jnp.where(inside, self.pulse._combine(carrier, envelope), 0.0)
+        def shaken():
+            carrier, envelope = (_rotate(*pair) for pair in zip(carry, self.rotations, strict=True))
+            inside = jnp.asarray(index) * self.half_step <= self.pulse.duration
+            return (carrier, envelope), jnp.where(inside, self.pulse._combine(carrier, envelope), 0.0)
+
+        # The same for all lanes of a batch, so it stays a branch: most of an experiment is free vibration.
+        return jax.lax.cond(jnp.asarray(index) <= self.last, shaken, lambda: (carry, jnp.zeros(())))
 
 
 def _unit(angle: Scalar) -> tuple[Scalar, Scalar]:

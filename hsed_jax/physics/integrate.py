@@ -19,6 +19,9 @@ from hsed_jax.physics.systems import AbstractSystem, State
 
 Scalar = Float[Array, ""] | float
 
+# At a reversal the rate is zero; this one [m/s] stands for its two sides.
+_CREEP = 1e-6
+
 
 class Peaks(NamedTuple):
     """Largest absolute force [N] and elongation [m] so far."""
@@ -75,19 +78,25 @@ class RungeKutta4(diffrax.AbstractSolver):
         carry, middle = self.forcing.advance(carry, 2 * number + 1)
         carry, last = self.forcing.advance(carry, 2 * number + 2)
 
+        def moved(rates: State, length: Scalar) -> State:
+            return jax.tree.map(lambda y, k: y + length * k, start, rates)
+
         def rates(state: State, sample: PyTree) -> State:
-            # Each stage is kept: without the barrier XLA computes it again for every component that uses it.
-            return jax.lax.optimization_barrier(terms.vf(t0, y0._replace(state=state), (system, sample)).state)
+            return terms.vf(t0, y0._replace(state=state), (system, sample)).state
 
         start = y0.state
-        k1 = rates(start, first)
-        k2 = rates(_moved(start, k1, 0.5 * h), middle)
-        k3 = rates(_moved(start, k2, 0.5 * h), middle)
-        k4 = rates(_moved(start, k3, h), last)
-        end = jax.lax.optimization_barrier(
-            jax.tree.map(lambda y, a, b, c, d: y + h / 6 * (a + 2 * (b + c) + d), start, k1, k2, k3, k4)
+        flow = rates(start, first)
+        second = _kept(moved(flow, 0.5 * h))
+        third = _kept(moved(rates(second, middle), 0.5 * h))
+        fourth = _kept(moved(rates(third, middle), h))
+        # From the states of the stages, which are kept, and not from their rates, which then need not be: a step of many
+        # lanes takes as long as its loads and stores.
+        end = jax.tree.map(
+            lambda y, b, c, d, k: y + ((b - y) + 2 * (c - y) + (d - y)) / 3 + h / 6 * k,
+            *(start, second, third, fourth, rates(fourth, last)),
         )
-        end, force, elongation = _mended(system, (start, first), (end, last), k1, h)
+        end = jax.lax.optimization_barrier(end)
+        end, force, elongation = _mended(system, (start, first), (end, last), flow, h)
         peaks = Peaks(
             jnp.maximum(y0.peaks.force, jnp.abs(force)), jnp.maximum(y0.peaks.elongation, jnp.abs(elongation))
         )
@@ -95,8 +104,13 @@ class RungeKutta4(diffrax.AbstractSolver):
         return y1, None, {"y0": y0, "y1": y1}, (carry, last), diffrax.RESULTS.successful
 
 
-def _moved(state: State, rates: State, length: Scalar) -> State:
-    return jax.tree.map(lambda y, k: y + length * k, state, rates)
+def _kept(state: State) -> State:
+    """The state of a stage, written to memory: without the barrier XLA computes it again for everything that uses it.
+
+    Its displacement is cheaper to compute again.
+    """
+    velocity, memory = jax.lax.optimization_barrier((state.velocity, state.memory))
+    return State(state.displacement, velocity, memory)
 
 
 def _mended(
@@ -110,23 +124,21 @@ def _mended(
     du0, v0 = system.kinematics(*before)
     du1, v1 = system.kinematics(*after)
     turns = v0 * v1 < 0
-    theta = jnp.where(turns, v0 / jnp.where(turns, v0 - v1, 1.0), 1.0)
-    rest = 1 - theta
-    elongation = (
-        du0 * rest * rest * (1 + 2 * theta)
-        + du1 * theta * theta * (3 - 2 * theta)
-        + h * theta * rest * (rest * v0 - theta * v1)
-    )
+    theta = jax.lax.optimization_barrier(jnp.where(turns, v0 / jnp.where(turns, v0 - v1, 1.0), 1.0))
+    turns, rest = theta < 1, 1 - theta
+    # The cubic in powers of 1 − θ: exactly Δu₁ where nothing turns.
+    back, bend = du0 - du1, 2 * (du0 - du1) + h * (v0 + v1)
+    elongation = du1 + rest * (rest * (back + bend + h * v1 - rest * bend) - h * v1)
+    elongation = jax.lax.optimization_barrier(elongation)
     memory = after[0].memory
     loading = flow.memory["hysteretic"] / jnp.where(turns, v0, 1.0)
     z_turn = before[0].memory["hysteretic"] + loading * (elongation - du0)
     at_turn = {**memory, "hysteretic": z_turn}
-    speed = jnp.where(turns, v1, 1.0)
-    unloading = spring.rates(elongation, speed, at_turn)["hysteretic"] / speed
-    loading = -spring.rates(elongation, -speed, at_turn)["hysteretic"] / speed
-    exact = 0.5 * v0 * theta
-    simpson = (v0 + jnp.where(theta > 0.5, 2 * (v0 + v1), 0.0)) / 6
-    shift = jnp.where(turns, h * (loading - unloading) * (exact - simpson), 0.0)
+    closing, opening = (spring.rates(elongation, rate, at_turn)["hysteretic"] / rate for rate in (-_CREEP, _CREEP))
+    before_turn, after_turn = jnp.abs(v0), jnp.abs(v1)
+    exact = 0.5 * before_turn * theta
+    simpson = (before_turn + jnp.where(theta > 0.5, 2 * (before_turn - after_turn), 0.0)) / 6
+    shift = jnp.where(turns, h * (opening - closing) * (exact - simpson), 0.0)
     mended = spring.settle(elongation, {**memory, "hysteretic": memory["hysteretic"] + shift})
     force = spring.force(
         elongation,
