@@ -5,6 +5,7 @@ emulator where that is accurate, and from the simulator where not; its draws are
 """
 
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -22,6 +23,7 @@ from hsed_jax.inference.posterior import Posterior
 _ACCURATE = 0.5
 # Fields of `Chains` that are arrays.
 _ARRAYS = 5
+_compiled: set[Any] = set()
 
 
 def draw(
@@ -66,8 +68,15 @@ def draw(
             sample(posterior, data, maximum, step_size, chosen, settings, emulator if accurate else None)
         )
 
-    with ThreadPoolExecutor() as threads:
-        parts = list(threads.map(some, range(0, settings.chains, together)))
+    begins = range(0, settings.chains, together)
+    program = jax.tree.structure((posterior, data, settings, emulator if accurate else None))
+    if program not in _compiled:
+        # One thread traces and compiles, where several would all do the same.
+        parts = [some(begin) for begin in begins]
+        _compiled.add(program)
+    else:
+        with ThreadPoolExecutor() as threads:
+            parts = list(threads.map(some, begins))
     arrays = [jnp.concatenate(leaves) for leaves in zip(*(part[:_ARRAYS] for part in parts), strict=True)]
     return Chains(*arrays, sampler="nuts", emulator_error=error if accurate else None)
 
