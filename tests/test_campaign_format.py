@@ -476,13 +476,13 @@ def test_a_campaign_is_read_in_si_and_shown_as_declared():
         campaign["E01"].record["force"][0] = 1.0
 
 
-UNITS = ("mm", "kN*mm", "m/s2", "g", "%", "inch/s", "kip", "-", "furlong")
+SPELLINGS = ("mm", "kN*mm", "m/s2", "g", "%", "inch/s", "kip", "-", "furlong")
 
 
 def read_units() -> list:
     units._registry.cache_clear()
     units._in_si.cache_clear()
-    return [parse_unit(unit) for unit in UNITS]
+    return [parse_unit(unit) for unit in SPELLINGS]
 
 
 def test_units_are_the_same_read_from_the_table_and_from_what_was_kept_of_it(tmp_path, monkeypatch):

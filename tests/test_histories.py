@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -91,7 +92,7 @@ def study_of(**changes):
 def predict(built, campaign, theta):
     """Predicted outputs of all experiments, [experiment][output] -> samples of its record."""
     data = built.data(campaign, campaign.experiments)
-    predicted, ok = jax.jit(built.posterior.predict)(jnp.asarray(theta), data.conditions, data.count)
+    predicted, ok = eqx.filter_jit(built.posterior.predict)(jnp.asarray(theta), data.conditions, data.count)
     assert np.all(np.asarray(ok) == 1)
     tables = np.asarray(predicted).reshape(len(campaign), len(built.outputs), -1)
     return [
@@ -231,7 +232,7 @@ def test_quantities_are_taken_from_records():
     exact = [np.abs(force).max(), np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(elongation))]
     np.testing.assert_allclose(built.observation.measured(campaign["E01"]), exact, rtol=1e-12)
     data = built.data(campaign, campaign.experiments)
-    predicted, _ = jax.jit(built.posterior.predict)(jnp.asarray([A, BETA]), data.conditions, data.count)
+    predicted, _ = eqx.filter_jit(built.posterior.predict)(jnp.asarray([A, BETA]), data.conditions, data.count)
     # The specimen's own, without noise: the peak is exact at its turn; the trapezoid of the samples errs by 1e-3.
     for row, experiment in enumerate(campaign):
         u = experiment.record["elongation"]

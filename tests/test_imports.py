@@ -142,7 +142,6 @@ def test_the_checker_catches_private_jax():
                 "tinygp",
                 "xarray",
                 "matplotlib",
-                "numpyro.infer",
             },
         ),
         (
