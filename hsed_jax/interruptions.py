@@ -16,7 +16,8 @@ def heed_interruptions() -> None:
 
     def hook(unraisable: Any) -> None:
         if unraisable.exc_type is KeyboardInterrupt:
-            threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
+            # Again as a termination, which is heeded also where a shell lets its background processes ignore Ctrl-C.
+            threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM)).start()
         else:
             sys.__unraisablehook__(unraisable)
 
