@@ -158,6 +158,9 @@ def test_draws_of_the_gaussian_around_the_mode_are_near_the_grids(paper, paper_m
     mean, sd, _ = moments(*paper_grid[:3])
     draws = np.asarray(chains.theta).reshape(-1, 2)
     assert chains.sampler == "laplace"
+    assert float(chains.log_density.max()) == pytest.approx(
+        float(built.posterior.log_density(paper_maximum.start, data)), abs=0.02
+    )
     assert (np.abs(draws.mean(axis=0) - mean) < 0.3 * sd).all()
     np.testing.assert_allclose(draws.std(axis=0), sd, rtol=0.2)
 

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from hsed_jax.inference.emulator import emulate
 from hsed_jax.inference.importance import resampled, weigh
-from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.likelihood import LOG_2PI, Data
 from hsed_jax.inference.maximum import Maximum
 from hsed_jax.inference.nuts import Chains, Settings, sample
 from hsed_jax.inference.posterior import Posterior
@@ -47,7 +47,7 @@ def draw(
     first, second = jax.random.split(key)
     number = settings.chains * settings.draws
     if settings.sampler == "laplace":
-        u, height = _gaussian(posterior, data, maximum, first, number)
+        u, height = _gaussian(maximum, first, number)
         return _independent(posterior, u, height, step_size, settings, number)
     if settings.sampler == "importance":
         weighted = weigh(posterior, data, maximum, first, number)
@@ -82,10 +82,12 @@ def draw(
 
 
 @eqx.filter_jit
-def _gaussian(posterior: Posterior, data: Data, maximum: Maximum, key: PRNGKeyArray, number: int):
-    w = jax.random.normal(key, (number, maximum.start.size))
-    height = posterior.log_density(maximum.start, data) - 0.5 * jnp.sum(w**2, axis=1)
-    return maximum.start + w @ maximum.whitening.T, height
+def _gaussian(maximum: Maximum, key: PRNGKeyArray, number: int):
+    p = maximum.start.size
+    w = jax.random.normal(key, (number, p))
+    # The Gaussian is as high as the density at the mode, which the evidence by Laplace's method was made of.
+    top = maximum.log_evidence - 0.5 * p * LOG_2PI - jnp.linalg.slogdet(maximum.whitening)[1]
+    return maximum.start + w @ maximum.whitening.T, top - 0.5 * jnp.sum(w**2, axis=1)
 
 
 @eqx.filter_jit
