@@ -20,11 +20,12 @@ if TYPE_CHECKING:
 # A worker that dies is replaced and its study goes on; a study that its worker dies of this often has failed.
 _DEATHS = 3
 _PATIENCE = "30s"
-# The programs of past studies stay in memory, 20 MB and more each.
-_STUDIES_PER_CACHE = 20
+# Equal studies share their programs; those of others stay in memory, 20 MB and more each, until they take this much [bytes].
+_PROGRAMS = 2**30
 _SLURM = {"cores": 1, "processes": 1, "memory": "4GB"}
 
-_run_here = 0
+_lean: int | None = None
+"""Memory of this process without the programs of past studies [bytes]."""
 
 
 def run_point(path: str, number: int, study: Mapping[str, Any], pin: bool) -> str:
@@ -39,20 +40,29 @@ def run_point(path: str, number: int, study: Mapping[str, Any], pin: bool) -> st
     Returns:
         `complete` or `failed`.
     """
-    global _run_here
     if pin:
         _take_one_core()
-    import jax
-
     folder = Path(path)
     with alone(folder, number):
         if outcome(folder, number)["status"] != "complete":
             note(folder, number, _ended(run_folder(folder, number), study))
         status = outcome(folder, number)["status"]
-    _run_here += 1
-    if _run_here % _STUDIES_PER_CACHE == 0:
-        jax.clear_caches()
+    _forget()
     return status
+
+
+def _forget() -> None:
+    """Drop the compiled programs where they have become many."""
+    global _lean
+    import jax
+    import psutil
+
+    taken = psutil.Process().memory_info().rss
+    if _lean is not None and taken > _lean + _PROGRAMS:
+        jax.clear_caches()
+        _lean = None
+    elif _lean is None:
+        _lean = taken
 
 
 def _ended(here: Path, study: Mapping[str, Any]) -> dict[str, Any]:
