@@ -1,6 +1,7 @@
 """The sentence of the package in Python: simulate, calibrate, compare, locate.  The command line says the same."""
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -30,6 +31,8 @@ from hsed_jax.tables import Table, Tabular
 
 # Of the random numbers of a calibration; the steps of a design have the numbers below.
 _CALIBRATION_KEY = 1_000_000
+# Simulations of a batch that go to a thread together: one program for batches of any size, and bounded memory.
+_CHUNK = 2048
 
 
 @dataclass(frozen=True, repr=False)
@@ -209,14 +212,27 @@ def simulate(
     if not sizes:
         return built.planned_simulator.respond(parameters, Conditions(inputs), channels)
     ((size,),) = sizes
-    batch = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (size,)), lanes)
-    return _simulated(built.planned_simulator, channels, batch)
+    if size == 0:
+        raise UserError("there is nothing to simulate: inputs and parameters are arrays of length 0")
+    batch = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (size,)), lanes)
+
+    def chunk(begin: int) -> Response:
+        count = min(_CHUNK, size - begin)
+        part = jax.tree.map(lambda x: np.pad(x[begin : begin + count], (0, _CHUNK - count), mode="edge"), batch)
+        found = _simulated(built.planned_simulator, channels, part, jnp.asarray(count))
+        return jax.tree.map(lambda x: np.asarray(x)[:count], found)
+
+    # The first compiles, the others run on all cores.
+    with ThreadPoolExecutor() as threads:
+        parts = [chunk(0), *threads.map(chunk, range(_CHUNK, size, _CHUNK))]
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)), *parts)
 
 
 @eqx.filter_jit
-def _simulated(simulator: Simulator, channels: tuple[str, ...], lanes: Any) -> Response:
+def _simulated(simulator: Simulator, channels: tuple[str, ...], lanes: Any, count: Array) -> Response:
     def one(lane):
         parameters, inputs = lane
         return simulator.respond(parameters, Conditions(inputs), channels)
 
-    return tiled_map(jax.vmap(one), lanes)
+    found = tiled_map(jax.vmap(one), lanes, count=count)
+    return found._replace(ok=found.ok.astype(bool))

@@ -28,6 +28,16 @@ def test_a_batch_is_its_members(study):
         np.testing.assert_allclose(values, [float(r.quantities[name]) for r in alone], rtol=1e-12)
 
 
+def test_a_large_batch_goes_in_parts_and_comes_back_in_order(study):
+    periods = np.linspace(0.5, 1.5, 5000)
+    batch = hx.simulate(study, {"V_P": 2.25, "T_P": periods}, channels=())
+    assert batch.ok.shape == (5000,) and bool(batch.ok.all())
+    some = [0, 2047, 2048, 4095, 4096, 4999]
+    few = hx.simulate(study, {"V_P": 2.25, "T_P": periods[some]}, channels=())
+    for name, values in batch.quantities.items():
+        np.testing.assert_allclose(values[np.asarray(some)], few.quantities[name], rtol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("inputs", "parameters", "message"),
     [
@@ -35,6 +45,7 @@ def test_a_batch_is_its_members(study):
         ({"V_P": 2.0, "T_P": 1.0, "PGA": 1.0}, {}, "no input 'PGA'"),
         ({"V_P": 2.0, "T_P": 1.0}, {"eta": 1.0}, "no parameter 'eta'"),
         ({"V_P": np.ones(2), "T_P": np.ones(3)}, {}, "arrays of one common length"),
+        ({"V_P": 2.0, "T_P": np.ones(0)}, {}, "nothing to simulate"),
     ],
 )
 def test_what_does_not_fit_the_study_is_refused(study, inputs, parameters, message):
