@@ -49,6 +49,7 @@ def main() -> None:
         help="compare with the last results, keep nothing; 1 if a ratio or an error grew",
     )
     parser.add_argument("--markdown", action="store_true", help="print the table of the last results, measure nothing")
+    parser.add_argument("--brief", action="store_true", help="of the table, only the work, the ratios and our cost")
     options = parser.parse_args()
     if unknown := [row for row in options.rows if row not in ROWS]:
         parser.error(f"there is no row {unknown[0]!r}; the rows are {', '.join(ROWS)}")
@@ -58,7 +59,7 @@ def main() -> None:
         lines = _lines(options.rows or ROWS, options.quick)
         results = {"machine": machine(), "quick": options.quick, "lines": lines}
         options.output.write_text(json.dumps(results, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-    print(table(json.loads(options.output.read_text(encoding="utf-8"))))
+    print(table(json.loads(options.output.read_text(encoding="utf-8")), options.brief))
 
 
 def _guard(kept: Path, rows: Sequence[str], quick: bool) -> int:
@@ -116,10 +117,11 @@ def machine() -> dict[str, Any]:
     }
 
 
-def table(results: dict[str, Any]) -> str:
+def table(results: dict[str, Any], brief: bool) -> str:
     """The results as a Markdown table, and what must be said with it."""
     head = ("row", "work", "our cost / peer's", "ours", "peers", "accuracy")
-    rows = [head, ("---",) * len(head)]
+    shown = slice(1, 4) if brief else slice(None)
+    rows = [head[shown], ("---",) * len(head[shown])]
     for entry in results["lines"]:
         accuracy = (
             f"{who}: " + ", ".join(f"{name} {_short(value)}" for name, value in figures.items())
@@ -129,11 +131,11 @@ def table(results: dict[str, Any]) -> str:
             (
                 entry["row"],
                 entry["work"],
-                "; ".join(f"**{ratio:.2f}** {name}" for name, ratio in entry["ratios"].items()),
+                "; ".join(f"**{_ratio(ratio)}** {name}" for name, ratio in entry["ratios"].items()),
                 f"{_short(entry['ours'])} {entry['unit']}",
                 "; ".join(f"{name} {_short(cost)}" for name, cost in entry["peers"].items()),
                 "; ".join(accuracy),
-            )
+            )[shown]
         )
     m = results["machine"]
     versions = ", ".join(f"{name} {version}" for name, version in m["versions"].items())
@@ -148,6 +150,10 @@ def table(results: dict[str, Any]) -> str:
 
 def _short(value: float) -> str:
     return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+
+
+def _ratio(value: float) -> str:
+    return f"{value:.2g}" if value < 99 else f"{value:.0f}"
 
 
 if __name__ == "__main__":
