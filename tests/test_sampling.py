@@ -77,6 +77,12 @@ def test_weights_that_cannot_be_relied_on_leave_it_to_nuts():
     assert chains.sampler == "nuts"
 
 
+def test_a_few_draws_are_left_to_nuts():
+    posterior, data, maximum = ridge(0.2)
+    chains = drawn(posterior, data, maximum, Settings(1, 5, 3, sampler="importance"))
+    assert chains.sampler == "nuts" and chains.theta.shape == (1, 3, 2)
+
+
 def test_the_worth_of_weights_is_what_their_mean_scatters_by():
     posterior, data, maximum = ridge(0.2)
     means, worths = [], []

@@ -31,6 +31,8 @@ _GOOD = 0.5
 _ENOUGH = 10
 # Beyond this Pareto shape the weights have no mean that can be relied on; of less worth than this share, a chain is better.
 _SHAPE, _WORTHY = 0.7, 0.1
+# Fewer weights than this have no tail to take a shape from.
+_TELLING = 25
 
 
 class Weighted(NamedTuple):
@@ -56,6 +58,8 @@ class Weighted(NamedTuple):
     @property
     def reliable(self) -> bool:
         """Whether moments of these draws may be believed."""
+        if not np.isfinite(self.shape):
+            return False
         # What a few draws say of their tail is uncertain (Vehtari et al. 2024, section 3.2.4).
         return bool(self.shape < min(_SHAPE, 1 - 1 / np.log10(len(self.u))) and self.worth >= _WORTHY * len(self.u))
 
@@ -130,6 +134,8 @@ def _pareto_shape(log_weight: Float[np.ndarray, " S"]) -> float:
     from arviz_stats.base.array import array_stats
 
     finite = log_weight[np.isfinite(log_weight)]
+    if len(finite) < _TELLING:
+        return np.inf
     # ArviZ takes what is to be weighed down: the negative logarithm of the weights.
     return float(array_stats.psislw(finite.max() - finite)[1])
 
