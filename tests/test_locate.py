@@ -118,7 +118,7 @@ class Plain:
         starts = posterior.starts(2)
         self._find = lambda data: maximise(posterior, data, starts)
         self._predict = jax.jit(
-            lambda theta, data: posterior.predict(theta[: len(posterior.model_names)], data.conditions, data.count)
+            lambda theta, data: posterior.predict(posterior.of_model(theta), data.conditions, data.count)
         )
 
     def __call__(self, campaign) -> Prediction:

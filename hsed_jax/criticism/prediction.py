@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -71,20 +72,9 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
         experiments: the same experiments.
     """
     posterior = fit.posterior
-    models = len(posterior.model_names)
     draws = fit.chains.theta.reshape(-1, fit.chains.theta.shape[-1])
     thetas = jnp.concatenate([fit.maximum.theta[None], draws[:: max(1, draws.shape[0] // _DRAWS)][:_DRAWS]])
-
-    @jax.jit
-    def run(thetas, data):
-        predicted, ok = jax.vmap(lambda t: posterior.predict(t[:models], data.conditions, data.count))(thetas)
-        sigma = jax.vmap(posterior.errors)(thetas)[:, None] * data.scales[None]
-        good = ok[1:, :, None] / jnp.maximum(ok[1:].sum(axis=0), 1.0)[None, :, None]
-        mean = jnp.sum(good * predicted[1:], axis=0)
-        variance = jnp.sum(good * ((predicted[1:] - mean) ** 2 + sigma[1:] ** 2), axis=0)
-        return predicted[0], ok[0], sigma[0], mean, jnp.sqrt(variance)
-
-    predicted, ok, sigma, mean, sd = (np.asarray(x) for x in run(thetas, data))
+    predicted, ok, sigma, mean, sd = (np.asarray(x) for x in _predicted(posterior, thetas, data))
     return Prediction(
         posterior.outputs,
         posterior.groups,
@@ -97,3 +87,14 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
         np.broadcast_to(sigma, predicted.shape),
         ok > 0,
     )
+
+
+@eqx.filter_jit
+def _predicted(posterior, thetas, data):
+    """Predictions at the first parameters, whether they converged and their σ; mean and sd over the other parameters."""
+    predicted, ok = jax.vmap(lambda t: posterior.predict(posterior.of_model(t), data.conditions, data.count))(thetas)
+    sigma = jax.vmap(posterior.errors)(thetas)[:, None] * data.scales[None]
+    good = ok[1:, :, None] / jnp.maximum(ok[1:].sum(axis=0), 1.0)[None, :, None]
+    mean = jnp.sum(good * predicted[1:], axis=0)
+    variance = jnp.sum(good * ((predicted[1:] - mean) ** 2 + sigma[1:] ** 2), axis=0)
+    return predicted[0], ok[0], sigma[0], mean, jnp.sqrt(variance)

@@ -32,6 +32,7 @@ from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.sampling import draw
 from hsed_jax.physics.simulator import Conditions
 
+# Inputs that stand for the whole space in the variance of Eq. 12.
 _SPREAD = 256
 
 
@@ -187,7 +188,7 @@ class SequentialDesign:
         self._check_enough(state)
         of_draws, of_kriging, of_choice = jax.random.split(key, 3)
         data = self.data(state)
-        maximum = self.maximise(data, self.starting_points(state))
+        maximum = maximise(self.posterior, data, self.starting_points(state))
         chains = draw(self.posterior, data, maximum, jnp.asarray(state.step_size), of_draws, self.settings)
         norms = np.asarray(self._discrepancy(data, maximum.theta, chains.theta))
         surrogate = self._fit(state, norms, of_kriging)
@@ -295,10 +296,6 @@ class SequentialDesign:
         spread = self._starts
         return spread if state.theta is None else spread.at[0].set(jnp.asarray(state.theta))
 
-    def maximise(self, data: Data, starts: Float[Array, "s p"]) -> Maximum:
-        """The MAP for data of the planned size."""
-        return maximise(self.posterior, data, starts)
-
     @cached_property
     def _starts(self):
         return self.posterior.starts(self.starts)
@@ -324,9 +321,8 @@ class SequentialDesign:
 
 @eqx.filter_jit
 def _discrepancies(posterior, data, theta, thetas, spread):
-    predict, models = posterior.predict, len(posterior.model_names)
-    here, ok = predict(theta[:models], data.conditions, data.count)
-    there, good = jax.vmap(lambda t: predict(t[:models], spread, jnp.asarray(_SPREAD)))(thetas)
+    here, ok = posterior.predict(posterior.of_model(theta), data.conditions, data.count)
+    there, good = jax.vmap(lambda t: posterior.predict(posterior.of_model(t), spread, jnp.asarray(_SPREAD)))(thetas)
     variance = variance_over(there.reshape(-1, there.shape[-1]), good.ravel(), posterior.groups)
     # Where the model diverged there is no discrepancy, which is not the same as none.
     return jnp.where(ok > 0, discrepancy(data.values, here, variance, data.weights), jnp.nan)

@@ -17,10 +17,10 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.maximum import Maximum
 from hsed_jax.inference.posterior import Posterior
+from hsed_jax.physics.batch import TILE
 
 # Draws per coefficient, the least number of them, and how far they spread beyond the Gaussian at the mode.
 _DRAWS, _LEAST, _SPREAD = 4, 32, 1.3
-_TOGETHER = 64
 
 
 @final
@@ -53,7 +53,7 @@ def emulate(posterior: Posterior, data: Data, maximum: Maximum, key: PRNGKeyArra
     theta = jax.vmap(posterior.constrain)(u)[:, :p]
     center, spread = jnp.mean(theta, axis=0), jnp.std(theta, axis=0)
     spread = jnp.where(spread > 0, spread, 1.0)
-    outputs, ok = jax.lax.map(lambda x: posterior.predictions(x, data), u, batch_size=_TOGETHER)
+    outputs, ok = jax.lax.map(lambda x: posterior.predictions(x, data), u, batch_size=TILE)
     terms = jax.vmap(_terms)((theta - center) / spread)
     coefficients = jnp.linalg.lstsq(terms, outputs.reshape(count, -1))[0].reshape(-1, *outputs.shape[1:])
     emulated = jnp.tensordot(terms, coefficients, 1)

@@ -105,7 +105,7 @@ def fit(
         points = points.at[0].set(posterior.unconstrain(middle.at[: start.size].set(start)))
     maximum = maximise(posterior, data, points)
     if correlated:
-        predicted, ok = posterior.predict(maximum.theta[: len(posterior.model_names)], data.conditions, data.count)
+        predicted, ok = posterior.predict(posterior.of_model(maximum.theta), data.conditions, data.count)
         residual = standardised_residual(predicted, ok, posterior.errors(maximum.theta), data)
         worth = worths(np.asarray(residual), np.asarray(data.weights), posterior.groups)
         if np.any(worth < 1):

@@ -20,11 +20,10 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.maximum import Maximum
 from hsed_jax.inference.posterior import Posterior
+from hsed_jax.physics.batch import TILE
 
 _DEGREES = 5.0
 _MOST_ROUNDS = 5
-# Draws that are simulated side by side.
-_TOGETHER = 64
 # A round ends the learning when its draws are worth this share of their number.
 _GOOD = 0.5
 # The weights of a poor proposal are flattened until so many draws per parameter count.
@@ -75,7 +74,7 @@ def weigh(posterior: Posterior, data: Data, maximum: Maximum, key: PRNGKeyArray,
         draws: S; the rounds before the last, in which the proposal learns, have fewer.
     """
     center, frame = maximum.start, maximum.whitening
-    learning = min(draws, _TOGETHER * (1 + center.size // 4))
+    learning = min(draws, TILE * (1 + center.size // 4))
     for number in range(_MOST_ROUNDS):
         share, center, frame = _learn(posterior, data, center, frame, jax.random.fold_in(key, number), learning)
         if share > _GOOD:
@@ -95,7 +94,7 @@ def _draw(posterior, data, center, frame, key, draws):
     length = jnp.sqrt(_DEGREES / (2 * jax.random.gamma(of_length, _DEGREES / 2, (draws,))))
     w = normal * length[:, None]
     u = center + w @ frame.T
-    log_density = jax.lax.map(lambda x: posterior.log_density(x, data), u, batch_size=_TOGETHER)
+    log_density = jax.lax.map(lambda x: posterior.log_density(x, data), u, batch_size=TILE)
     log_density = jnp.where(jnp.isnan(log_density), -jnp.inf, log_density)
     of_proposal = -0.5 * (_DEGREES + center.size) * jnp.log1p(jnp.sum(w**2, axis=1) / _DEGREES)
     return u, log_density, log_density - of_proposal

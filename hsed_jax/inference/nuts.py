@@ -86,7 +86,7 @@ def sample(
 
         def emulated(w):
             u = place + frame @ w
-            predicted = emulate(posterior.constrain(u)[: len(posterior.model_names)])
+            predicted = emulate(posterior.of_model(posterior.constrain(u)))
             return -posterior.log_density_of(u, predicted, jnp.ones(predicted.shape[0]), data)
 
         potential = jax.custom_jvp(exact)

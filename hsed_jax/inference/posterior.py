@@ -126,7 +126,7 @@ class Posterior(eqx.Module):
 
     def predictions(self, u: Float[Array, " p"], data: Data) -> tuple[Float[Array, "n J"], Float[Array, " n"]]:
         """Outputs of the experiments, and 1 where the simulation converged, else 0."""
-        return self.predict(self._of_model(self.constrain(u)), data.conditions, data.count)
+        return self.predict(self.of_model(self.constrain(u)), data.conditions, data.count)
 
     def log_density_of(
         self, u: Float[Array, " p"], predicted: Float[Array, "n J"], ok: Float[Array, " n"], data: Data
@@ -198,7 +198,8 @@ class Posterior(eqx.Module):
         curvature = information + jnp.diag(jnp.maximum(of_prior, 1e-3))
         return Expansion(likelihood + prior, likelihood + density, gradient, curvature)
 
-    def _of_model(self, theta: Float[Array, " p"]) -> Float[Array, " q"]:
+    def of_model(self, theta: Float[Array, " p"]) -> Float[Array, " q"]:
+        """The parameters of the model, without inferred errors."""
         return theta[: len(self.model_names)]
 
     def _log_jacobian(self, u: Float[Array, " p"]) -> Float[Array, ""]:

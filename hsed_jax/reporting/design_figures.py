@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import product
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -151,12 +150,7 @@ def _response(
 ) -> dict[str, np.ndarray]:
     conditions = Conditions({name: jnp.asarray(values[0]) for name, values in space.si(declared[None]).items()})
     known = {name: jnp.asarray(value) for name, value in parameters.items()}
-    channels = _channels(simulator, known, conditions)
+    channels = simulator.respond(known, conditions, _CHANNELS).channels
     step, steps, every = simulator.timeline
     time = step * every * np.arange(steps // every + 1)
     return {"time": time, **{name: np.asarray(values) for name, values in channels.items()}}
-
-
-@eqx.filter_jit
-def _channels(simulator: Simulator, parameters: dict[str, Array], conditions: Conditions) -> dict[str, Array]:
-    return simulator.respond(parameters, conditions, _CHANNELS).channels
