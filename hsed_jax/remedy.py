@@ -125,8 +125,10 @@ def _fits(
 ) -> list[np.ndarray]:
     """θ of the model with the first, the first two, … effects, at their best fit, from the model as it was."""
     train, models = problem.train, problem.models
-    errors = np.where(np.isnan(train.declared), train.left(before.train_prediction.predicted), train.declared)
-    target = Target(train.values, train.sigma(errors), train.used[None].astype(float))
+    predicted = before.train_prediction.predicted
+    errors, judged = np.fmax(train.declared, train.left(predicted)), train.judged(predicted)
+    weights = train.used * judged.worth[train.groups]
+    target = Target(train.values, train.sigma(errors, predicted), weights[None], judged.memory)
     law = [parameters[problem.names[k]] for k in problem.law]
     theta = models.box.theta(models.neutral)
     theta[problem.law] = law

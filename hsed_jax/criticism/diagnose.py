@@ -222,5 +222,5 @@ def _p_value(problem: Problem, fit: Descent) -> float | None:
     """Probability of the residual from the noise alone: the declared one, or else the residual's own size."""
     train = problem.train
     is_declared = ~np.isnan(train.declared)
-    errors = np.where(is_declared, train.declared, 1.0)[train.groups] * train.scales
-    return discrepancy_p_value(_prediction(problem, fit, errors), is_declared, len(fit.free))
+    sigma = train.sigma(np.where(is_declared, train.declared, 1.0), fit.predicted)
+    return discrepancy_p_value(_prediction(problem, fit, sigma), is_declared, len(fit.free))
