@@ -48,8 +48,9 @@ class Fit(Tabular):
 
     @property
     def warning(self) -> str | None:
-        """What is wrong with the draws, in one sentence, or None."""
-        return self.convergence.warning(self.names)
+        """What is wrong with the draws, or that the posterior has several modes, in one sentence, or None."""
+        found = self.maximum.warning(self.names), self.convergence.warning(self.names)
+        return "; ".join(filter(None, found)) or None
 
     def summary(self) -> dict[str, dict[str, float]]:
         """Mean, sd, 5 % and 95 % quantile, bulk ESS and R-hat of each parameter, SI."""
