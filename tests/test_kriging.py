@@ -340,7 +340,7 @@ def coverage(field, n, noise, fields, seed=0):
 
 
 def test_bands_of_eight_points_hold_what_they_say():
-    # 40 fields of 60 correlated responses scatter by 2 %.  Maximum likelihood with σ² of Eq. 9: 68 %.
+    # 40 fields of 60 correlated responses scatter by 2 %.  Maximum likelihood with σ² of Eq. 9: 67 %.
     assert 0.85 <= coverage(matern_field, 8, 0.05, 40) <= 0.95
 
 

@@ -81,13 +81,13 @@ def _mixed(found: list[Chains], shares: Float[np.ndarray, " modes"], key: PRNGKe
     ]
     # Mixing hides that draws of one mode follow one another: they are worth what they were.
     worths = [min(chains * count, convergence(c).ess_bulk.min()) for c, count in zip(found, counts, strict=True)]
-    errors = [c.emulator_error for c in found]
+    errors = [c.emulator_error for c in found if c.emulator_error is not None]
     return Chains(
         *arrays,
         step_size=found[0].step_size,
         sampler="nuts" if any(c.sampler == "nuts" for c in found) else found[0].sampler,
         worth=float(1 / sum(share**2 / max(worth, 1.0) for share, worth in zip(shares, worths, strict=True))),
-        emulator_error=None if None in errors else max(errors),
+        emulator_error=max(errors) if len(errors) == len(found) else None,
     )
 
 
