@@ -378,7 +378,7 @@ def test_an_unknown_relative_error_is_recovered(paper):
     study = built.study.model_copy(update={"error": None})
     posterior = Built(study).posterior
     assert posterior.names[2:] == tuple(f"error.{q}" for q in names)
-    found = find(posterior, data._replace(values=jnp.asarray(noisy), scales=jnp.asarray(np.abs(noisy))))
+    found = find(posterior, data._replace(values=jnp.asarray(noisy)))
     # Eight values each: 0.1 within a quarter in standard deviation; 0.04 to 0.2 is three of them.
     assert ((np.asarray(found.theta[2:]) > 0.04) & (np.asarray(found.theta[2:]) < 0.2)).all()
     sd = np.sqrt(np.diag(found.covariance))

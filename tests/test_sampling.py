@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_calibration import EXACT, data_of, drawn, find, posterior_of
+from test_calibration import EXACT, drawn, find, measured_at, posterior_of
 
 from hsed_jax.inference import maximum as search
 from hsed_jax.inference.emulator import emulate
@@ -25,10 +25,10 @@ def bent(theta, conditions):
     return jnp.stack([a, b + conditions.inputs["x"] * a**2]), True
 
 
-def ridge(bend, width=1.0):
-    """Posterior, data and mode; in (a, b + bend·a²) standard normal times `width`, as good as."""
-    posterior = posterior_of(bent, BENT, [width, width])
-    data = data_of(np.full(1, bend), np.zeros((1, 2)))
+def ridge(bend, width=1.0, thin=1.0):
+    """Posterior, data and mode; in (a, b + bend·a²) standard normal times `width` and `width · thin`, as good as."""
+    posterior = posterior_of(bent, BENT, [width, width * thin])
+    data = measured_at(np.full(1, bend), np.zeros((1, 2)))
     return posterior, data, find(posterior, data, starts=1)
 
 
@@ -59,7 +59,7 @@ def test_where_a_quadratic_is_not_enough_nuts_asks_the_simulator():
     posterior = posterior_of(
         lambda t, c: (jnp.tanh(t) * c.inputs["x"], True), {"a": Prior("normal", [0.0, 10.0])}, [0.1]
     )
-    data = data_of(np.ones(1), np.full((1, 1), 0.99))
+    data = measured_at(np.ones(1), np.full((1, 1), 0.99))
     chains = drawn(posterior, data, find(posterior, data), Settings(4, 300, 1000))
     assert chains.sampler == "nuts" and chains.emulator_error is None
     grid = np.linspace(0, 60, 20001)
@@ -71,9 +71,7 @@ def test_where_a_quadratic_is_not_enough_nuts_asks_the_simulator():
 
 def test_weights_that_cannot_be_relied_on_leave_it_to_nuts():
     # A long thin crescent: no Student t covers it.
-    posterior, data, maximum = ridge(3.0, width=3.0)
-    data = data._replace(scales=jnp.asarray([[1.0, 0.002]]))
-    maximum = find(posterior, data, starts=1)
+    posterior, data, maximum = ridge(3.0, width=3.0, thin=0.002)
     weighted = weigh(posterior, data, maximum, jax.random.key(0), 1000)
     assert not weighted.reliable
     chains = drawn(posterior, data, maximum, Settings(2, 100, 500, sampler="importance"))
@@ -114,7 +112,7 @@ def test_ten_parameters_by_importance_sampling_have_the_closed_form():
     )
     truth = np.linspace(-1, 1, 10)
     y = mixing @ truth + 0.5 * np.random.default_rng(1).standard_normal(30)
-    data = data_of(mixing, y[:, None])
+    data = measured_at(mixing, y[:, None])
     covariance = np.linalg.inv(mixing.T @ mixing / 0.25 + np.eye(10))
     mean, sd = covariance @ (mixing.T @ y / 0.25), np.sqrt(np.diag(covariance))
     chains = drawn(posterior, data, find(posterior, data, starts=1), Settings(4, 100, 500, sampler="importance"))
@@ -141,7 +139,7 @@ def test_one_program_serves_all_equal_posteriors(monkeypatch):
     found = []
     for gain in (1.0, 2.0):
         posterior = posterior_of(Counting(jnp.asarray(gain)), {"a": Prior("normal", [0.0, 10.0])}, [0.1])
-        found.append(float(find(posterior, data_of(np.ones(3), np.ones((3, 1)))).theta[0]))
+        found.append(float(find(posterior, measured_at(np.ones(3), np.ones((3, 1)))).theta[0]))
         if gain == 1.0:
             traced = calls
     assert found == pytest.approx([1.0, 0.5], rel=1e-3)
@@ -155,7 +153,7 @@ def test_one_program_serves_all_equal_posteriors(monkeypatch):
 def pair():
     """Posterior, data and modes of y = t² with a prior that prefers t > 0."""
     posterior = posterior_of(lambda t, c: (t**2 * c.inputs["x"], True), {"t": Prior("normal", [0.4, 2.0])}, [0.5])
-    data = data_of(np.ones(2), np.full((2, 1), 4.0))
+    data = measured_at(np.ones(2), np.full((2, 1), 4.0))
     return posterior, data, find(posterior, data, starts=8)
 
 
@@ -223,8 +221,7 @@ def test_one_mode_is_searched_once_and_a_crescent_is_one_mode(monkeypatch):
     posterior, data, _ = ridge(0.2)
     descents.clear()
     assert find(posterior, data).others == () and len(descents) == 1
-    posterior, data, _ = ridge(3.0, width=3.0)
-    data = data._replace(scales=jnp.asarray([[1.0, 0.002]]))
+    posterior, data, _ = ridge(3.0, width=3.0, thin=0.002)
     assert find(posterior, data, starts=8).others == ()
 
 
@@ -242,7 +239,7 @@ def test_two_stiffnesses_that_give_one_peak_force_are_both_found(paper_simulator
     force = np.asarray(
         jax.lax.map(lambda a: respond(a[None], pulse_conditions(1.5, 0.6))[0][0], jnp.asarray(A), batch_size=64)
     )
-    data = data_of([0.0], [[1.17e5]], 350.0)._replace(conditions=conditions)
+    data = measured_at([0.0], [[1.17e5]], 350.0)._replace(conditions=conditions)
     density = np.exp(-0.5 * ((force - 1.17e5) / 350.0) ** 2)
     density /= density.sum()
     valley = A[force.argmax()]
