@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
-from hsed_jax.criticism.cycles import absorbed_energy, cycle_numbers, energy_per_cycle
-from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.criticism.cycles import cycle_numbers, energy_per_cycle
+from hsed_jax.criticism.prediction import Prediction, error_cell
 from hsed_jax.errors import UserError
 from hsed_jax.inference.correlation import autocorrelation_time
 from hsed_jax.measurements import noise_estimate
@@ -26,15 +26,17 @@ class Split:
     """Errors over the training or the test experiments.
 
     Attributes:
-        error, noise_floor: over all outputs.
+        error, noise_floor: over all outputs; the error of an experiment whose simulation diverged is infinite.
         per_output: nrmse, noise_floor, bias, r2, peak_error, coverage_90 by output.
         per_experiment: the same by experiment and output, and energy_error where force and elongation are known.
+        diverged: experiments whose simulation diverged.
     """
 
     error: float
     noise_floor: float
     per_output: dict[str, dict[str, float]]
     per_experiment: dict[str, dict[str, dict[str, float]]]
+    diverged: list[str]
 
 
 @dataclass(frozen=True, repr=False)
@@ -67,7 +69,15 @@ class Comparison(Tabular):
         if self.p_value is not None:
             content["p_value"] = self.p_value
         content["notes"] = self.notes
+        if self.warnings:
+            content["warnings"] = self.warnings
         return content
+
+    @property
+    def warnings(self) -> list[str]:
+        """What to know before believing the figures: sentences on simulations that diverged."""
+        predictions = (self.train_prediction, self.test_prediction)
+        return [text for prediction in predictions if prediction is not None for text in prediction.warnings]
 
     def _table(self) -> Table:
         rows = []
@@ -75,13 +85,13 @@ class Comparison(Tabular):
             if split is None:
                 continue
             for output, v in split.per_output.items():
-                errors = (cell(v["nrmse"]), cell(v["noise_floor"]), cell(v["bias"], "+.3f"))
+                errors = (error_cell(v["nrmse"]), cell(v["noise_floor"]), cell(v["bias"], "+.3f"))
                 shares = (f"{cell(100 * v['peak_error'], '+.1f')} %", f"{cell(100 * v['coverage_90'], '.0f')} %")
                 rows.append((name, output, *errors, *shares))
             if len(split.per_output) > 1:
-                rows.append((name, "all", cell(split.error), cell(split.noise_floor), "", "", ""))
+                rows.append((name, "all", error_cell(split.error), cell(split.noise_floor), "", "", ""))
         heads = ("split", "output", "error", "noise", "bias", "peak", "in the 90 % band")
-        return Table(self.verdict, heads, rows, self.notes)
+        return Table(self.verdict, heads, rows, [*self.notes, *self.warnings])
 
     @property
     def verdict(self) -> str:
@@ -109,15 +119,6 @@ def compare(
         raise UserError(
             "nothing that is observed was measured in the training experiments; there is nothing to compare"
         )
-    diverged = [
-        experiment.id
-        for prediction in (train, test)
-        if prediction is not None
-        for experiment, converged in zip(prediction.experiments, prediction.converged, strict=True)
-        if not converged
-    ]
-    if diverged:
-        notes = [*notes, f"the simulation of {', '.join(diverged)} diverged at the MAP: its errors mean nothing"]
     worst = sorted(
         (
             {"experiment": experiment, "output": output, "error": values["nrmse"]}
@@ -140,6 +141,8 @@ def discrepancy_p_value(prediction: Prediction, declared: np.ndarray, parameters
     each output that is a history, its whiteness (Ljung & Box 1978 over ten lags).  Of k such tests, which are nearly
     independent of one another, the smallest p counts: $1-(1-p)^k$ (Šidák 1967), uniform where the noise is as declared.
     """
+    if prediction.diverged.any():
+        return 0.0
     values = []
     z = prediction.residual / np.where(prediction.used, prediction.sigma, 1.0)
     total = int(prediction.used[:, declared[prediction.groups]].sum())
@@ -175,12 +178,13 @@ def _ljung_box(residual: np.ndarray) -> float:
 def _split(prediction: Prediction, declared: np.ndarray) -> Split:
     per_output: dict[str, dict[str, float]] = {}
     per_experiment: dict[str, dict[str, dict[str, float]]] = {}
+    predicted = np.where(prediction.diverged[:, None], np.inf, prediction.predicted)
     for number, output in enumerate(prediction.outputs):
         columns = prediction.columns(output)
         used = prediction.used[:, columns]
         if not used.any():
             continue
-        tables = (prediction.measured, prediction.predicted, prediction.mean, prediction.sd)
+        tables = (prediction.measured, predicted, prediction.mean, prediction.sd)
         noise = noise_of(prediction, output, bool(declared[number]))
         every = tuple(np.where(used, table, np.nan) for table in (*(t[:, columns] for t in tables), noise))
         per_output[output] = _errors(every)
@@ -192,7 +196,9 @@ def _split(prediction: Prediction, declared: np.ndarray) -> Split:
     _add_energy_errors(prediction, per_experiment)
     squares = [values["nrmse"] ** 2 for values in per_output.values()]
     floors = [values["noise_floor"] ** 2 for values in per_output.values()]
-    return Split(float(np.sqrt(np.mean(squares))), float(np.sqrt(np.mean(floors))), per_output, per_experiment)
+    errors = (float(np.sqrt(np.mean(values))) for values in (squares, floors))
+    diverged = [e.id for e, has in zip(prediction.experiments, prediction.diverged, strict=True) if has]
+    return Split(*errors, per_output, per_experiment, diverged)
 
 
 def _errors(tables: Sequence[np.ndarray], scale: float | None = None) -> dict[str, float]:
@@ -262,12 +268,9 @@ def _add_energy_errors(prediction: Prediction, per_experiment: dict[str, dict[st
         used = prediction.used[row, prediction.columns("force")][: len(force)]
         if used.sum() < 3 or not np.ptp(elongation[used]) > 0:
             continue
-        there = energy_per_cycle(force[used], elongation[used])
-        ours = np.bincount(
-            cycle_numbers(elongation[used]),
-            weights=np.diff(absorbed_energy(predicted[used], stretched[used]), prepend=0.0),
-            minlength=there.size,
-        )
+        cycles = cycle_numbers(elongation[used])
+        there = energy_per_cycle(force[used], elongation[used], cycles)
+        ours = energy_per_cycle(predicted[used], stretched[used], cycles)
         rms = float(np.sqrt(np.mean(there**2)))
         if rms > 0:
             per_experiment[experiment.id]["force"]["energy_error"] = float(np.sqrt(np.mean((ours - there) ** 2))) / rms
@@ -279,7 +282,7 @@ def _plain(split: Split) -> dict[str, Any]:
         "noise_floor": split.noise_floor,
         "per_output": split.per_output,
         "per_experiment": split.per_experiment,
-    }
+    } | ({"diverged": split.diverged} if split.diverged else {})
 
 
 def correlation_notes(prediction: Prediction) -> list[str]:
