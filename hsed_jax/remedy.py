@@ -1,6 +1,7 @@
 """Learn which physical effect is missing, add it, and see the error fall: the second half of the sentence in Python."""
 
 import os
+import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -98,17 +99,22 @@ class Improvement(Tabular):
             recorded["file"] = beside(recorded["file"])
         model["own_effects"] = [beside(name) for name in model["own_effects"]]
         comments = {
-            "study": f"The study {self.original.built.study.study!r} with {' and '.join(self.trail.steps[-1].effects)} added to "
-            f"its model: {self.trail.sentence}.\nRun it with:  hsed run {path.name}   (every default is written out)",
-            "model": "{} beside an effect: the priors of the catalogue (hsed effects NAME shows them)",
-            "experiments": "relative paths start at this file" if "virtual" not in experiments else "",
-            "scales": "amplitudes of effects are relative to these: force [N], elongation [m], elongation rate [m/s], absorbed "
-            "energy [J],\nas they were when the effects were added",
+            "study": [
+                f"The study {self.original.built.study.study!r} with {' and '.join(self.trail.steps[-1].effects)} added to its "
+                f"model: {self.trail.sentence}.",
+                f"Run it with:  hsed run {path.name}   (every default is written out)",
+            ],
+            "model": ["{} beside an effect: the priors of the catalogue (hsed effects NAME shows them)"],
+            "experiments": ["relative paths start at the folder of this file"],
+            "scales": [
+                "amplitudes of effects are relative to these, as they were when the effects were added: force [N], elongation "
+                "[m], elongation rate [m/s], absorbed energy [J]"
+            ],
         }
         lines = []
         for line in yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, default_flow_style=None).splitlines():
-            about = comments.get(line.partition(":")[0], "")
-            lines += [*(f"# {text}" for text in about.splitlines()), line]
+            about = comments.get(line.partition(":")[0], ())
+            lines += [*(f"# {part}" for text in about for part in textwrap.wrap(text, 120)), line]
         path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
     def _table(self) -> Table:

@@ -70,7 +70,8 @@ def cycles(comparison: Comparison, campaign: Campaign, before: Comparison | None
     return Picture(
         figure,
         "What a cycle absorbs (left), its secant stiffness from peak to peak (middle), and the backbone through the peaks that "
-        "exceed all before (right), measured and predicted, over the cycles of the measured elongation; a row per experiment."
+        "exceed all before (right), measured and predicted, over the cycles of the measured elongation; a row per experiment.  "
+        "The stiffness of a cycle that hardly exceeds the noise is as uncertain as its peaks."
         + (f"  {rest} more are not shown." if rest else ""),
         f"{3 * len(shown)} panels of curves. {'. '.join(said).replace('$', '')}.",
     )
@@ -122,7 +123,8 @@ def _draw(row: list[Axes], read: Mapping[str, Cycles]) -> None:
     for panel, (word, name) in zip(row, (("Energy", "energy"), ("Secant stiffness", "stiffness")), strict=False):
         panel.set(xlabel="Cycle", ylabel=f"{word} [{style.unit_text(scales[name][1])}]")
         style.whole_numbers(panel.xaxis)
-        panel.set_ylim(bottom=min(0.0, panel.get_ylim()[0]))
+        panel.update_datalim([(1.0, 0.0)])  # from zero, with room above the highest marker
+        panel.autoscale_view()
     labels = [style.channel_label(name, scales[name][1]) for name in ("elongation", "force")]
     row[2].set(xlabel=labels[0], ylabel=labels[1])
 

@@ -74,7 +74,7 @@ def warnings(run: FinishedRun) -> Iterator[str]:
         if doubt := found.get("doubt"):
             yield sentence(doubt)
     for finding in run.findings[:_QUOTED]:
-        yield f"The data check found an {finding}." if finding.level == "error" else f"The data check has a {finding}."
+        yield sentence(f"the data check has {'an' if finding.level == 'error' else 'a'} {finding}")
     if rest := len(run.findings[_QUOTED:]):
         yield f"The data check has {rest} more doubt{'s' if rest > 1 else ''}, listed under “Data”."
     if failed := [e.id for e in run.campaign if e.status == "failed"]:
@@ -94,5 +94,5 @@ def error_text(entry: Mapping[str, Any], key: str = "error", look: str = ".3f") 
 
 
 def sentence(text: str) -> str:
-    """A text as a sentence: its first letter large, a full stop."""
-    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}"
+    """A text as a sentence: its first letter large, a full stop unless it ends already."""
+    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith(('.', '?')) else '.'}"
