@@ -234,7 +234,7 @@ def test_cycles_are_those_of_both_models():
     energy, stiffness, backbone = axes[:3]
     entries = [text.get_text() for text in energy.figure.legends[0].get_texts()]
     assert entries == ["measured", "model as it was", "improved model"]
-    assert energy.get_title(loc="right") == "E3 (test)"
+    assert "(test)" in energy.get_title(loc="right")
     measured, old, _ = (line.get_ydata() for line in energy.get_lines())
     assert_allclose(old, 1.21 * measured)  # force and elongation are a tenth too large
     for line in stiffness.get_lines()[1:]:
