@@ -45,7 +45,7 @@ def run(
     progress: bool = True,
     figures: bool = True,
     laboratory: Callable[..., Any] | None = None,
-    tell: "Callable[[Run, str], None] | None" = None,
+    tell: Callable[..., None] | None = None,
 ) -> "Run":
     """Run the steps of a study, as the command line does.
 
@@ -97,7 +97,7 @@ class Run:
         self.store = RunFolder(output, study.written(), resume=resume, force=force)
         self.progress = progress
         self.figures = True
-        self.tell: Callable[[Run, str], None] = lambda run, step: None
+        self.tell: Callable[..., None] = lambda run, step: None
         self.conduct: Conduct | None = None
         self._campaign = self.built.empty_campaign() if self.built.measured is None else self.built.measured
         self.stop_reason = "iterations"
