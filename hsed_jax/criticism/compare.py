@@ -196,9 +196,9 @@ def _split(prediction: Prediction, declared: np.ndarray) -> Split:
     _add_energy_errors(prediction, per_experiment)
     squares = [values["nrmse"] ** 2 for values in per_output.values()]
     floors = [values["noise_floor"] ** 2 for values in per_output.values()]
-    errors = (float(np.sqrt(np.mean(values))) for values in (squares, floors))
+    error, floor = (float(np.sqrt(np.mean(values))) for values in (squares, floors))
     diverged = [e.id for e, has in zip(prediction.experiments, prediction.diverged, strict=True) if has]
-    return Split(*errors, per_output, per_experiment, diverged)
+    return Split(error, floor, per_output, per_experiment, diverged)
 
 
 def _errors(tables: Sequence[np.ndarray], scale: float | None = None) -> dict[str, float]:
