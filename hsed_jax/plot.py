@@ -22,6 +22,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
 from hsed_jax.remedy import Improvement
 from hsed_jax.reporting import (
+    cycle_figures,
     design_figures,
     diagnosis_figures,
     misfit_figures,
@@ -50,7 +51,7 @@ def ground_motions(study: Study) -> np.ndarray:
     built = Built(study)
     if built.excitation is None or not built.space.names:
         raise UserError(f"the study {study.study!r} has no excitation with inputs to draw")
-    return _several(design_figures.ground_motions(built.simulator, built.space))
+    return _several(design_figures.ground_motions(built.planned_simulator, built.space))
 
 
 # What a calibrated model makes of its measurements.
@@ -97,6 +98,26 @@ def loops(calibration: Calibration, campaign: Campaign | None = None) -> np.ndar
     comparison, campaign = _compared(calibration, campaign, "histories")
     missing = "force and elongation were not both measured; there is no loop to draw"
     return _several(_there(misfit_figures.loops(comparison, campaign), missing))
+
+
+def cycles(calibration: Calibration, campaign: Campaign | None = None, before: Calibration | None = None) -> np.ndarray:
+    """Energy and secant stiffness of each cycle, and the backbone, measured and predicted: a row per experiment.
+
+    Arguments:
+        calibration: a model calibrated on time histories with force and elongation.
+        campaign: the experiments; by default those of the calibration.  Held-out ones come first; at most three are shown.
+        before: a model to lie beneath in red, as `improvement.original`.
+
+    Returns:
+        Axes, three per experiment.
+
+    Raises:
+        UserError: force and elongation are not both known, or quantities were observed.
+    """
+    comparison, campaign = _compared(calibration, campaign, "histories")
+    earlier = None if before is None else compare(before, campaign)
+    missing = "force and elongation were not both measured; there is no cycle to read"
+    return _several(_there(cycle_figures.cycles(comparison, campaign, earlier), missing))
 
 
 def where(calibration: Calibration, campaign: Campaign | None = None) -> np.ndarray:

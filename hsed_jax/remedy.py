@@ -1,5 +1,7 @@
 """Learn which physical effect is missing, add it, and see the error fall: the second half of the sentence in Python."""
 
+import os
+import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -83,12 +85,42 @@ class Improvement(Tabular):
     trail: Trail
 
     def write(self, path: str | Path) -> None:
-        """Write the improved study as YAML."""
-        text = yaml.safe_dump(self.study.written(), sort_keys=False, allow_unicode=True)
-        Path(path).write_text(text, encoding="utf-8")
+        """Write the improved study as YAML, with comments, its paths relative to the file."""
+        path = Path(path)
+        plain = self.study.written()
+        model, experiments, recorded = plain["model"], plain["experiments"], plain.get("excitation", {}).get("recorded")
+
+        def beside(name: str) -> str:
+            return os.path.relpath(name, path.parent.absolute())
+
+        if "campaign" in experiments:
+            experiments["campaign"] = beside(experiments["campaign"])
+        if recorded:
+            recorded["file"] = beside(recorded["file"])
+        model["own_effects"] = [beside(name) for name in model["own_effects"]]
+        comments = {
+            "study": [
+                f"The study {self.original.built.study.study!r} with {' and '.join(self.trail.steps[-1].effects)} added to its "
+                f"model: {self.trail.sentence}.",
+                f"Run it with:  hsed run {path.name}   (every default is written out)",
+            ],
+            "model": ["{} beside an effect: the priors of the catalogue (hsed effects NAME shows them)"],
+            "experiments": ["relative paths start at the folder of this file"],
+            "scales": [
+                "amplitudes of effects are relative to these, as they were when the effects were added: force [N], elongation "
+                "[m], elongation rate [m/s], absorbed energy [J]"
+            ],
+        }
+        lines = []
+        for line in yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, default_flow_style=None).splitlines():
+            about = comments.get(line.partition(":")[0], ())
+            lines += [*(f"# {part}" for text in about for part in textwrap.wrap(text, 120)), line]
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
     def _table(self) -> Table:
-        return replace(self.trail._table(), notes=[self.after.verdict])
+        warning = self.calibration.fit.warning
+        doubts = [f"the draws of the improved model have not converged: {warning}"] if warning else []
+        return replace(self.trail._table(), notes=[self.after.verdict, *self.after.warnings, *doubts])
 
 
 def improve(calibration: Calibration, campaign: Campaign | None = None, *, effects: Sequence[str]) -> Improvement:

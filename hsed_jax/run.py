@@ -5,7 +5,7 @@ Exit status: 0 done; 1 a defect of ours; 2 the user's input is wrong; 3 stopped 
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,7 @@ from hsed_jax.sweeps import command as sweeping
 
 if TYPE_CHECKING:
     from hsed_jax.ask_tell import AskTell
+    from hsed_jax.workflow import Run
 
 
 class _CallableModule(ModuleType):
@@ -198,11 +199,13 @@ def _run(options: Any) -> int:
     study = load_study(options.study, [*options.overrides, *only])
     output = Path(options.output) if options.output else Path("runs") / study.study
     try:
-        done = run(study, output, resume=options.resume, force=options.force)
+        done = run(study, output, resume=options.resume, force=options.force, tell=_tell)
     except Interrupted as stop:
         print(f"{stop}", file=sys.stderr)
         return 3
-    _tell(done, output)
+    if done.improvement is not None:
+        print(f"the improved study is {output / 'improved.yaml'}; run it with: hsed run {output / 'improved.yaml'}")
+    print(f"results in {output}; open {output / 'report.html'} in a browser")
     return 0
 
 
@@ -276,35 +279,36 @@ def _report(options: Any) -> int:
     return 0
 
 
-def _tell(done: Any, output: Path) -> None:
-    """What a user sees at the end."""
-    print()
-    if done.calibration is not None:
-        print(done.calibration)
-    if done.steps:
+def _tell(done: "Run", step: str) -> None:
+    """What a user sees of a step; at once, also where the output goes into a file."""
+    for said in _said(done, step):
+        print(f"\n{said}", flush=True)
+
+
+def _said(done: "Run", step: str) -> Iterator[Any]:
+    """What there is to say of a step that has ended."""
+    from hsed_jax.measurements import check_campaign
+
+    if step == "data" and (findings := check_campaign(done.campaign)):
+        yield "\n".join(map(str, findings))
+    elif step == "design" and done.steps:
         improvement = [step["max_expected_improvement"] for step in done.steps]
-        print(
+        yield (
             f"{len(done.campaign)} experiments, max EI {max(improvement):.2e} at its largest and {improvement[-1]:.2e} "
             f"at the end; stopped by: {done.stop_reason}"
         )
-    if done.comparison is not None:
-        print()
-        print(done.comparison)
-    if done.location is not None:
-        print()
-        print(done.location)
-    if done.diagnosis is not None:
-        print()
-        print(done.diagnosis)
-    if done.diagnosis is not None and done.remaining is not None:
-        print()
-        print(f"with {' and '.join(done.diagnosis.effects)}: {done.remaining}")
-    if done.trail is not None:
-        print()
-        print(done.trail)
-    if done.improvement is not None:
-        print(f"the improved study is {output / 'improved.yaml'}; run it with: hsed run {output / 'improved.yaml'}")
-    print(f"results in {output}; open {output / 'report.html'} in a browser")
+    elif step == "calibrate":
+        yield done.calibration
+    elif step == "compare":
+        yield from (done.comparison, done.location)
+    elif step == "diagnose" and done.diagnosis is not None:
+        yield done.diagnosis
+        if done.remaining is not None:
+            yield f"with {' and '.join(done.diagnosis.effects)}: {done.remaining}"
+    elif step == "improve":
+        yield done.trail
+        if done.improvement is not None:
+            yield f"the improved model, {done.improvement.calibration}"
 
 
 def _init(options: Any) -> int:

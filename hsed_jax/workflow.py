@@ -9,6 +9,7 @@ from tqdm import tqdm
 from hsed_jax.analysis import Calibration, calibrate_built, compare, locate, stop_at_errors
 from hsed_jax.conduct import Asked, Conduct
 from hsed_jax.config.build import Built
+from hsed_jax.config.candidates import with_effects
 from hsed_jax.config.schema import Study
 from hsed_jax.criticism import locate as locating
 from hsed_jax.criticism.compare import Comparison
@@ -20,6 +21,7 @@ from hsed_jax.laboratories.base import ExperimentFailed, Measured
 from hsed_jax.laboratories.folder import Awaited
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.measurements import Campaign, write_campaign
+from hsed_jax.physics.scales import Scales
 from hsed_jax.remedy import Improvement, diagnose, improve
 from hsed_jax.reporting.outcome import Outcome, summary
 from hsed_jax.requests import Requests
@@ -43,6 +45,7 @@ def run(
     progress: bool = True,
     figures: bool = True,
     laboratory: Callable[..., Any] | None = None,
+    tell: Callable[..., None] | None = None,
 ) -> "Run":
     """Run the steps of a study, as the command line does.
 
@@ -54,6 +57,7 @@ def run(
         progress: show a progress bar.
         figures: draw the figures and write `report.html`; without, a small study takes half the time.
         laboratory: the function that performs an experiment, of a study whose `experiments.python` names no file.
+        tell: called with the run and the name of a step when that ends, and with `data` before the experiments are used.
 
     Raises:
         UserError: the study or the folder is wrong.
@@ -62,6 +66,7 @@ def run(
     output = Path(output) if output else Path("runs") / study.study
     started = Run(study, output, resume=resume, force=force, progress=progress, laboratory=laboratory)
     started.figures = figures
+    started.tell = tell or started.tell
     started()
     return started
 
@@ -92,6 +97,7 @@ class Run:
         self.store = RunFolder(output, study.written(), resume=resume, force=force)
         self.progress = progress
         self.figures = True
+        self.tell: Callable[..., None] = lambda run, step: None
         self.conduct: Conduct | None = None
         self._campaign = self.built.empty_campaign() if self.built.measured is None else self.built.measured
         self.stop_reason = "iterations"
@@ -122,6 +128,7 @@ class Run:
         try:
             for step in self.study.steps:
                 getattr(self, f"_{step}")()
+                self.tell(self, step)
             outcome = self.outcome("complete")
             self.store.write_results(results_tree(outcome))
             content = summary(outcome)
@@ -169,7 +176,17 @@ class Run:
             trail=self.trail,
             improved=None if self.improvement is None else self.improvement.calibration.fit,
             improved_comparison=None if self.improvement is None else self.improvement.after,
+            scales=self._scales,
         )
+
+    @property
+    def _scales(self) -> Scales | None:
+        """Characteristic values of the improved model, of a diagnosis' candidates, or of the model; None without effects."""
+        if self.improvement is not None:
+            return self.improvement.calibration.built.scales
+        if self.diagnosis is not None and self.diagnosis.ranking:
+            return Built(with_effects(self.built, [self.diagnosis.ranking[0].effect]), self.built.campaign).scales
+        return self.built.scales if self.study.model.effects else None
 
     # The design: Steps 1 to 8 of the paper.
 
@@ -226,12 +243,14 @@ class Run:
 
     def _calibrate(self) -> None:
         if self.conduct is not None:
+            self.tell(self, "data")
             # Padded as the design's own data are, so that its programs serve.
             self.calibration = calibrate_built(self.built, self.campaign, size=self.conduct.design.size)
             return
         if self.built.measured is None:
             self._campaign = self.built.perform()
         write_campaign(self.campaign, self.store.campaign)
+        self.tell(self, "data")
         self.calibration = calibrate_built(self.built, self.campaign)
 
     def _compare(self) -> None:

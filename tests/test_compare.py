@@ -7,8 +7,8 @@ import pytest
 from scipy import stats
 
 from hsed_jax.criticism.compare import compare, discrepancy_p_value
-from hsed_jax.criticism.cycles import absorbed_energy, cycle_numbers, energy_per_cycle
-from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.criticism.cycles import absorbed_energy, backbone, cycle_numbers, energy_per_cycle, secant_stiffness
+from hsed_jax.criticism.prediction import Prediction, error_cell
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Experiment, Record
 
@@ -138,8 +138,42 @@ def test_a_quantity_of_one_experiment_is_judged_by_the_spread_over_all():
 
 def test_a_diverged_simulation_is_named():
     prediction = prediction_of([MEASURED, MEASURED], [PREDICTED, np.zeros(4)], converged=np.asarray([True, False]))
-    notes = compare(prediction, None, DECLARED, 0, ["kept"]).notes
-    assert notes[0] == "kept" and "E02 diverged" in notes[1]
+    found = compare(prediction, None, DECLARED, 0, ["kept"])
+    assert found.notes == ["kept"] and "E02 diverged" in found.warnings[0] and "E02 diverged" in repr(found)
+    assert found.train.diverged == ["E02"] and found.summary()["train"]["diverged"] == ["E02"]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("value", [np.inf, np.nan, 1e271, 401.0])
+def test_a_simulation_that_ran_away_is_no_prediction(value):
+    # The largest value measured is 4: a hundred times that is the limit.
+    prediction = prediction_of([MEASURED, MEASURED], [PREDICTED, [1.0, value, 3.0, 4.0]])
+    assert prediction.diverged.tolist() == [False, True]
+    assert np.isnan(prediction.shown[1]).all() and prediction.shown[0].tolist() == PREDICTED
+    assert not prediction.residual[1].any()
+    found = compare(prediction, None, DECLARED, 0, [])
+    assert not found.adequate and found.p_value == 0.0
+    assert np.isinf(found.train.error) and "diverged" in repr(found)
+    assert found.train.per_experiment["E01"]["force"]["nrmse"] == pytest.approx(np.sqrt(0.75))
+    assert found.worst[0]["experiment"] == "E02"
+
+
+def test_a_prediction_that_is_only_bad_is_one():
+    prediction = prediction_of([MEASURED, MEASURED], [PREDICTED, [1.0, 399.0, 3.0, 4.0]])
+    assert not prediction.diverged.any() and np.isfinite(compare(prediction, None, DECLARED, 0, []).train.error)
+
+
+def test_draws_that_diverged_are_said():
+    lost = np.asarray([0.0, 0.25])
+    found = compare(prediction_of([MEASURED, MEASURED], [PREDICTED, PREDICTED], draws_lost=lost), None, DECLARED, 0, [])
+    assert found.warnings == [
+        "the simulation of E02 diverged in up to 25 % of the posterior's draws: the predictive band leaves these draws out"
+    ]
+
+
+@pytest.mark.parametrize(("error", "said"), [(0.1234, "0.123"), (None, "–"), (1.3e8, "diverged"), (np.inf, "diverged")])
+def test_an_absurd_error_is_said_to_have_diverged(error, said):
+    assert error_cell(error) == said
 
 
 # --- cycles and their energy -----------------------------------------------------------------------------------------
@@ -160,9 +194,33 @@ def test_energy_per_cycle_of_a_rigid_plastic_loop_is_the_area_of_the_loop():
     # Force ±F against the motion of amplitude a: four amplitudes of way per cycle.
     t = np.linspace(0, 3, 6001)
     u, way = 0.02 * np.sin(2 * np.pi * t), np.cos(2 * np.pi * t)
-    energy = energy_per_cycle(5e3 * np.sign(way), u)
+    energy = energy_per_cycle(5e3 * np.sign(way), u, cycle_numbers(u))
     np.testing.assert_allclose(energy, 4 * 0.02 * 5e3, rtol=0.04)  # a cycle is told from the next 5 % late
     assert energy.sum() == pytest.approx(absorbed_energy(5e3 * np.sign(way), u)[-1], rel=1e-12)
+
+
+def test_energy_stiffness_and_backbone_of_a_viscous_loop_are_those_of_its_ellipse():
+    # F = k u + h w with u = a sin, w = a cos: the loop's area is π h a², the force at the peaks ± k a.
+    k, h, amplitudes = 4e6, 3e5, np.asarray([0.01, 0.02, 0.02, 0.03])
+    t = np.linspace(0, 4, 8001)
+    a = amplitudes[np.minimum(t.astype(int), 3)]
+    u = a * np.sin(2 * np.pi * t)
+    force = k * u + h * a * np.cos(2 * np.pi * t)
+    cycles = np.minimum(t.astype(int), 3)
+    np.testing.assert_allclose(energy_per_cycle(force, u, cycles), np.pi * h * amplitudes**2, rtol=1e-3)
+    np.testing.assert_allclose(secant_stiffness(force, u, cycles), k, rtol=1e-3)
+    elongation, peaks = backbone(force, u, cycles)  # the second cycle of 20 mm goes nowhere new
+    np.testing.assert_allclose(elongation, [-0.03, -0.02, -0.01, 0.01, 0.02, 0.03], rtol=1e-3)
+    np.testing.assert_allclose(peaks, k * elongation, rtol=1e-3)
+
+
+def test_a_cycle_that_is_not_on_both_sides_has_no_stiffness_from_peak_to_peak():
+    u = np.sin(np.linspace(0, 3 * np.pi, 301))
+    cycles = cycle_numbers(u)
+    assert np.isfinite(secant_stiffness(2 * u, u, cycles)).tolist() == [True, False]
+    one_sided = 1 + np.sin(np.linspace(0, 4 * np.pi, 401))
+    elongation, _ = backbone(one_sided, one_sided, cycle_numbers(one_sided))
+    np.testing.assert_allclose(elongation, [2.0])
 
 
 def test_energy_error_is_the_rms_error_of_the_energy_per_cycle_over_its_rms():

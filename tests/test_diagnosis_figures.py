@@ -107,6 +107,12 @@ def test_the_staircase_is_the_trail():
     assert "noise floor 0.04" in picture.alt and "nan" not in picture.alt
 
 
+def test_an_error_that_diverged_is_said_and_kept_off_the_axis():
+    picture = error_fall(Trail([Step([], 0.3, 0.4, {}), Step(["gap"], 0.1, 1.3e8, {})], 0.04))
+    (panel,) = picture.figure.axes
+    assert panel.get_ylim()[1] < 1 and "train 0.100\ntest diverged" in texts(picture)
+
+
 def test_without_held_out_experiments_there_is_one_staircase():
     (panel,) = error_fall(Trail([Step([], 0.3, None, {}), Step(["gap"], 0.1, None, {})], 0.0)).figure.axes
     assert [p.get_label() for p in panel.patches if p.get_label().startswith("t")] == ["train: fitted"]

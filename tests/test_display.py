@@ -1,10 +1,12 @@
 """Results show themselves: a sentence and a short table, the same as text and as HTML, whatever the names in them."""
 
+import io
 import re
 import subprocess
 import sys
 from dataclasses import replace
 from html import unescape
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -12,10 +14,15 @@ import numpy as np
 import pytest
 from test_diagnosis_figures import candidate, diagnosis
 from test_misfit_figures import histories, quantities
-from test_plot import STUDY, calibration, fitted, improvement
+from test_plot import STUDY, bare, calibration, fitted, improvement
 
 import hsed_jax as hx
+from hsed_jax.analysis import Calibration
+from hsed_jax.inference.fit import Fit
+from hsed_jax.inference.nuts import Convergence
+from hsed_jax.measurements import Record
 from hsed_jax.physics.response import Response
+from hsed_jax.run import _tell as tell
 from hsed_jax.tables import MOST, Table, Tabular, cell
 
 EVIL = "<script>alert('1')</script> & \"$x$\""
@@ -146,6 +153,31 @@ def test_an_empty_table_is_its_sentence():
 
 def test_what_is_no_number_is_a_dash():
     assert [cell(value) for value in (None, float("nan"), float("inf"), 0.12345)] == ["–", "–", "–", "0.123"]
+
+
+def warned():
+    """An improvement whose draws have not converged."""
+    better = improvement()
+    judged = Convergence(np.asarray([1.5, 1.0, 1.0]), np.full(3, 900.0), 0)
+    fit = bare(Fit, **{**vars(better.calibration.fit), "convergence": judged})
+    return replace(better, calibration=bare(Calibration, **{**vars(better.calibration), "fit": fit}))
+
+
+def test_the_warning_of_an_improved_model_is_shown(monkeypatch):
+    assert "R-hat of A is 1.500" in repr(warned()) and "R-hat of A is 1.500" in warned()._repr_html_()
+    monkeypatch.setattr("sys.stdout", kept := io.TextIOWrapper(io.BytesIO(), write_through=False))
+    tell(SimpleNamespace(trail=warned().trail, improvement=warned()), "improve")
+    # In the file at once, not when a buffer is full.
+    assert b"warning: R-hat of A is 1.500" in kept.buffer.getvalue()
+
+
+def test_doubts_of_the_data_are_told(capsys):
+    campaign = histories(1, 0)[0]
+    record = campaign["E1"].record
+    flipped = Record(record.time, {**record.channels, "force": -1e5 * np.gradient(record["elongation"], record.time)})
+    given = replace(campaign, experiments=(replace(campaign["E1"], record=flipped),))
+    tell(SimpleNamespace(campaign=given), "data")
+    assert "doubt: E1, force" in (said := capsys.readouterr().out) and "is a sign flipped?" in said
 
 
 def test_what_is_tabular_must_have_a_table():

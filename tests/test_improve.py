@@ -1,6 +1,7 @@
 """Adding effects to a calibrated model: the fall of the error, the improved study, and the same from the command line."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from test_diagnose import BETA, NOISE, A, C, spring_campaign, spring_study
 import hsed_jax as hx
 from hsed_jax.config.build import Built
 from hsed_jax.config.candidates import with_effects
+from hsed_jax.config.experiments import ExperimentsEntry
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, Experiment, Record, write_campaign
 from hsed_jax.run import main
@@ -111,6 +113,17 @@ def test_the_improved_study_is_read_back_as_it_is(better, tmp_path, campaign):
     # Amplitudes mean what they meant, on whatever data it is run.
     assert Built(again, spring_campaign(0.0)).scales == better.calibration.built.scales
     assert tuple(Built(again, campaign).parameters[0]) == tuple(better.calibration.map)
+
+
+def test_the_improved_study_finds_the_campaign_from_where_it_lies_and_says_what_it_is(better, tmp_path):
+    located = better.study.model_copy(update={"experiments": ExperimentsEntry(campaign=str(tmp_path / "data/springs"))})
+    (tmp_path / "runs/it").mkdir(parents=True)
+    replace(better, study=located).write(tmp_path / "runs/it/improved.yaml")
+    text = (tmp_path / "runs/it/improved.yaml").read_text()
+    assert "campaign: ../../data/springs\n" in text and str(tmp_path) not in text
+    assert text.startswith("# The study 'springs' with viscous_damping and hardening added to its model: the error on")
+    for key in ("study", "model", "experiments", "scales"):
+        assert text[: text.index(f"\n{key}:")].splitlines()[-1].startswith("# ")
 
 
 @pytest.mark.parametrize(

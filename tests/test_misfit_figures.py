@@ -2,6 +2,7 @@
 
 import functools
 from dataclasses import replace
+from itertools import pairwise
 
 import matplotlib.text
 import numpy as np
@@ -13,6 +14,8 @@ from hsed_jax.criticism.locate import Location, locate
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.measurements import Campaign, Channel, Experiment, Record
 from hsed_jax.reporting import misfit_figures
+from hsed_jax.reporting.cycle_figures import cycles
+from hsed_jax.reporting.diagnosis_figures import before_after
 from hsed_jax.reporting.misfit_figures import misfit_pictures
 from hsed_jax.reporting.misfit_maps import error_map, residual_coordinates
 
@@ -49,7 +52,8 @@ def histories(train=1, test=1, m=120, outputs=("force", "elongation"), protocol=
         scored = (float(at[3]), float(at[len(at) // 2])) if window else None
         experiments.append(Experiment(id.format(i + 1), at_inputs, record=Record(at, channels), window=scored,
                                       split="train" if i < train else "test"))  # fmt: skip
-    units = {"time": "s", "force": "kN", "elongation": "mm", "velocity_1": "m/s"}
+    units = {"time": "s", "force": "kN", "elongation": "mm", "velocity_1": "m/s", "displacement_1": "mm",
+             "acceleration_1_absolute": "m/s^2"}  # fmt: skip
     declared = {
         name: Channel(name, units[name]) for name in (*(("time",) if time else ()), *experiments[0].record.channels)
     }
@@ -258,7 +262,39 @@ def test_a_diverged_simulation_is_said_and_drawn():
     nothing = np.full_like(train.predicted, np.nan)
     failed = replace(train, predicted=nothing, mean=nothing, sd=nothing, converged=np.zeros(1, dtype=bool))
     picture = misfit_figures.overlay(failed, 0, {}, campaign)
-    assert "E1 (train, simulation did not converge)" in texts(picture)
+    assert "E1 (train, simulation diverged)" in texts(picture)
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_diverged_is_kept_off_the_axes():
+    campaign, comparison, _ = case("two outputs")
+    train = comparison.train_prediction
+    wild = replace(train, predicted=1e155 * train.predicted)
+    broken = compare(wild, comparison.test_prediction, np.ones(2, dtype=bool), 2, [])
+    for name, picture in misfit_pictures(broken, locate(wild, campaign), campaign):
+        for panel in picture.figure.axes:
+            assert np.abs([*panel.get_xlim(), *panel.get_ylim()]).max() < 1e3, name
+    assert "diverged" in texts(misfit_figures.error_table(broken))
+    assert "error diverged" in texts(misfit_figures.loops(broken, campaign))
+    assert cycles(broken, campaign) is not None
+
+
+def test_labels_of_four_channels_do_not_overlap(monkeypatch):
+    names = ("displacement_1", "velocity_1", "acceleration_1_absolute", "force")
+    campaign, comparison, _ = histories(outputs=names, inputs=0)
+    for picture in (
+        misfit_figures.overlay(comparison.train_prediction, 0, {}, campaign),
+        before_after(comparison, comparison, campaign),
+    ):
+        picture.figure.draw_without_rendering()
+        boxes = [panel.yaxis.label.get_window_extent() for panel in picture.figure.axes]
+        assert all(above.y0 > below.y1 for above, below in pairwise(boxes))
+
+
+def test_captions_name_what_the_panels_show():
+    caption = drawn("two outputs")["overlay_E1"].caption
+    assert "a) force, b) elongation, c) hysteresis loop" in caption and "Shaded" not in caption
+    assert "Shaded: the part of the record that is scored." in drawn("imposed, rows")["overlay_E1"].caption
 
 
 def test_the_table_has_the_worst_first_and_dashes_for_what_is_not_known():

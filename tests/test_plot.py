@@ -17,11 +17,12 @@ import hsed_jax as hx
 from hsed_jax.analysis import Calibration
 from hsed_jax.ask_tell import AskTell
 from hsed_jax.config.build import Built
+from hsed_jax.config.experiments import ExperimentsEntry
 from hsed_jax.criticism.improve import Step, Trail
 from hsed_jax.design.sequential import DesignState
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.nuts import Chains, Convergence
-from hsed_jax.measurements import Campaign, Channel, Experiment, Record
+from hsed_jax.measurements import Campaign, Channel, Experiment, Record, write_campaign
 from hsed_jax.remedy import Improvement
 from hsed_jax.reporting.outcome import Outcome
 from hsed_jax.requests import Expected
@@ -99,6 +100,7 @@ CASES = {
     "expected": (lambda: hx.plot.expected(asked(), "E01"), 2),
     "ground_motions": (lambda: hx.plot.ground_motions(STUDY), 2),
     "histories": (lambda: hx.plot.histories(calibration(histories(2, 1)), "E3"), 3),
+    "cycles": (lambda: hx.plot.cycles(calibration(histories(2, 1))), 9),
     "loops": (lambda: hx.plot.loops(calibration(histories(2, 1))), 3),
     "where": (lambda: hx.plot.where(calibration(histories(2, 1))), 9),
     "error_map": (lambda: hx.plot.error_map(calibration(quantities(), "quantities")), None),
@@ -192,10 +194,8 @@ def test_the_posterior_shows_the_draws_the_map_and_the_truth_in_one_unit():
     assert_allclose([mark.get_xdata()[0], mark.get_ydata()[0]], [400.0, 1.0])
     assert_allclose(truth.get_xdata(), 500.0)
     (area,) = histogram.patches
-    assert_allclose(
-        [area.get_xy()[:, 0].min(), area.get_xy()[:, 0].max()],
-        1e-3 * draws[[draws[:, 0].argmin(), draws[:, 0].argmax()], 0],
-    )
+    edges = area.get_data().edges
+    assert_allclose([edges[0], edges[-1]], 1e-3 * draws[[draws[:, 0].argmin(), draws[:, 0].argmax()], 0])
     assert axes[3].get_xlabel() == "$A$ [kN/m]" and axes[-1].get_xlabel() == "error.force [–]"
     entries = [text.get_text() for text in axes[0].figure.legends[0].get_texts()]
     assert entries == ["draws", "MAP", "true value"]
@@ -209,6 +209,47 @@ def test_a_posterior_lies_over_the_one_before():
     assert len(alone.patches) == 1  # the model as it was did not have the effect
     entries = [text.get_text() for text in axes[0].figure.legends[0].get_texts()]
     assert entries == ["as it was: draws", "as it was: MAP", "improved: draws", "improved: MAP"]
+
+
+def test_a_sharp_posterior_does_not_flatten_a_broad_one():
+    better = improvement()
+    centre = np.asarray(better.calibration.map["A"])
+    draws = np.asarray(better.calibration.fit.chains.theta)
+    sharp = bare(Fit, **{**vars(better.calibration.fit), "chains": better.calibration.fit.chains._replace(
+        theta=jnp.asarray(np.concatenate([centre + 1e-4 * (draws[..., :1] - centre), draws[..., 1:]], axis=-1)))})  # fmt: skip
+    histogram = hx.plot.posterior(bare(Calibration, fit=sharp), before=better.original)[0]
+    assert_allclose([area.get_data().values.max() for area in histogram.patches], 1.0)
+
+
+def test_a_long_legend_stays_within_the_figure():
+    better = improvement()
+    figure = hx.plot.posterior(better.calibration, better.original, {"A": 5e5})[0].figure
+    box = figure.legends[0].get_window_extent()
+    assert box.x0 >= 0 and box.x1 <= figure.bbox.x1
+
+
+def test_cycles_are_those_of_both_models():
+    better = improvement()
+    axes = hx.plot.cycles(better.calibration, before=better.original)
+    energy, stiffness, backbone = axes[:3]
+    entries = [text.get_text() for text in energy.figure.legends[0].get_texts()]
+    assert entries == ["measured", "model as it was", "improved model"]
+    assert "(test)" in energy.get_title(loc="right")
+    measured, old, _ = (line.get_ydata() for line in energy.get_lines())
+    assert_allclose(old, 1.21 * measured)  # force and elongation are a tenth too large
+    for line in stiffness.get_lines()[1:]:
+        assert_allclose(line.get_ydata(), stiffness.get_lines()[0].get_ydata())
+    assert_allclose(backbone.get_lines()[1].get_xdata(), 1.1 * backbone.get_lines()[0].get_xdata())
+
+
+def test_the_ground_motions_of_a_measured_campaign_have_a_time(tmp_path):
+    records = {f"E{i}": {"time": 0.01 * np.arange(50), "force": np.sin(np.arange(50.0))} for i in (1, 2)}
+    table = {"id": ["E1", "E2"], "V_P": [2.0, 2.5], "T_P": [1.0, 1.2]}
+    units = {"time": "s", "force": "N"}
+    write_campaign(Campaign.from_frames(table, records, inputs={"V_P": "m/s", "T_P": "s"}, channels=units), tmp_path)
+    study = STUDY.model_copy(update={"experiments": ExperimentsEntry(campaign=str(tmp_path))})
+    motion, _ = hx.plot.ground_motions(study)
+    assert motion.get_xlim() == (0.0, 10.0)
 
 
 def test_of_many_parameters_six_are_shown():
@@ -244,6 +285,7 @@ def flat():
         (lambda: hx.plot.histories(calibration(quantities(), "quantities"), "E1"), "plot.measured_against_predicted"),
         (lambda: hx.plot.measured_against_predicted(calibration(histories())), "does not observe quantities"),
         (lambda: hx.plot.loops(flat()), "force and elongation were not both measured"),
+        (lambda: hx.plot.cycles(flat()), "force and elongation were not both measured"),
         (lambda: hx.plot.where(calibration(quantities(), "quantities")), "plot.error_map"),
         (lambda: hx.plot.error_map(calibration(histories(2, 0))), "one or two inputs that vary"),
         (lambda: hx.plot.ranking(diagnosis([])), "no candidate to draw"),

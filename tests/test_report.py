@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -170,6 +171,66 @@ def test_what_a_reader_must_know_stands_first(folder):
     assert page.index("3 divergent transitions") < page.index("What was asked")
 
 
+def page_of(tmp_path, change, records=record):
+    """The page of a run whose summary is changed, and perhaps its records."""
+    folder = write(tmp_path / "run")
+    found = json.loads((folder / "summary.json").read_text())
+    change(found)
+    (folder / "summary.json").write_text(json.dumps(found))
+    if records is not record:
+        shutil.rmtree(folder / "campaign")
+        known = campaign(("V_P", "T_P"))
+        experiments = tuple(records(e) for e in known)
+        write_campaign(replace(known, experiments=experiments), folder / "campaign")
+    return report_page(read_run(folder))
+
+
+def test_what_diverged_is_said_first_and_the_verdict_is_not_blue(tmp_path):
+    def diverge(found):
+        after = found["improvement"]["comparison"]
+        del after["test"]["error"], after["test"]["per_experiment"]["T01"]["force"]["nrmse"]
+        after["warnings"] = ["the simulation of T01 diverged at the MAP: its errors mean nothing, and it is not drawn"]
+        found["improvement"]["steps"][-1]["error_test"] = 1.3e8
+
+    page = page_of(tmp_path, diverge)
+    assert '<data value="" data-figure-key="error_test_after">diverged</data>' in page
+    assert '<span class="tag doubtful" id="verdict">missing effects' in page
+    first = page.index("The improved model: the simulation of T01 diverged at the MAP")
+    assert first < page.index("What was asked")
+    assert "130000000" not in page.replace(",", "") and page.count('<td class="number">diverged</td>') == 2
+
+
+def test_doubts_of_the_data_are_quoted_first(tmp_path):
+    def flipped(experiment):
+        force = -1e4 * np.gradient(experiment.record["elongation"], experiment.record.time)
+        return replace(
+            experiment, record=Record(experiment.record.time, {**experiment.record.channels, "force": force})
+        )
+
+    page = page_of(tmp_path, lambda found: None, flipped)
+    assert page.index("The data check has a doubt: E01, force: the work of force") < page.index("What was asked")
+
+
+def test_a_window_is_shaded(tmp_path):
+    page = page_of(tmp_path, lambda found: None, lambda e: replace(e, window=(1.0, 2.0)))
+    assert '"windows":{"experiment":["E01","E02","T01"],"from":[1.0,1.0,1.0],"to":[2.0,2.0,2.0]}' in page
+    assert "Shaded: the part of the record that is scored." in page
+
+
+def test_the_posterior_says_whether_the_model_explains_the_data_and_the_scales_are_shown(tmp_path):
+    doubt = "the model does not explain the data: its intervals are too narrow"
+    scales = {"force": 1.2e5, "elongation": 0.023, "rate": 1.9, "energy": 2.2e4}
+
+    def change(found):
+        found["scales"] = scales
+        found["calibration"] |= {"chi2_per_datum": 7.3, "doubt": doubt}
+
+    page = page_of(tmp_path, change)
+    assert "χ² per datum: 7.3 " in page[page.index("<h2>Posterior") :]
+    assert page.lower().count(doubt) == 2 and page.lower().index(doubt) < page.index("What was asked")
+    assert "force 120 kN, elongation 23 mm, elongation rate 1.9 m/s, absorbed energy 22 kJ" in page
+
+
 def test_what_a_user_wrote_is_text_and_not_markup(folder):
     page = report_page(read_run(folder))
     assert HOSTILE not in page
@@ -295,6 +356,7 @@ def test_units_in_words(unit, words):
 
 def test_the_error_of_an_experiment_is_averaged_in_the_square():
     assert error_of({"force": {"nrmse": 0.3}, "elongation": {"nrmse": 0.4}}) == pytest.approx(np.sqrt(0.125))
+    assert np.isinf(error_of({"force": {"nrmse": 0.3}, "elongation": {}}))  # not finite, hence not in the summary
     assert np.isnan(error_of({}))
 
 

@@ -23,7 +23,7 @@ from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.measurements import read_campaign
 from hsed_jax.run import run_main
 from hsed_jax.store import RunFolder
-from hsed_jax.workflow import run
+from hsed_jax.workflow import Run, run
 
 SMALL = """
 study: small
@@ -244,6 +244,18 @@ def test_resume_and_force_exclude_each_other(study, tmp_path):
     with pytest.raises(SystemExit) as exit:
         run_main([str(study), "--output", str(tmp_path), "--resume", "--force"])
     assert exit.value.code == 2
+
+
+def test_what_a_step_found_is_told_when_it_ends(study, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(Run, "_design", lambda self: None)
+    monkeypatch.setattr(Run, "_calibrate", lambda self: setattr(self, "calibration", "what calibrate found"))
+
+    def stop(self):
+        raise UserError(f"told so far: {capsys.readouterr().out}")
+
+    monkeypatch.setattr(Run, "_compare", stop)
+    assert run_main([str(study), "--output", str(tmp_path / "run"), "steps=[calibrate, compare]"]) == 2
+    assert "what calibrate found" in capsys.readouterr().err
 
 
 def test_an_output_that_cannot_be_written_is_the_users_to_mend(study, tmp_path, capsys):

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
-from hsed_jax.criticism.cycles import absorbed_energy, cycle_numbers, energy_per_cycle
-from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.criticism.cycles import cycle_numbers, energy_per_cycle
+from hsed_jax.criticism.prediction import Prediction, error_cell
 from hsed_jax.errors import UserError
 from hsed_jax.inference.correlation import SIGNIFICANT, judge, size_p_value
 from hsed_jax.inference.likelihood import whitened
@@ -28,15 +28,17 @@ class Split:
     """Errors over the training or the test experiments.
 
     Attributes:
-        error, noise_floor: over all outputs.
+        error, noise_floor: over all outputs; the error of an experiment whose simulation diverged is infinite.
         per_output: nrmse, noise_floor, bias, r2, peak_error, coverage_90 by output.
         per_experiment: the same by experiment and output, and energy_error where force and elongation are known.
+        diverged: experiments whose simulation diverged.
     """
 
     error: float
     noise_floor: float
     per_output: dict[str, dict[str, float]]
     per_experiment: dict[str, dict[str, dict[str, float]]]
+    diverged: list[str]
 
 
 @dataclass(frozen=True, repr=False)
@@ -70,7 +72,15 @@ class Comparison(Tabular):
         if self.p_value is not None:
             content["p_value"] = self.p_value
         content["notes"] = self.notes
+        if self.warnings:
+            content["warnings"] = self.warnings
         return content
+
+    @property
+    def warnings(self) -> list[str]:
+        """What to know before believing the figures: sentences on simulations that diverged."""
+        predictions = (self.train_prediction, self.test_prediction)
+        return [text for prediction in predictions if prediction is not None for text in prediction.warnings]
 
     def _table(self) -> Table:
         rows = []
@@ -78,13 +88,13 @@ class Comparison(Tabular):
             if split is None:
                 continue
             for output, v in split.per_output.items():
-                errors = (cell(v["nrmse"]), cell(v["noise_floor"]), cell(v["bias"], "+.3f"))
+                errors = (error_cell(v["nrmse"]), cell(v["noise_floor"]), cell(v["bias"], "+.3f"))
                 shares = (f"{cell(100 * v['peak_error'], '+.1f')} %", f"{cell(100 * v['coverage_90'], '.0f')} %")
                 rows.append((name, output, *errors, *shares))
             if len(split.per_output) > 1:
-                rows.append((name, "all", cell(split.error), cell(split.noise_floor), "", "", ""))
+                rows.append((name, "all", error_cell(split.error), cell(split.noise_floor), "", "", ""))
         heads = ("split", "output", "error", "noise", "bias", "peak", "in the 90 % band")
-        return Table(self.verdict, heads, rows, self.notes)
+        return Table(self.verdict, heads, rows, [*self.notes, *self.warnings])
 
     @property
     def verdict(self) -> str:
@@ -112,15 +122,6 @@ def compare(
         raise UserError(
             "nothing that is observed was measured in the training experiments; there is nothing to compare"
         )
-    diverged = [
-        experiment.id
-        for prediction in (train, test)
-        if prediction is not None
-        for experiment, converged in zip(prediction.experiments, prediction.converged, strict=True)
-        if not converged
-    ]
-    if diverged:
-        notes = [*notes, f"the simulation of {', '.join(diverged)} diverged at the MAP: its errors mean nothing"]
     worst = sorted(
         (
             {"experiment": experiment, "output": output, "error": values["nrmse"]}
@@ -152,6 +153,8 @@ def discrepancy_p_value(prediction: Prediction, declared: np.ndarray, parameters
     for whiteness (Ljung & Box 1978 over ten lags) after a first-order autoregression has been taken out.  Of k such tests, which
     are nearly independent of one another, the smallest p counts: $1-(1-p)^k$ (Šidák 1967).
     """
+    if prediction.diverged.any():
+        return 0.0
     z = prediction.residual / np.where(prediction.used, prediction.sigma, 1.0)
     correlated = [None if known else True for known in declared]
     judged = judge(z, prediction.gaps, prediction.used, prediction.groups, declared, correlated)
@@ -185,12 +188,13 @@ def _ljung_box(residual: np.ndarray) -> float:
 def _split(prediction: Prediction, declared: np.ndarray) -> Split:
     per_output: dict[str, dict[str, float]] = {}
     per_experiment: dict[str, dict[str, dict[str, float]]] = {}
+    predicted = np.where(prediction.diverged[:, None], np.inf, prediction.predicted)
     for number, output in enumerate(prediction.outputs):
         columns = prediction.columns(output)
         used = prediction.used[:, columns]
         if not used.any():
             continue
-        tables = (prediction.measured, prediction.predicted, prediction.mean, prediction.sd)
+        tables = (prediction.measured, predicted, prediction.mean, prediction.sd)
         noise = noise_of(prediction, output, bool(declared[number]))
         every = tuple(np.where(used, table, np.nan) for table in (*(t[:, columns] for t in tables), noise))
         per_output[output] = _errors(every)
@@ -202,7 +206,9 @@ def _split(prediction: Prediction, declared: np.ndarray) -> Split:
     _add_energy_errors(prediction, per_experiment)
     squares = [values["nrmse"] ** 2 for values in per_output.values()]
     floors = [values["noise_floor"] ** 2 for values in per_output.values()]
-    return Split(float(np.sqrt(np.mean(squares))), float(np.sqrt(np.mean(floors))), per_output, per_experiment)
+    error, floor = (float(np.sqrt(np.mean(values))) for values in (squares, floors))
+    diverged = [e.id for e, has in zip(prediction.experiments, prediction.diverged, strict=True) if has]
+    return Split(error, floor, per_output, per_experiment, diverged)
 
 
 def _errors(tables: Sequence[np.ndarray], scale: float | None = None) -> dict[str, float]:
@@ -272,12 +278,9 @@ def _add_energy_errors(prediction: Prediction, per_experiment: dict[str, dict[st
         used = prediction.used[row, prediction.columns("force")][: len(force)]
         if used.sum() < 3 or not np.ptp(elongation[used]) > 0:
             continue
-        there = energy_per_cycle(force[used], elongation[used])
-        ours = np.bincount(
-            cycle_numbers(elongation[used]),
-            weights=np.diff(absorbed_energy(predicted[used], stretched[used]), prepend=0.0),
-            minlength=there.size,
-        )
+        cycles = cycle_numbers(elongation[used])
+        there = energy_per_cycle(force[used], elongation[used], cycles)
+        ours = energy_per_cycle(predicted[used], stretched[used], cycles)
         rms = float(np.sqrt(np.mean(there**2)))
         if rms > 0:
             per_experiment[experiment.id]["force"]["energy_error"] = float(np.sqrt(np.mean((ours - there) ** 2))) / rms
@@ -289,4 +292,4 @@ def _plain(split: Split) -> dict[str, Any]:
         "noise_floor": split.noise_floor,
         "per_output": split.per_output,
         "per_experiment": split.per_experiment,
-    }
+    } | ({"diverged": split.diverged} if split.diverged else {})

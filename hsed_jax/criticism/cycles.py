@@ -1,4 +1,16 @@
-"""Cycles, branches and energies of a measured loop."""
+r"""Cycles and branches of a measured loop, and what engineers read from it.
+
+Of cycle i with the largest elongation $u_i^+$ and the smallest $u_i^-$, and the forces $F_i^\pm$ at them:
+
+* the energy it absorbs, $E_i = \oint F\,\mathrm du$;
+* its secant stiffness from peak to peak, $k_i = (F_i^+ - F_i^-)/(u_i^+ - u_i^-)$ (the effective stiffness of ASCE/SEI 41);
+* the backbone, the line through the peaks $(u_i^\pm, F_i^\pm)$ at which the elongation exceeds that of all cycles before
+  (FEMA 461).
+
+Cycles are those of the measured elongation; a prediction is read over the same samples.
+"""
+
+from itertools import pairwise
 
 import numpy as np
 
@@ -10,11 +22,7 @@ def cycle_numbers(elongation: np.ndarray) -> np.ndarray:
     crosses zero (or the middle of its range, where it keeps to one side) in the direction of the first excursion.  A small
     hysteresis (5 % of the largest) keeps noise from ending cycles.
     """
-    swing = elongation - 0.5 * (elongation.max() + elongation.min())
-    if np.abs(elongation).max() > 0 and elongation.min() < 0 < elongation.max():
-        swing = elongation
-    dead = 0.05 * np.abs(swing).max()
-    state = np.where(swing > dead, 1, np.where(swing < -dead, -1, 0))
+    state = _sides(elongation)
     excursions = np.flatnonzero(state)
     if not excursions.size:
         return np.zeros(state.size, dtype=int)
@@ -24,16 +32,65 @@ def cycle_numbers(elongation: np.ndarray) -> np.ndarray:
     return np.cumsum(np.diff(settled, prepend=settled[:1]) > 0)
 
 
+def _sides(elongation: np.ndarray) -> np.ndarray:
+    """Side of each sample: 1 and -1 beyond the hysteresis, 0 within."""
+    swing = elongation - 0.5 * (elongation.max() + elongation.min())
+    if np.abs(elongation).max() > 0 and elongation.min() < 0 < elongation.max():
+        swing = elongation
+    dead = 0.05 * np.abs(swing).max()
+    return np.where(swing > dead, 1, np.where(swing < -dead, -1, 0))
+
+
 def absorbed_energy(force: np.ndarray, elongation: np.ndarray) -> np.ndarray:
     """Work done on the specimen up to each sample [J], by the trapezoidal rule."""
     return np.concatenate([[0.0], np.cumsum(0.5 * (force[1:] + force[:-1]) * np.diff(elongation))])
 
 
-def energy_per_cycle(force: np.ndarray, elongation: np.ndarray) -> np.ndarray:
-    """Energy absorbed in each cycle [J]."""
-    cycles = cycle_numbers(elongation)
+def energy_per_cycle(force: np.ndarray, elongation: np.ndarray, cycles: np.ndarray) -> np.ndarray:
+    """Energy E absorbed in each cycle [J], (c,).
+
+    Arguments:
+        force, elongation: [N] and [m], (m,).
+        cycles: number of the cycle of each sample, as `cycle_numbers` gives it, (m,).
+    """
     work = np.diff(absorbed_energy(force, elongation), prepend=0.0)
     return np.bincount(cycles, weights=work)
+
+
+def secant_stiffness(force: np.ndarray, elongation: np.ndarray, cycles: np.ndarray) -> np.ndarray:
+    """Stiffness k from peak to peak of each cycle [N/m], (c,); NaN of a cycle that is not on both sides.
+
+    Arguments: as of `energy_per_cycle`.
+    """
+    at = _peaks(elongation, cycles)
+    low, high = _sides(elongation)[at]
+    is_whole = (low < 0) & (high > 0)
+    (swing,), (rise,) = (np.diff(channel[at], axis=0) for channel in (elongation, force))
+    return np.where(is_whole, rise, np.nan) / np.where(is_whole, swing, 1.0)
+
+
+def backbone(force: np.ndarray, elongation: np.ndarray, cycles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Elongation [m] and force [N] of the peaks beyond all cycles before, from the smallest elongation to the largest, (p,).
+
+    A peak is one to the side of zero that it lies on; elongations that keep to one side have a backbone of one side.
+
+    Arguments: as of `energy_per_cycle`.
+    """
+    at = _peaks(elongation, cycles)
+    found = []
+    for side, u, f in zip((-1.0, 1.0), elongation[at], force[at], strict=True):
+        size = side * u
+        before = np.concatenate([[0.0], np.maximum.accumulate(np.maximum(size, 0.0))[:-1]])
+        found += zip(u[size > before], f[size > before], strict=True)
+    points = np.asarray(sorted(found)).reshape(-1, 2)
+    return points[:, 0], points[:, 1]
+
+
+def _peaks(elongation: np.ndarray, cycles: np.ndarray) -> np.ndarray:
+    """Samples of the smallest and of the largest elongation of each cycle, (2, c)."""
+    starts = np.flatnonzero(np.diff(cycles, prepend=-1))
+    parts = [slice(a, b) for a, b in pairwise([*starts, cycles.size])]
+    return np.asarray([[s.start + pick(elongation[s]) for s in parts] for pick in (np.argmin, np.argmax)])
 
 
 def half_cycles(elongation: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.criticism.prediction import Prediction, error_cell
 from hsed_jax.tables import Table, Tabular, cell
 
 SIGNIFICANT = 0.01
@@ -97,7 +97,8 @@ class Diagnosis(Tabular):
     @property
     def sentence(self) -> str:
         """The verdict in words."""
-        fall = f"the error on experiments that were not used goes from {self.error[1]:.3f} to {self.error_after[1]:.3f}"
+        ends = " to ".join(error_cell(errors[1]) for errors in (self.error, self.error_after))
+        fall = f"the error on experiments that were not used goes from {ends}"
         named = " and ".join(self.effects)
         if self.verdict == "adequate":
             return "nothing is missing that these measurements could show: the noise explains the residual"
@@ -131,8 +132,8 @@ class Diagnosis(Tabular):
                     c.family,
                     cell(c.probability),
                     cell(c.log_evidence_gain, ".1f"),
-                    cell(c.error_train),
-                    cell(c.error_test),
+                    error_cell(c.error_train),
+                    error_cell(c.error_test),
                     f"{amplitude} = {cell(size['mean'], '.3g')} ± {cell(size['sd'], '.2g')}{unit}",
                 )
             )

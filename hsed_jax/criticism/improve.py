@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from hsed_jax.criticism.compare import Comparison
+from hsed_jax.criticism.prediction import error_cell
 from hsed_jax.tables import Table, Tabular, cell
 
 
@@ -48,16 +49,16 @@ class Trail(Tabular):
         ends = [s.error_train if last.error_test is None else s.error_test for s in (first, last)]
         which = "the fitted experiments" if last.error_test is None else "experiments that were not used"
         if len(self.steps) == 1:
-            return f"nothing was added: the error on {which} is {cell(ends[0])} (noise {self.noise_floor:.3f})"
-        return f"the error on {which} goes from {cell(ends[0])} to {cell(ends[1])} (noise {self.noise_floor:.3f})"
+            return f"nothing was added: the error on {which} is {error_cell(ends[0])} (noise {self.noise_floor:.3f})"
+        return f"the error on {which} goes from {error_cell(ends[0])} to {error_cell(ends[1])} (noise {self.noise_floor:.3f})"
 
     def _table(self) -> Table:
         names = list(dict.fromkeys(name for step in self.steps for name in step.parameters if "error." not in name))
         rows: list[Sequence[str]] = [
             (
                 f"+ {step.effects[-1]}" if step.effects else "model as it was",
-                cell(step.error_train),
-                cell(step.error_test),
+                error_cell(step.error_train),
+                error_cell(step.error_test),
                 *(cell(step.parameters.get(name), ".4g") for name in names),
             )
             for step in self.steps

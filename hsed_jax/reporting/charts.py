@@ -112,7 +112,7 @@ def residual_along(
 
 
 def histories(
-    axes: Mapping[str, Axis], outputs: Sequence[str], models: Sequence[str], time: str, loop: bool
+    axes: Mapping[str, Axis], outputs: Sequence[str], models: Sequence[str], time: str, loop: bool, windows: bool
 ) -> Specification:
     """Measured against predicted of the experiment that the page chooses: hysteresis loop, and every output over time.
 
@@ -122,13 +122,17 @@ def histories(
         models: `before`, and `after` where there is one.
         time: title of the time axis.
         loop: whether force and elongation are both known.
+        windows: whether there are experiments of which a part is scored; it is shaded.
     """
     keys = ["measured", *models]
     width, height = (0.5 if loop else 0.88) * _WIDTH, max(150, 330 // len(outputs))
     last = outputs[-1]
     panels: list[Specification] = [
         {
-            "layer": _history(axes[name].label, name, time, keys, index, name == last),
+            "layer": [
+                *([_WINDOW] if windows else []),
+                *_history(axes[name].label, name, time, keys, index, name == last),
+            ],
             "width": width,
             "height": height,
         }
@@ -274,6 +278,12 @@ def intervals(names: Sequence[str]) -> Specification:
 
 
 _CHOSEN: Specification = {"name": "experiment", "value": ""}
+_WINDOW: Specification = {
+    "data": {"name": "windows"},
+    "transform": [{"filter": "datum.experiment == experiment"}],
+    "mark": {"type": "rect", "color": FAINT, "opacity": 0.15, "clip": True},
+    "encoding": {"x": {"field": "from", "type": "quantitative"}, "x2": {"field": "to"}},
+}
 
 
 def _chart(

@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.findings import Candidate, Diagnosis
-from hsed_jax.criticism.improve import Trail
-from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.criticism.improve import Step, Trail
+from hsed_jax.criticism.prediction import Prediction, error_cell, has_diverged
 from hsed_jax.measurements import Campaign
 from hsed_jax.physics.outputs import output
 from hsed_jax.reporting import style
@@ -126,8 +126,8 @@ def _probability(value: float) -> str:
 def error_fall(trail: Trail) -> Picture:
     """The error after each added effect as a staircase, on the fitted and the held-out experiments, above the noise."""
     steps = trail.steps
-    train = np.asarray([step.error_train for step in steps], dtype=float)
-    test = np.asarray([np.nan if step.error_test is None else step.error_test for step in steps], dtype=float)
+    errors = np.asarray([[step.error_train, step.error_test] for step in steps], dtype=float)
+    train, test = np.where(has_diverged(errors), np.nan, errors).T
     edges = np.arange(len(steps) + 1) - 0.5
     figure = style.new_figure(2.7)
     panel = figure.subplots()
@@ -137,12 +137,11 @@ def error_fall(trail: Trail) -> Picture:
         panel.stairs(test, edges, baseline=None, color=style.BLACK, linewidth=1.2, linestyle=_DASHES,
                      label="test: not used")  # fmt: skip
     panel.axhline(trail.noise_floor, color=style.DARK_GREY, linestyle=":", linewidth=1.3, zorder=1, label="noise floor")
-    for place, (fitted, held) in enumerate(zip(train, test, strict=True)):
-        both = [value for value in (fitted, held) if np.isfinite(value)]
-        if both:
-            text = f"train {fitted:.3f}" + (f"\ntest {held:.3f}" if np.isfinite(held) else "")
-            panel.annotate(text, (place, max(both)), xytext=(0, 4), textcoords="offset points", ha="center", va="bottom",
-                           fontsize=8, linespacing=1.1)  # fmt: skip
+    for place, (step, both) in enumerate(zip(steps, zip(train, test, strict=True), strict=True)):
+        if texts := _errors_of(step):
+            height = np.nanmax([*both, trail.noise_floor])  # what diverged has no height of its own
+            panel.annotate("\n".join(texts), (place, height), xytext=(0, 4), textcoords="offset points", ha="center",
+                           va="bottom", fontsize=8, linespacing=1.1)  # fmt: skip
     words = ["model as it was", *("+ " + step.effects[-1].replace("_", " ") for step in steps[1:])]
     panel.set_xticks(range(len(steps)), ["\n".join(textwrap.wrap(word, 16)) for word in words])
     panel.tick_params(axis="x", length=0)
@@ -150,16 +149,19 @@ def error_fall(trail: Trail) -> Picture:
     highest = np.nanmax([*train, *test, trail.noise_floor, 1e-9])
     panel.set(ylabel="Normalised error [–]", xlim=(edges[0], edges[-1]), ylim=(0.0, 1.28 * highest))
     style.legend(figure, panel)
-    said = [
-        f"{word}: train {style.amount(a)}" + (f", test {style.amount(b)}" if np.isfinite(b) else "")
-        for word, a, b in zip(words, train, test, strict=True)
-    ]
+    said = [f"{word}: {', '.join(_errors_of(step))}" for word, step in zip(words, steps, strict=True)]
     return Picture(
         figure,
         "Normalised error of the model as it was and after each added effect, on the experiments that were fitted and on "
         "those that were not used, against what the noise alone leaves (shaded).",
         f"A falling staircase of {len(steps)} steps. {'; '.join(said)}; noise floor {style.amount(trail.noise_floor)}.",
     )
+
+
+def _errors_of(step: Step) -> list[str]:
+    """The errors of a step that there are, with the split."""
+    both = (("train", step.error_train), ("test", step.error_test))
+    return [f"{split} {error_cell(error)}" for split, error in both if error is not None and not np.isnan(error)]
 
 
 @style.in_house_style
@@ -213,10 +215,12 @@ def before_after(before: Comparison, after: Comparison, campaign: Campaign) -> P
     style.legend(figure, *panels)
     figure.legends[0].set_title(style.plain(f"{id} ({split})", 90))
     which = id.replace("$", "")
+    drawn = [*["loop as it was", "loop of the improved model"][: 2 * has_loops], *map(style.words, names)]
     return Picture(
         figure,
-        f"Experiment {which} ({split}), whose error fell most: measured, predicted by the model as it was, and by the "
-        "improved model." + ("  a) and b) hysteresis loops before and after." if has_loops else ""),
+        f"Experiment {which} ({split}), whose error fell most: measured (dashed), predicted by the model as it was "
+        f"(dash-dotted) and by the improved model (continuous): {style.lettered(drawn)}."
+        + ("" if first.experiments[row].window is None else "  Shaded: the part of the record that is scored."),
         f"{'Hysteresis loops and histories' if has_loops else 'Histories'} of {', '.join(names)}. The error is "
         f"{style.amount(old)} before and {style.amount(new)} after.",
     )
@@ -269,7 +273,7 @@ def _history(panel: Axes, name: str, first: Prediction, row: int, second: Predic
     for values, look in ((measured, _MEASURED), (before, _BEFORE), (after, _AFTER)):
         panel.plot(record.time, values / divisor, **look)
     panel.margins(x=0.0)
-    panel.set_ylabel(style.channel_label(name, unit))
+    panel.set_ylabel(style.history_label(name, unit))
 
 
 def _scatter(before: Comparison, after: Comparison) -> Picture:
@@ -312,7 +316,7 @@ def _quantity(prediction: Prediction, name: str) -> list[np.ndarray]:
     """Measured, predicted, predictive mean and sd of a quantity where it was measured."""
     column = int(np.flatnonzero(prediction.columns(name))[0])
     used = prediction.used[:, column]
-    tables = (prediction.measured, prediction.predicted, prediction.mean, prediction.sd)
+    tables = (prediction.measured, prediction.shown, prediction.mean, prediction.sd)
     return [table[used, column] for table in tables]
 
 

@@ -1,9 +1,13 @@
 """A finished run in brief: its verdict in a sentence, the figures that matter, and what to know before believing them."""
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping
 from typing import Any
 
+from hsed_jax.criticism.prediction import error_cell
 from hsed_jax.reporting.finished import FinishedRun
+
+_QUOTED = 5  # doubts of the data
 
 
 def verdict(run: FinishedRun) -> str:
@@ -13,10 +17,10 @@ def verdict(run: FinishedRun) -> str:
         return sentence(summary["diagnosis"]["sentence"])
     if "comparison" in summary:
         comparison = summary["comparison"]
-        error, floor = comparison["train"]["error"], comparison["train"]["noise_floor"]
+        error, floor = error_text(comparison["train"]), comparison["train"]["noise_floor"]
         if comparison["adequate"]:
-            return f"The noise explains what the model leaves: error {error:.3f}, noise {floor:.3f}."
-        return f"The noise does not explain what the model leaves: error {error:.3f}, noise {floor:.3f}."
+            return f"The noise explains what the model leaves: error {error}, noise {floor:.3f}."
+        return f"The noise does not explain what the model leaves: error {error}, noise {floor:.3f}."
     if "calibration" in summary:
         said = ", ".join(f"{name} = {value:.4g}" for name, value in summary["calibration"]["map"].items())
         only = (
@@ -40,7 +44,9 @@ def key_figures(run: FinishedRun) -> list[dict[str, Any]]:
     for split, words in (("train", "fitted"), ("test", "held out")):
         for model, comparison, when in (("before", before, "as it was"), ("after", after, "improved")):
             if comparison and split in comparison:
-                add(f"error_{split}_{model}", f"error, {words} experiments, model {when}", comparison[split]["error"])
+                label = f"error, {words} experiments, model {when}"
+                error, text = comparison[split].get("error"), error_text(comparison[split])
+                found.append({"key": f"error_{split}_{model}", "label": label, "value": error, "text": text})
     if before:
         add("noise_floor", "noise floor", before["train"]["noise_floor"])
     diagnosis = summary.get("diagnosis")
@@ -60,18 +66,33 @@ def warnings(run: FinishedRun) -> Iterator[str]:
     """What a reader must know before believing the rest."""
     if run.summary["status"] != "complete":
         yield f"The run is not complete ({run.summary['status']}); what follows is what there was when it stopped."
+    yield from (f"{words}: {text}." for words, texts in diverged(run).items() for text in texts)
     for words, part in (("the calibration", "calibration"), ("the improved model's calibration", "improvement")):
-        if text := run.summary.get(part, {}).get("warning"):
+        found = run.summary.get(part, {})
+        if text := found.get("warning"):
             yield f"The draws of {words} have not converged: {text}."
-    for comparison in run.comparisons.values():
-        yield from (sentence(note) for note in comparison["notes"] if "diverged" in note)
-    doubts = len(run.findings)
-    if doubts:
-        yield f"The data check raised {doubts} doubt{'s' if doubts > 1 else ''}, listed under “Data”."
+        if doubt := found.get("doubt"):
+            yield sentence(doubt)
+    for finding in run.findings[:_QUOTED]:
+        yield sentence(f"the data check has {'an' if finding.level == 'error' else 'a'} {finding}")
+    if rest := len(run.findings[_QUOTED:]):
+        yield f"The data check has {rest} more doubt{'s' if rest > 1 else ''}, listed under “Data”."
     if failed := [e.id for e in run.campaign if e.status == "failed"]:
         yield f"Experiments that failed: {', '.join(failed)}."
 
 
+def diverged(run: FinishedRun) -> dict[str, list[str]]:
+    """What is to be said of simulations that diverged, by model."""
+    words = {"before": "The model as it was", "after": "The improved model"}
+    found = {words[model]: comparison.get("warnings", []) for model, comparison in run.comparisons.items()}
+    return {model: texts for model, texts in found.items() if texts}
+
+
+def error_text(entry: Mapping[str, Any], key: str = "error", look: str = ".3f") -> str:
+    """An error of the summary, in which one that is not finite is absent."""
+    return error_cell(entry.get(key, math.inf), look)
+
+
 def sentence(text: str) -> str:
-    """A text as a sentence: its first letter large, a full stop."""
-    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}"
+    """A text as a sentence: its first letter large, a full stop unless it ends already."""
+    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith(('.', '?')) else '.'}"

@@ -8,7 +8,7 @@ from matplotlib.transforms import Bbox
 
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.locate import Location
-from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.criticism.prediction import Prediction, error_cell
 from hsed_jax.measurements import Campaign
 from hsed_jax.physics.outputs import output
 from hsed_jax.reporting import style
@@ -44,7 +44,7 @@ def misfit_pictures(
         if prediction.groups.size == len(prediction.outputs):
             continue
         errors = split.per_experiment
-        worst = sorted(errors, key=lambda id: -max(_badness(values) for values in errors[id].values()))[:_OVERLAYS]
+        worst = sorted(errors, key=lambda id: -max(badness(values) for values in errors[id].values()))[:_OVERLAYS]
         for row, experiment in enumerate(prediction.experiments):
             if experiment.id in worst and experiment.record is not None:
                 yield f"overlay_{experiment.id}", overlay(prediction, row, errors[experiment.id], campaign)
@@ -78,7 +78,7 @@ def overlay(prediction: Prediction, row: int, errors: Mapping[str, Mapping[str, 
         _history(panel, prediction, row, name)
         panel.set_xlabel("Time [s]" if campaign.has_time else "Row")
         if name in errors:
-            panel.set_title(f"error {errors[name]['nrmse']:.3f}", loc="right")
+            panel.set_title(f"error {error_cell(errors[name]['nrmse'])}", loc="right")
     for panel in panels[:-1]:
         panel.set_xlabel("")
         panel.sharex(panels[-1])
@@ -87,7 +87,7 @@ def overlay(prediction: Prediction, row: int, errors: Mapping[str, Mapping[str, 
     if loop is not None:
         panels.append(figure.add_subplot(grid[:2, 1]))
         _draw_loop(panels[-1], *loop)
-    failed = "" if prediction.converged[row] else ", simulation did not converge"
+    failed = ", simulation diverged" if prediction.diverged[row] else ""
     style.panel_titles(panels)
     style.legend(figure, *panels)
     figure.legends[0].set_title(style.plain(f"{experiment.id} ({experiment.split}{failed})", 90))
@@ -95,8 +95,9 @@ def overlay(prediction: Prediction, row: int, errors: Mapping[str, Mapping[str, 
     which = experiment.id.replace("$", "")
     return Picture(
         figure,
-        f"Experiment {which} ({experiment.split}{failed}): measured (dashed) and predicted (continuous) with the 90 % "
-        "predictive band.  Shaded: the part of the record that is scored, where that is not all of it.",
+        f"Experiment {which} ({experiment.split}{failed}), measured (dashed) and predicted at the MAP (continuous) with the 90 % "
+        f"predictive band: {style.lettered([*map(style.words, prediction.outputs), *(['hysteresis loop'] if loop else [])])}."
+        + ("" if experiment.window is None else "  Shaded: the part of the record that is scored."),
         f"Histories of {', '.join(prediction.outputs)}{'' if loop is None else ' and the hysteresis loop'}. {said}.",
     )
 
@@ -118,14 +119,13 @@ def _history(panel: Axes, prediction: Prediction, row: int, name: str) -> None:
     panel.plot(time, measured / divisor, **{**style.MEASURED, "label": "measured"})
     panel.plot(time, predicted / divisor, **{**style.PREDICTED, "label": "predicted"})
     panel.margins(x=0.0)
-    panel.set_ylabel(style.channel_label(name, unit))
+    panel.set_ylabel(style.history_label(name, unit))
 
 
 def hysteresis_loop(prediction: Prediction, row: int, campaign: Campaign) -> tuple[np.ndarray, ...] | None:
     """Measured elongation and force, then predicted, where scored; None where one of them is not known."""
     record = prediction.experiments[row].record
-    assert record is not None
-    if "force" not in prediction.outputs:
+    if record is None or "force" not in prediction.outputs:
         return None
     force, predicted, _, _ = prediction.histories(row, "force")
     if "elongation" in prediction.outputs:
@@ -160,11 +160,9 @@ def loops(comparison: Comparison, campaign: Campaign) -> Picture | None:
     found = []
     for name, split, prediction in splits(comparison):
         for row, experiment in enumerate(prediction.experiments):
-            loop = None if experiment.record is None else hysteresis_loop(prediction, row, campaign)
+            loop = hysteresis_loop(prediction, row, campaign)
             if loop is not None and experiment.id in split.per_experiment:
-                found.append(
-                    (_badness(split.per_experiment[experiment.id]["force"]), f"{experiment.id} ({name})", loop)
-                )
+                found.append((badness(split.per_experiment[experiment.id]["force"]), f"{experiment.id} ({name})", loop))
     if not found:
         return None
     found.sort(key=lambda entry: -entry[0])
@@ -173,7 +171,7 @@ def loops(comparison: Comparison, campaign: Campaign) -> Picture | None:
     for panel, (error, who, loop) in zip(panels, shown, strict=True):
         _draw_loop(panel, *loop)
         panel.set_title(style.plain(who, 20), loc="left")
-        panel.set_title(f"error {error:.3f}", loc="right")
+        panel.set_title(f"error {error_cell(error)}", loc="right")
     style.legend(figure, panels[0])
     rest = len(found) - len(shown)
     return Picture(
@@ -196,7 +194,7 @@ def measured_against_predicted(comparison: Comparison) -> Picture:
         for split, _, prediction in splits(comparison):
             columns = prediction.columns(name)
             used = prediction.used[:, columns][:, 0]
-            tables = (prediction.measured, prediction.predicted, prediction.mean, prediction.sd)
+            tables = (prediction.measured, prediction.shown, prediction.mean, prediction.sd)
             known[split] = [table[:, columns][:, 0][used] for table in tables]
         divisor, unit = style.readable(output(name).unit, *(v for values in known.values() for v in values[:2]))
         for split, values in known.items():
@@ -232,7 +230,7 @@ def error_table(comparison: Comparison) -> Picture | None:
     ]
     if not found:
         return None
-    found.sort(key=lambda entry: -_badness(entry[3]))
+    found.sort(key=lambda entry: -badness(entry[3]))
     shown = found[:_ROWS]
     columns = {key: look for key, look in _COLUMNS.items() if any(key in values for *_, values in shown)}
     cells = [
@@ -273,9 +271,11 @@ def error_table(comparison: Comparison) -> Picture | None:
 
 
 def _cell(value: float, factor: float, look: str) -> str:
+    if np.isinf(value):
+        return "diverged"
     return look.format(factor * value).replace("-", "−") if np.isfinite(value) else "–"
 
 
-def _badness(values: Mapping[str, float]) -> float:
+def badness(values: Mapping[str, float]) -> float:
     """The error, largest where it is no number."""
     return values["nrmse"] if np.isfinite(values["nrmse"]) else np.inf

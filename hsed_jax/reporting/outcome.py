@@ -15,6 +15,7 @@ from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.measurements import Campaign
+from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Simulator
 
 
@@ -36,6 +37,7 @@ class Outcome:
         remaining: where the model with the named effects still fails.
         trail, improved, improved_comparison: the fall of the error, the improved model, and how far it is from the
             measurements.
+        scales: characteristic values that amplitudes of effects are relative to; None where there are no effects.
     """
 
     study: str
@@ -59,6 +61,7 @@ class Outcome:
     trail: Trail | None
     improved: Fit | None
     improved_comparison: Comparison | None
+    scales: Scales | None
 
     @property
     def estimates(self) -> np.ndarray:
@@ -78,6 +81,8 @@ def summary(outcome: Outcome) -> dict[str, Any]:
     """The content of `summary.json`."""
     content: dict[str, Any] = {"study": outcome.study, "status": outcome.status}
     fit, state = outcome.fit, outcome.state
+    if outcome.scales is not None:
+        content["scales"] = {name: float(value) for name, value in outcome.scales._asdict().items()}
     if fit is not None:
         content["calibration"] = {
             "map": fit.map,

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hsed_jax.criticism.coordinates import UNITS, coordinates_of
+from hsed_jax.criticism.prediction import has_diverged
 from hsed_jax.physics.outputs import QUANTITIES, output
 from hsed_jax.reporting import style
 from hsed_jax.reporting.finished import SPLITS, FinishedRun
@@ -45,9 +46,11 @@ def unit_words(unit: str) -> str:
 
 
 def error_of(errors: Mapping[str, Mapping[str, float]]) -> float:
-    """Error of one experiment over its outputs, averaged in the square."""
-    values = [entry["nrmse"] for entry in errors.values() if "nrmse" in entry]
-    return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
+    """Error of one experiment over its outputs, averaged in the square; infinite where its simulation diverged."""
+    # An error that is not in the summary was not finite.
+    values = [entry.get("nrmse", np.inf) for entry in errors.values()]
+    error = float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
+    return np.inf if has_diverged(error) and values else error
 
 
 def experiments_table(run: FinishedRun) -> Table:
@@ -116,6 +119,12 @@ def samples_table(run: FinishedRun) -> Table:
         name: [value for part in parts for value in _plain(part.get(name, [None] * len(part["experiment"])))]
         for name in names
     }
+
+
+def windows_table(run: FinishedRun) -> Table:
+    """From when to when an experiment is scored, where that is not the whole record."""
+    windows = {e.id: e.window for e in run.campaign if e.window is not None}
+    return columns([{"experiment": id, "from": begin, "to": end} for id, (begin, end) in windows.items()])
 
 
 def quantities_table(run: FinishedRun) -> Table:

@@ -59,7 +59,8 @@ def posterior(fit: Fit, before: Fit | None, truth: Mapping[str, float]) -> Pictu
     )
     return Picture(
         figure,
-        "Posterior of the parameters: histograms of the draws, and the draws of every pair; marked is the MAP."
+        "Posterior of the parameters: histograms of the draws, each to its own height, and the draws of every pair; marked is "
+        "the MAP."
         + ("  Red: the model as it was." if before is not None else "")
         + ("  Dashed: true values." if truth else "")
         + (f"  {rest} more parameters are not shown." if rest else ""),
@@ -74,8 +75,9 @@ def _draws(fit: Fit) -> dict[str, np.ndarray]:
 
 def _marginal(panel: Axes, values: np.ndarray, at: float, look: str) -> None:
     colour, marker = _LOOKS[look]
-    panel.hist(values, _BINS, density=True, histtype="stepfilled", color=colour, alpha=0.35, linewidth=0)
-    panel.axvline(at, color=colour, linewidth=1.1)
+    counts, edges = np.histogram(values, _BINS)
+    # Each to its own height: as densities, a sharp posterior would flatten a broad one beside it.
+    panel.stairs(counts / max(counts.max(), 1), edges, fill=True, facecolor=colour, alpha=0.45, edgecolor=colour)
     panel.plot([at], [0.0], marker, color=colour, ms=5, mec="white", mew=0.6, zorder=4, clip_on=False)
     panel.set_yticks([])
     panel.grid(False, axis="y")
@@ -101,7 +103,7 @@ def _entries(panel: Axes, looks: list[str], has_truth: bool) -> None:
     for look in looks:
         colour, marker = _LOOKS[look]
         both = len(looks) == 2
-        panel.plot([], [], "s", color=colour, alpha=0.35, ms=8, mew=0, label=f"{look}: draws" if both else "draws")
+        panel.plot([], [], "s", color=colour, alpha=0.45, ms=8, mew=0, label=f"{look}: draws" if both else "draws")
         panel.plot([], [], marker, color=colour, ms=5, label=f"{look}: MAP" if both else "MAP")
     if has_truth:
         panel.plot([], [], color=style.BLACK, linestyle=_DASHES, linewidth=1.0, label="true value")

@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 import yaml
 
+from hsed_jax.criticism.prediction import error_cell
 from hsed_jax.physics.effects import EFFECTS
-from hsed_jax.reporting import charts
+from hsed_jax.reporting import charts, style
 from hsed_jax.reporting import page_tables as tables
 from hsed_jax.reporting.asked import asked
-from hsed_jax.reporting.digest import key_figures, sentence, verdict, warnings
+from hsed_jax.reporting.digest import diverged, error_text, key_figures, sentence, verdict, warnings
 from hsed_jax.reporting.finished import FinishedRun
 from hsed_jax.reporting.inline_svg import InlineFigure, inline
 from hsed_jax.reporting.page import number, render
@@ -22,6 +23,7 @@ _STILL = {
     "diagnosis": ("ranking",),
     "improvement": ("parameters_before_after",),
     "design": ("fig5_expected_improvement", "fig6_exploration", "fig7_estimates", "fig4bis_one_experiment_map"),
+    "cycles": ("cycles",),
     "posterior": ("posterior",),
     "excitation": ("fig3_ground_motions", "fig4_loops_and_energy"),
 }
@@ -37,8 +39,11 @@ def report_page(run: FinishedRun) -> str:
         run=run,
         summary=run.summary,
         asked=asked(run.study, run.campaign),
-        notes=[sentence(note) for note in run.summary.get("comparison", {}).get("notes", []) if "diverged" not in note],
+        notes=[sentence(note) for note in run.summary.get("comparison", {}).get("notes", [])],
         verdict=verdict(run),
+        doubtful=bool(diverged(run)),
+        scales=_scales(run),
+        falls=_falls(run),
         figures=key_figures(run),
         warnings=list(warnings(run)),
         stills=stills,
@@ -60,7 +65,7 @@ def _charts(run: FinishedRun) -> tuple[dict[str, Any], dict[str, tables.Table]]:
         campaign, shown = run.campaign, data["experiments"]
         inputs = [name for name in campaign.inputs if len({*shown[name]}) > 1]
         units = [tables.unit_words(campaign.unit(name).text) for name in inputs]
-        largest = max(error for error in shown["error"] if error is not None)
+        largest = max((error for error in shown["error"] if error is not None), default=1.0)
         drawn["where"] = charts.errors_over_inputs(
             list(zip(inputs, units, strict=True)), largest, list(run.comparisons)
         )
@@ -72,7 +77,9 @@ def _charts(run: FinishedRun) -> tuple[dict[str, Any], dict[str, tables.Table]]:
         data |= {"samples": tables.samples_table(run), "residual": tables.residual_table(run)}
         time = "Time [s]" if run.campaign.has_time else "Row"
         loop = {"force_measured", "elongation_measured"} <= data["samples"].keys() and "force" in outputs
-        drawn["histories"] = charts.histories(axes, outputs, models, time, loop)
+        if windows := tables.windows_table(run):
+            data["windows"] = windows
+        drawn["histories"] = charts.histories(axes, outputs, models, time, loop, bool(windows))
         if data["residual"]:
             noise = {
                 name.replace("_", " "): v["noise_floor"]
@@ -113,7 +120,7 @@ def _experiments(run: FinishedRun) -> dict[str, Any]:
         ]
         status = experiment.status + (f": {experiment.reason}" if experiment.reason else "")
         own = [errors.get(experiment.id, {}).get(model, np.nan) for model in models]
-        numbers = [number(v) for v in values] + [f"{v:.3f}" if np.isfinite(v) else "–" for v in own]
+        numbers = [*map(number, values), *map(error_cell, own)]
         rows.append([experiment.id, experiment.split, status, *numbers])
     return {"heads": heads, "rows": rows, "words": 3}
 
@@ -135,15 +142,35 @@ def _ranking(run: FinishedRun) -> dict[str, Any]:
         named.append(candidate["effect"] in diagnosis["effects"])
         known = [(name, e) for name, e in candidate["estimate"].items() if "q05" in e]
         sizes = [_size(name, e) for name, e in known[: None if named[-1] else 1]]
-        forms = {
-            "probability": "{:.3f}",
-            "log_evidence_gain": "{:.1f}",
-            "error_train": "{:.3f}",
-            "error_test": "{:.3f}",
-        }
+        forms = {"probability": "{:.3f}", "log_evidence_gain": "{:.1f}"}
         numbers = [form.format(candidate[key]) if key in candidate else "–" for key, form in forms.items()]
+        numbers += [error_cell(candidate.get(key)) for key in ("error_train", "error_test")]
         rows.append([candidate["effect"].replace("_", " "), candidate["family"], "; ".join(sizes), *numbers])
     return {"heads": heads, "rows": rows, "named": named, "rest": len(diagnosis["ranking"]) - len(rows)}
+
+
+def _falls(run: FinishedRun) -> list[tuple[str, str, str]]:
+    """The model as it was and after each added effect, with its errors."""
+    steps, has_test = run.summary.get("improvement", {}).get("steps", []), "test" in run.comparisons.get("before", {})
+    return [
+        (
+            "+ " + step["effects"][-1].replace("_", " ") if step["effects"] else "as it was",
+            error_text(step, "error_train", ".4f"),
+            error_text(step, "error_test", ".4f") if has_test else "–",
+        )
+        for step in steps
+    ]
+
+
+def _scales(run: FinishedRun) -> str:
+    """The characteristic values that amplitudes of effects are relative to, in readable units; empty without effects."""
+    units = {"force": "N", "elongation": "m", "rate": "m/s", "energy": "J"}
+    words = {"rate": "elongation rate", "energy": "absorbed energy"}
+    said = []
+    for name, value in run.summary.get("scales", {}).items():
+        divisor, unit = style.readable(units[name], np.asarray([value]))
+        said.append(f"{words.get(name, name)} {value / divisor:.3g} {unit}")
+    return ", ".join(said)
 
 
 def _size(name: str, estimate: dict[str, Any]) -> str:

@@ -62,7 +62,8 @@ def _posterior(fit: Fit) -> dict[str, xr.Dataset]:
 
 
 def _predictions(comparison: Comparison, root: str) -> dict[str, xr.Dataset]:
-    """Measured and predicted outputs of every compared experiment; of histories a group each.  NaN where nothing is scored."""
+    """Measured and predicted outputs of every compared experiment; of histories a group each.  NaN where nothing is scored,
+    and of predictions where the simulation diverged."""
     groups = {}
     for split, prediction in (("train", comparison.train_prediction), ("test", comparison.test_prediction)):
         if prediction is None:
@@ -71,7 +72,7 @@ def _predictions(comparison: Comparison, root: str) -> dict[str, xr.Dataset]:
             coords = {"experiment": [e.id for e in prediction.experiments]}
             tables = {
                 "measured": np.where(prediction.used, prediction.measured, np.nan),
-                "predicted": prediction.predicted,
+                "predicted": prediction.shown,
                 "mean": prediction.mean,
                 "sd": prediction.sd,
             }

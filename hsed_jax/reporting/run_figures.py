@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
 
+from hsed_jax.reporting.cycle_figures import cycles
 from hsed_jax.reporting.design_figures import design_pictures
 from hsed_jax.reporting.diagnosis_figures import diagnosis_pictures
 from hsed_jax.reporting.figures import save
@@ -15,13 +16,20 @@ from hsed_jax.reporting.style import Picture
 
 def draw(outcome: Outcome, folder: Path) -> None:
     """Write every figure that the outcome has the material for, as PNG and SVG."""
-    misfit = ()
-    if outcome.comparison is not None:
-        misfit = misfit_pictures(outcome.comparison, outcome.location, outcome.campaign)
     for name, picture in chain(
-        design_pictures(outcome), misfit, diagnosis_pictures(outcome), _posterior_pictures(outcome)
+        design_pictures(outcome), _misfit_pictures(outcome), diagnosis_pictures(outcome), _posterior_pictures(outcome)
     ):
         save(picture, folder, name)
+
+
+def _misfit_pictures(outcome: Outcome) -> Iterator[tuple[str, Picture]]:
+    comparison, better = outcome.comparison, outcome.improved_comparison
+    if comparison is None:
+        return
+    yield from misfit_pictures(comparison, outcome.location, outcome.campaign)
+    read = cycles(better or comparison, outcome.campaign, None if better is None else comparison)
+    if read is not None:
+        yield "cycles", read
 
 
 def _posterior_pictures(outcome: Outcome) -> Iterator[tuple[str, Picture]]:

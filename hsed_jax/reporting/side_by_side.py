@@ -41,7 +41,7 @@ def _errors(name: str, run: FinishedRun) -> Iterator[dict[str, Any]]:
     for model, comparison in run.comparisons.items():
         for split in SPLITS:
             if split in comparison:
-                error = comparison[split]["error"]
+                error = comparison[split].get("error")
                 yield {"run": name, "split": split, "series": charts.SERIES[model], "error": error}
     if "before" in run.comparisons:
         floor = run.comparisons["before"]["train"]["noise_floor"]

@@ -6,6 +6,7 @@ black-and-white print says the same.
 
 import io
 import re
+import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import wraps
@@ -145,7 +146,10 @@ def legend(figure: Figure, *panels: Axes) -> None:
         handles, texts = panel.get_legend_handles_labels()
         entries.update(zip(texts, handles, strict=True))
     if entries:
-        figure.legend(list(entries.values()), list(entries), loc="outside upper center", ncols=len(entries))
+        # A line holds some 95 letters, of which the key of each entry takes eight.
+        lines = -(-sum(8 + len(text) for text in entries) // 95)
+        columns = -(-len(entries) // lines)
+        figure.legend(list(entries.values()), list(entries), loc="outside upper center", ncols=columns)
 
 
 def whole_numbers(axis: Axis) -> None:
@@ -177,6 +181,18 @@ def readable(unit: str, *values: npt.ArrayLike) -> tuple[float, str]:
 def channel_label(name: str, unit: str) -> str:
     """Axis label of a channel or quantity in a given unit: ``Force $r$ [kN]``."""
     return f"{name.replace('_', ' ').capitalize()} ${output(name).symbol}$ [{unit_text(unit)}]"
+
+
+def words(name: str) -> str:
+    """The name of a channel or quantity in running text."""
+    return name.replace("_", " ")
+
+
+def history_label(name: str, unit: str) -> str:
+    """`channel_label` in several lines where the name is long, for panels that stand low above one another."""
+    lines = textwrap.wrap(name.replace("_", " ").capitalize(), 14)
+    whole = channel_label(name, unit)
+    return whole if len(lines[0]) <= 12 and len(lines) == 1 else "\n".join([*lines, whole[whole.index("$") :]])
 
 
 def label(name: str, unit: str) -> str:

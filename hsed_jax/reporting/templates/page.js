@@ -62,7 +62,7 @@
     }
     const own = tables.experiments.filter((row) => row.experiment === id);
     const model = { before: "as it was", after: "improved" };
-    const errors = own.map((row) => `error ${row.error.toFixed(3)}${own.length > 1 ? ` ${model[row.model]}` : ""}`);
+    const errors = own.map((row) => `error ${row.error === null ? "diverged" : row.error.toFixed(3)}${own.length > 1 ? ` ${model[row.model]}` : ""}`);
     document.getElementById("about").textContent = own.length ? `${own[0].split}; ${errors.join(", ")}` : "";
   };
   const step = (by) => {

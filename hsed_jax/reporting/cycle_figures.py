@@ -1,0 +1,134 @@
+"""What engineers read from a loop, measured against predicted: energy and stiffness of each cycle, and the backbone."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from hsed_jax.criticism.compare import Comparison
+from hsed_jax.criticism.cycles import backbone, cycle_numbers, energy_per_cycle, secant_stiffness
+from hsed_jax.measurements import Campaign
+from hsed_jax.reporting import style
+from hsed_jax.reporting.misfit_figures import badness, hysteresis_loop
+from hsed_jax.reporting.misfit_maps import splits
+from hsed_jax.reporting.style import Picture
+
+_MOST = 3
+_LOOKS: dict[str, dict[str, Any]] = {
+    "measured": {**style.MEASURED, "marker": "s", "mfc": "white", "label": "measured"},
+    "predicted": {**style.PREDICTED, "marker": "o", "label": "predicted"},
+    "as it was": {"color": style.RED, "linestyle": (0, (6, 1.2, 1, 1.2)), "linewidth": 0.9, "marker": "v",
+                  "label": "model as it was", "zorder": 2},
+    "improved": {**style.PREDICTED, "marker": "o", "label": "improved model"},
+}  # fmt: skip
+
+
+class Cycles(NamedTuple):
+    """What is read from one loop: energy [J] and stiffness [N/m] of each cycle, elongation [m] and force [N] of the backbone."""
+
+    energy: np.ndarray
+    stiffness: np.ndarray
+    elongation: np.ndarray
+    force: np.ndarray
+
+
+@style.in_house_style
+def cycles(comparison: Comparison, campaign: Campaign, before: Comparison | None = None) -> Picture | None:
+    """A row per experiment: energy per cycle, secant stiffness per cycle and backbone, measured and predicted.
+
+    Arguments:
+        comparison: of histories; the held-out experiments come first, and of each split those with the largest errors of the
+            force; of more than three the first three are shown.
+        campaign: whether the elongation was imposed.
+        before: of the model as it was, to lie beneath.
+
+    Returns:
+        The picture; None where force and elongation are not both known.
+    """
+    models = {"predicted": comparison} if before is None else {"as it was": before, "improved": comparison}
+    found = _experiments(next(iter(models.values())), campaign)
+    if not found:
+        return None
+    shown = found[:_MOST]
+    figure, panels = style.panels(3 * len(shown), 2.2, across=3)
+    said = []
+    for number, (split, id) in enumerate(shown):
+        row = panels[3 * number : 3 * number + 3]
+        read = _read(models, split, id, campaign)
+        _draw(row, read)
+        row[0].set_title(style.plain(f"{id} ({split})", 24), loc="right")
+        measured, ours = read["measured"], list(read.values())[-1]
+        said.append(
+            f"{id}: {measured.energy.size} cycles, energy {_of(measured.energy.sum(), 'J')} measured, "
+            f"{_of(ours.energy.sum(), 'J')} predicted; stiffness of the last {_of(measured.stiffness[-1], 'N/m')} measured, "
+            f"{_of(ours.stiffness[-1], 'N/m')} predicted"
+        )
+    style.panel_titles(panels)
+    style.legend(figure, panels[0])
+    rest = len(found) - len(shown)
+    return Picture(
+        figure,
+        "What a cycle absorbs (left), its secant stiffness from peak to peak (middle), and the backbone through the peaks that "
+        "exceed all before (right), measured and predicted, over the cycles of the measured elongation; a row per experiment.  "
+        "The stiffness of a cycle that hardly exceeds the noise is as uncertain as its peaks."
+        + (f"  {rest} more are not shown." if rest else ""),
+        f"{3 * len(shown)} panels of curves. {'. '.join(said).replace('$', '')}.",
+    )
+
+
+def _experiments(comparison: Comparison, campaign: Campaign) -> list[tuple[str, str]]:
+    """Split and id of every experiment with a loop, held-out ones first, the largest errors of the force first."""
+    found = []
+    for name, split, prediction in splits(comparison):
+        for row, experiment in enumerate(prediction.experiments):
+            errors = split.per_experiment.get(experiment.id, {})
+            loop = hysteresis_loop(prediction, row, campaign)
+            there = np.zeros(1) if loop is None else loop[0][np.isfinite(loop[0] + loop[1])]
+            if "force" in errors and there.size > 2 and np.ptp(there) > 0:
+                found.append((name != "test", -badness(errors["force"]), name, experiment.id))
+    return [(name, id) for *_, name, id in sorted(found)]
+
+
+def _read(models: Mapping[str, Comparison], split: str, id: str, campaign: Campaign) -> dict[str, Cycles]:
+    """The cycles of one experiment as they were measured and as each model has them; diverged ones left out."""
+    read = {}
+    for model, comparison in models.items():
+        prediction = next(p for name, _, p in splits(comparison) if name == split)
+        row = [e.id for e in prediction.experiments].index(id)
+        loop = hysteresis_loop(prediction, row, campaign)
+        assert loop is not None
+        there, force, ours, predicted = (channel[np.isfinite(loop[0] + loop[1])] for channel in loop)
+        numbers = cycle_numbers(there)
+        read.setdefault("measured", _cycles(force, there, numbers))
+        read[model] = _cycles(predicted, ours, numbers)
+    return read
+
+
+def _cycles(force: np.ndarray, elongation: np.ndarray, numbers: np.ndarray) -> Cycles:
+    about = (force, elongation, numbers)
+    return Cycles(energy_per_cycle(*about), secant_stiffness(*about), *backbone(*about))
+
+
+def _draw(row: list[Axes], read: Mapping[str, Cycles]) -> None:
+    scales = {
+        name: style.readable(unit, *(getattr(one, name) for one in read.values()))
+        for name, unit in (("energy", "J"), ("stiffness", "N/m"), ("elongation", "m"), ("force", "N"))
+    }
+    for who, one in read.items():
+        energy, stiffness, elongation, force = (getattr(one, name) / scales[name][0] for name in Cycles._fields)
+        count = np.arange(1, energy.size + 1)
+        for panel, x, y in zip(row, (count, count, elongation), (energy, stiffness, force), strict=True):
+            panel.plot(x, y, **_LOOKS[who])
+    for panel, (word, name) in zip(row, (("Energy", "energy"), ("Secant stiffness", "stiffness")), strict=False):
+        panel.set(xlabel="Cycle", ylabel=f"{word} [{style.unit_text(scales[name][1])}]")
+        style.whole_numbers(panel.xaxis)
+        panel.update_datalim([(1.0, 0.0)])  # from zero, with room above the highest marker
+        panel.autoscale_view()
+    labels = [style.channel_label(name, scales[name][1]) for name in ("elongation", "force")]
+    row[2].set(xlabel=labels[0], ylabel=labels[1])
+
+
+def _of(value: float, unit: str) -> str:
+    divisor, unit = style.readable(unit, np.asarray([value]))
+    return style.amount(value / divisor, unit)
