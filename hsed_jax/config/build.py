@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from hsed_jax.config import laboratories, parts
@@ -21,7 +22,7 @@ from hsed_jax.design.feasible import Limits
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import Data
-from hsed_jax.inference.observation import Grid, Histories, Observation, Outputs, Quantities, assemble
+from hsed_jax.inference.observation import Grid, Histories, Observation, Outputs, Quantities, assemble, conditions_of
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.predict import Predictor
 from hsed_jax.inference.priors import Prior
@@ -38,7 +39,7 @@ from hsed_jax.measurements import (
 )
 from hsed_jax.physics.outputs import output
 from hsed_jax.physics.scales import Scales
-from hsed_jax.physics.simulator import Parametrised, Simulator, Timeline
+from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator, Timeline
 from hsed_jax.physics.structures import Structure
 
 if TYPE_CHECKING:
@@ -133,7 +134,9 @@ class Built:
             return Scales(**self.study.scales.model_dump())
         plain = Scales()
         if (timeline := self._plain_timeline) is not None:
-            plain = parts.plain_scales(self.structure, self.excitation, timeline, self.parameters, self.space)
+            plain = parts.plain_scales(
+                self.structure, self.excitation, timeline, self.parameters, self._plain_conditions()
+            )
         values = zip(self._told_scales, plain, strict=True)
         return Scales(*(simulated if told is None else told for told, simulated in values))
 
@@ -149,7 +152,14 @@ class Built:
         virtual = self.study.experiments.virtual
         has_effects = bool(self.study.model.effects or (virtual and virtual.effects))
         told = self.study.scales is not None or None not in self._told_scales
-        return self.planned if has_effects and not told and self.excitation is not None else None
+        return self.timeline if has_effects and not told else None
+
+    def _plain_conditions(self) -> list[Conditions]:
+        """The training experiments as they were excited, or else the middle of the inputs."""
+        if self.measured is not None and len(self.measured.train):
+            return [conditions_of(e, self.measured, self.grid, self.excitation) for e in self.measured.train]
+        middle = self.space.si(self.space.declared(np.full((1, len(self.space.names)), 0.5)))
+        return [Conditions({name: jnp.asarray(values[0]) for name, values in middle.items()})]
 
     @cached_property
     def grid(self) -> Grid | None:
