@@ -313,8 +313,11 @@ def _init(options: Any) -> int:
 
     folder = Path(options.campaign)
     campaign = read_campaign(folder)
-    for finding in check_campaign(campaign):
+    findings = check_campaign(campaign)
+    for finding in findings:
         print(finding)
+    if any(finding.level == "error" for finding in findings):
+        raise UserError(f"{folder}: the data have errors, listed above; nothing is repaired silently")
     output = Path(options.output) if options.output else folder / "study.yaml"
     if output.exists() and not options.force:
         raise UserError(f"{output} exists already; say --force to replace it or choose another --output")
