@@ -23,7 +23,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.inference.fit import Fit, fit
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.priors import Prior
-from hsed_jax.measurements import Campaign, check_campaign
+from hsed_jax.measurements import Campaign, stop_at_errors
 from hsed_jax.physics.batch import tiled_map
 from hsed_jax.physics.response import Response
 from hsed_jax.physics.simulator import Conditions, Simulator
@@ -90,21 +90,9 @@ def calibrate(study: Study, campaign: Campaign | None = None) -> Calibration:
         UserError: the campaign does not fit the study, has errors in its data, or has nothing to fit.
     """
     campaign = campaign_of(study) if campaign is None else campaign
-    stop_at_errors(campaign)
-    return calibrate_built(Built(study, campaign), campaign)
-
-
-def stop_at_errors(campaign: Campaign) -> None:
-    """Refuse a campaign whose data have errors.
-
-    Raises:
-        UserError: names the first and says how many there are.
-    """
-    errors = [finding for finding in check_campaign(campaign) if finding.level == "error"]
-    if errors:
-        more = f" (and {len(errors) - 1} more: hsed check lists them)" if len(errors) > 1 else ""
-        where = campaign.source or campaign.name
-        raise UserError(f"{where}: {str(errors[0]).removeprefix('error: ')}{more}")
+    built = Built(study, campaign)
+    stop_at_errors(campaign, built.accepted)
+    return calibrate_built(built, campaign)
 
 
 def calibrate_built(

@@ -166,16 +166,19 @@ def _effects(options: Any) -> int:
 def _check(options: Any) -> int:
     from hsed_jax.config.build import Built
     from hsed_jax.config.load import load_study
-    from hsed_jax.measurements import check_campaign
+    from hsed_jax.measurements import check_campaign, overview, stop_at_errors
 
     study = load_study(options.study, options.overrides)
     built = Built(study)
     built.check()
-    findings = [] if built.measured is None else check_campaign(built.measured)
-    for finding in findings:
-        print(finding)
-    if any(finding.level == "error" for finding in findings):
-        raise UserError(f"{options.study}: the data have errors, listed above; nothing is repaired silently")
+    if built.measured is not None:
+        findings = check_campaign(built.measured)
+        for finding in findings:
+            print(f"{finding}{' (accepted)' if (finding.experiment, finding.kind) in built.accepted else ''}")
+        if any(finding.level == "error" for finding in findings):
+            raise UserError(f"{options.study}: the data have errors, listed above; nothing is repaired silently")
+        print(overview(built.measured))
+        stop_at_errors(built.measured, built.accepted)
     print(f"{options.study}: the study is valid; its steps are {', '.join(study.steps)}")
     return 0
 

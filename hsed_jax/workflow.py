@@ -6,7 +6,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from hsed_jax.analysis import Calibration, calibrate_built, compare, locate, stop_at_errors
+from hsed_jax.analysis import Calibration, calibrate_built, compare, locate
 from hsed_jax.conduct import Asked, Conduct
 from hsed_jax.config.build import Built
 from hsed_jax.config.schema import Study
@@ -19,7 +19,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.laboratories.base import ExperimentFailed, Measured
 from hsed_jax.laboratories.folder import Awaited
 from hsed_jax.laboratories.virtual import VirtualLaboratory
-from hsed_jax.measurements import Campaign, write_campaign
+from hsed_jax.measurements import Campaign, stop_at_errors, write_campaign
 from hsed_jax.remedy import Improvement, diagnose, improve
 from hsed_jax.reporting.outcome import Outcome, summary
 from hsed_jax.requests import Requests
@@ -88,7 +88,7 @@ class Run:
         self.built = Built(study, workspace=laboratory_folder(output), function=laboratory)
         self.built.check()
         if self.built.measured is not None:
-            stop_at_errors(self.built.measured)
+            stop_at_errors(self.built.measured, self.built.accepted)
         self.store = RunFolder(output, study.written(), resume=resume, force=force)
         self.progress = progress
         self.figures = True

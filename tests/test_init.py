@@ -200,6 +200,28 @@ def test_after_errors_of_the_data_nothing_is_said_of_what_was_not_measured(tmp_p
     assert "not both measured" not in said.err and not (tmp_path / "c" / "study.yaml").exists()
 
 
+def test_a_suspected_sign_flip_has_to_be_acknowledged(tmp_path, capsys):
+    campaign, folder = component_campaign(), tmp_path / "c"
+    record = campaign["E01"].record
+    flipped = {"time": record.time, "elongation": record["elongation"], "force": -record["force"]}
+    channels = {"time": "s", "elongation": "m", "force": "N"}
+    write_campaign(Campaign.from_frames(records={"E01": flipped}, protocol="displacement", channels=channels), folder)
+    assert main(["init", str(folder)]) == 0
+    study, run = str(folder / "study.yaml"), tmp_path / "run"
+    for command in (["check", study], ["run", study, "--output", str(run)]):
+        assert main(command) == 2 and not run.exists()
+        assert 'say in the study: measurements: {accept: ["E01": sign]}' in capsys.readouterr().err
+    assert main(["check", study, 'measurements.accept=["E01": sign]']) == 0
+    assert "is a sign flipped? (accepted)" in capsys.readouterr().out
+    for entry, message in (
+        ("{E9: sign}", "measurements.accept: there is no measured experiment 'E9'; measured are E01"),
+        ("{E01: sgin}", "measurements.accept"),
+        ("sign", "measurements.accept"),
+    ):
+        assert main(["check", study, f"measurements.accept=[{entry}]"]) == 2
+        assert message in capsys.readouterr().err
+
+
 def test_study_of_quantities_alone_has_an_excitation_to_begin_with(tmp_path, capsys):
     study, text = init(tmp_path / "numbers", quantities_campaign(), capsys)
     assert study.observe == "quantities" and study.quantities == ["peak_force", "peak_elongation"]

@@ -80,6 +80,18 @@ class Built:
             return self.campaign
         return read_campaign(self.study.folder / path)
 
+    @cached_property
+    def accepted(self) -> frozenset[tuple[str, str]]:
+        """Doubts of the data that the study accepts: experiment and kind."""
+        pairs = [pair for entry in self.study.measurements.accept for pair in entry.items()]
+        for experiment, _ in pairs:
+            if self.measured is None or experiment not in self.measured:
+                known = "none" if self.measured is None else ", ".join(e.id for e in self.measured)
+                raise UserError(
+                    f"measurements.accept: there is no measured experiment {experiment!r}; measured are {known}"
+                )
+        return frozenset(pairs)
+
     @property
     def component_test(self) -> bool:
         """Whether the elongation was imposed on the specimen alone."""
@@ -376,7 +388,17 @@ class Built:
             UserError: something is.
         """
         # Not the simulator, nor a specimen that is one: their scales may take a simulation, which only needs its plan.
-        needed = ["space", "structure", "parameters", "excitation", "outputs", "timeline", "_plain_timeline", "errors"]
+        needed = [
+            "accepted",
+            "space",
+            "structure",
+            "parameters",
+            "excitation",
+            "outputs",
+            "timeline",
+            "_plain_timeline",
+            "errors",
+        ]
         if self.study.experiments.laboratory is not None or "design" in self.study.steps:
             # A virtual laboratory has a simulator, and the scales of that may take a simulation.
             virtual = self.study.experiments.virtual is not None

@@ -13,6 +13,7 @@ from pydantic import (
 
 from hsed_jax.config.experiments import ExperimentsEntry
 from hsed_jax.config.sections import ErrorsEntry, Positive, Section
+from hsed_jax.measurements.checks import DoubtKind
 from hsed_jax.physics.outputs import QUANTITIES
 from hsed_jax.tables import Table, Tabular
 
@@ -211,6 +212,13 @@ class CalibrationEntry(Section):
     target_acceptance: Annotated[float, Field(gt=0, lt=1)] = 0.8
 
 
+class MeasurementsEntry(Section):
+    """How the measurements are taken."""
+
+    accept: list[dict[str, DoubtKind]] = []
+    """Doubts that were looked at and are no faults, each as `experiment: kind`."""
+
+
 class ScalesEntry(Section):
     """Characteristic values that make the amplitudes of effects dimensionless (SI); by default from the data."""
 
@@ -239,6 +247,7 @@ class Study(Tabular, Section):
     inputs: dict[str, InputEntry] = {}
     model: ModelEntry
     experiments: ExperimentsEntry
+    measurements: MeasurementsEntry = MeasurementsEntry()
     observe: Literal["quantities", "histories"] = "quantities"
     channels: list[str] | None = None
     """Channels to fit and compare when histories are observed; by default all that were measured."""
