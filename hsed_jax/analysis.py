@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array
 
 from hsed_jax.config.build import Built
+from hsed_jax.config.records import thinning_notes
 from hsed_jax.config.schema import Study
 from hsed_jax.criticism import compare as comparing
 from hsed_jax.criticism import locate as locating
@@ -57,7 +58,7 @@ class Calibration(Tabular):
     def predict(self, campaign: Campaign) -> Prediction:
         """Predict the completed experiments of a campaign."""
         experiments = campaign.completed.experiments
-        return predict(self.fit, self.built.data(campaign, experiments), experiments)
+        return predict(self.fit, self.built.data(campaign, experiments), self.built.taken(experiments))
 
     @cached_property
     def train(self) -> Prediction:
@@ -91,7 +92,7 @@ def calibrate(study: Study, campaign: Campaign | None = None) -> Calibration:
     """
     campaign = campaign_of(study) if campaign is None else campaign
     built = Built(study, campaign)
-    stop_at_errors(campaign, built.accepted)
+    stop_at_errors(campaign, study.measurements.accepted(campaign))
     return calibrate_built(built, campaign)
 
 
@@ -136,6 +137,7 @@ def compare(calibration: Calibration, campaign: Campaign | None = None) -> Compa
     declared = np.asarray([not isinstance(error, Prior) for error in calibration.built.errors[0]])
     parameters = len(calibration.fit.posterior.model_names)
     notes = comparing.correlation_notes(calibration.train) if calibration.built.study.observe == "histories" else []
+    notes += thinning_notes(calibration.built, campaign)
     if calibration.built.component_test and not campaign.has_time:
         notes.append(
             "the records have no time: the row number stands for it, which a rate-independent law does not notice"

@@ -166,19 +166,23 @@ def _effects(options: Any) -> int:
 def _check(options: Any) -> int:
     from hsed_jax.config.build import Built
     from hsed_jax.config.load import load_study
+    from hsed_jax.config.records import forecast, thinning_notes
     from hsed_jax.measurements import check_campaign, overview, stop_at_errors
 
     study = load_study(options.study, options.overrides)
     built = Built(study)
     built.check()
     if built.measured is not None:
-        findings = check_campaign(built.measured)
+        findings, accepted = check_campaign(built.measured), study.measurements.accepted(built.measured)
         for finding in findings:
-            print(f"{finding}{' (accepted)' if (finding.experiment, finding.kind) in built.accepted else ''}")
+            print(f"{finding}{' (accepted)' if (finding.experiment, finding.kind) in accepted else ''}")
         if any(finding.level == "error" for finding in findings):
             raise UserError(f"{options.study}: the data have errors, listed above; nothing is repaired silently")
         print(overview(built.measured))
-        stop_at_errors(built.measured, built.accepted)
+        for note in thinning_notes(built, built.measured):
+            print(note)
+        print(forecast(built, built.measured))
+        stop_at_errors(built.measured, accepted)
     print(f"{options.study}: the study is valid; its steps are {', '.join(study.steps)}")
     return 0
 

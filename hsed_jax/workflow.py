@@ -9,6 +9,7 @@ from tqdm import tqdm
 from hsed_jax.analysis import Calibration, calibrate_built, compare, locate
 from hsed_jax.conduct import Asked, Conduct
 from hsed_jax.config.build import Built
+from hsed_jax.config.records import forecast
 from hsed_jax.config.schema import Study
 from hsed_jax.criticism import locate as locating
 from hsed_jax.criticism.compare import Comparison
@@ -88,7 +89,9 @@ class Run:
         self.built = Built(study, workspace=laboratory_folder(output), function=laboratory)
         self.built.check()
         if self.built.measured is not None:
-            stop_at_errors(self.built.measured, self.built.accepted)
+            stop_at_errors(self.built.measured, study.measurements.accepted(self.built.measured))
+            if progress:
+                print(forecast(self.built, self.built.measured), flush=True)
         self.store = RunFolder(output, study.written(), resume=resume, force=force)
         self.progress = progress
         self.figures = True

@@ -194,6 +194,12 @@ def plain_scales(
     return Scales(*found)
 
 
+def middle_of(space: InputSpace) -> Conditions:
+    """An experiment in the middle of the inputs."""
+    middle = space.si(space.declared(np.full((1, len(space.names)), 0.5)))
+    return Conditions({name: jnp.asarray(values[0]) for name, values in middle.items()})
+
+
 def planned_timeline(entry: ExcitationEntry, folder: Path, step: float, histories: bool) -> Timeline:
     """The grid of the integration for an experiment without a record.
 
