@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array
 
 from hsed_jax.config.build import Built
+from hsed_jax.config.records import thinning_notes
 from hsed_jax.config.schema import Study
 from hsed_jax.criticism import compare as comparing
 from hsed_jax.criticism import locate as locating
@@ -21,7 +22,7 @@ from hsed_jax.criticism.locate import Location
 from hsed_jax.criticism.prediction import Prediction, predict
 from hsed_jax.errors import UserError
 from hsed_jax.inference.fit import Fit, fit
-from hsed_jax.measurements import Campaign, check_campaign
+from hsed_jax.measurements import Campaign, stop_at_errors
 from hsed_jax.physics.batch import tiled_map
 from hsed_jax.physics.response import Response
 from hsed_jax.physics.simulator import Conditions, Simulator
@@ -55,7 +56,7 @@ class Calibration(Tabular):
     def predict(self, campaign: Campaign) -> Prediction:
         """Predict the completed experiments of a campaign."""
         experiments = campaign.completed.experiments
-        return predict(self.fit, self.built.data(campaign, experiments), experiments)
+        return predict(self.fit, self.built.data(campaign, experiments), self.built.taken(experiments))
 
     @cached_property
     def train(self) -> Prediction:
@@ -88,21 +89,9 @@ def calibrate(study: Study, campaign: Campaign | None = None) -> Calibration:
         UserError: the campaign does not fit the study, has errors in its data, or has nothing to fit.
     """
     campaign = campaign_of(study) if campaign is None else campaign
-    stop_at_errors(campaign)
-    return calibrate_built(Built(study, campaign), campaign)
-
-
-def stop_at_errors(campaign: Campaign) -> None:
-    """Refuse a campaign whose data have errors.
-
-    Raises:
-        UserError: names the first and says how many there are.
-    """
-    errors = [finding for finding in check_campaign(campaign) if finding.level == "error"]
-    if errors:
-        more = f" (and {len(errors) - 1} more: hsed check lists them)" if len(errors) > 1 else ""
-        where = campaign.source or campaign.name
-        raise UserError(f"{where}: {str(errors[0]).removeprefix('error: ')}{more}")
+    built = Built(study, campaign)
+    stop_at_errors(campaign, study.measurements.accepted(campaign))
+    return calibrate_built(built, campaign)
 
 
 def calibrate_built(
@@ -145,7 +134,7 @@ def compare(calibration: Calibration, campaign: Campaign | None = None) -> Compa
         calibration = replace(calibration, campaign=campaign)
     declared = calibration.fit.posterior.is_declared
     parameters = len(calibration.fit.posterior.model_names)
-    notes = calibration.fit.correlation_notes()
+    notes = [*calibration.fit.correlation_notes(), *thinning_notes(calibration.built, campaign)]
     if calibration.built.component_test and not campaign.has_time:
         notes.append(
             "the records have no time: the row number stands for it, which a rate-independent law does not notice"

@@ -167,16 +167,23 @@ def _effects(options: Any) -> int:
 def _check(options: Any) -> int:
     from hsed_jax.config.build import Built
     from hsed_jax.config.load import load_study
-    from hsed_jax.measurements import check_campaign
+    from hsed_jax.config.records import forecast, thinning_notes
+    from hsed_jax.measurements import check_campaign, overview, stop_at_errors
 
     study = load_study(options.study, options.overrides)
     built = Built(study)
     built.check()
-    findings = [] if built.measured is None else check_campaign(built.measured)
-    for finding in findings:
-        print(finding)
-    if any(finding.level == "error" for finding in findings):
-        raise UserError(f"{options.study}: the data have errors, listed above; nothing is repaired silently")
+    if built.measured is not None:
+        findings, accepted = check_campaign(built.measured), study.measurements.accepted(built.measured)
+        for finding in findings:
+            print(f"{finding}{' (accepted)' if (finding.experiment, finding.kind) in accepted else ''}")
+        if any(finding.level == "error" for finding in findings):
+            raise UserError(f"{options.study}: the data have errors, listed above; nothing is repaired silently")
+        print(overview(built.measured))
+        for note in thinning_notes(built, built.measured):
+            print(note)
+        print(forecast(built, built.measured))
+        stop_at_errors(built.measured, accepted)
     print(f"{options.study}: the study is valid; its steps are {', '.join(study.steps)}")
     return 0
 
@@ -317,8 +324,11 @@ def _init(options: Any) -> int:
 
     folder = Path(options.campaign)
     campaign = read_campaign(folder)
-    for finding in check_campaign(campaign):
+    findings = check_campaign(campaign)
+    for finding in findings:
         print(finding)
+    if any(finding.level == "error" for finding in findings):
+        raise UserError(f"{folder}: the data have errors, listed above; nothing is repaired silently")
     output = Path(options.output) if options.output else folder / "study.yaml"
     if output.exists() and not options.force:
         raise UserError(f"{output} exists already; say --force to replace it or choose another --output")

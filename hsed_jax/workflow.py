@@ -6,10 +6,11 @@ from typing import Any
 
 from tqdm import tqdm
 
-from hsed_jax.analysis import Calibration, calibrate_built, compare, locate, stop_at_errors
+from hsed_jax.analysis import Calibration, calibrate_built, compare, locate
 from hsed_jax.conduct import Asked, Conduct
 from hsed_jax.config.build import Built
 from hsed_jax.config.candidates import with_effects
+from hsed_jax.config.records import forecast
 from hsed_jax.config.schema import Study
 from hsed_jax.criticism import locate as locating
 from hsed_jax.criticism.compare import Comparison
@@ -20,7 +21,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.laboratories.base import ExperimentFailed, Measured
 from hsed_jax.laboratories.folder import Awaited
 from hsed_jax.laboratories.virtual import VirtualLaboratory
-from hsed_jax.measurements import Campaign, write_campaign
+from hsed_jax.measurements import Campaign, stop_at_errors, write_campaign
 from hsed_jax.physics.scales import Scales
 from hsed_jax.remedy import Improvement, diagnose, improve
 from hsed_jax.reporting.outcome import Outcome, summary
@@ -93,7 +94,9 @@ class Run:
         self.built = Built(study, workspace=laboratory_folder(output), function=laboratory)
         self.built.check()
         if self.built.measured is not None:
-            stop_at_errors(self.built.measured)
+            stop_at_errors(self.built.measured, study.measurements.accepted(self.built.measured))
+            if progress:
+                print(forecast(self.built, self.built.measured), flush=True)
         self.store = RunFolder(output, study.written(), resume=resume, force=force)
         self.progress = progress
         self.figures = True

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hsed_jax.errors import UserError
 from hsed_jax.measurements import (
     Campaign,
     Channel,
@@ -14,7 +15,9 @@ from hsed_jax.measurements import (
     Record,
     check_campaign,
     noise_estimate,
+    overview,
     read_campaign,
+    stop_at_errors,
 )
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -136,6 +139,62 @@ def test_an_injected_fault_is_found(case):
         assert matching[0].time == pytest.approx(time)
     assert {f.channel for f in found} == {channel}
     assert str(matching[0]).startswith(f"{level}: E01, {channel}")
+
+
+def rows_of(data: dict[str, np.ndarray]) -> Campaign:
+    """A component test without time."""
+    return Campaign.from_frames(
+        records={"E01": {name: data[name] for name in ("elongation", "force")}},
+        protocol="displacement",
+        channels={"elongation": "m", "force": "N"},
+    )
+
+
+def test_missing_rows_of_a_record_without_time_are_a_jump_of_the_elongation():
+    data = {name: values[200:] for name, values in clean().items()}
+    assert check_campaign(rows_of(data)) == []
+    (found,) = check_campaign(rows_of({name: np.delete(values, slice(900, 960)) for name, values in data.items()}))
+    assert (found.kind, found.channel, found.time) == ("jump", "elongation", 900)
+    assert "row 900" in str(found) and " s" not in str(found).replace(" steps", "").replace("it jumps", "")
+
+
+def test_messages_about_rows_do_not_speak_of_seconds():
+    data = clean()
+    data["force"][700] = np.nan
+    (found,) = check_campaign(rows_of(data))
+    assert str(found) == "error: E01, force, row 700: 1 of 2000 samples are not numbers, the first is sample 701"
+    with pytest.raises(UserError, match=r"from 0 to 9999 does not lie in the record; .* between 0 and 1999$"):
+        Experiment("E01", record=rows_of(clean())["E01"].record, window=(0, 9999))
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_a_first_small_loading_is_no_offset_before_the_motion(noise):
+    """Small cycles of less than a hundredth of the largest are a motion, though a slow one."""
+    data = clean(noise=noise)
+    small = 2e-4 * np.sin(np.linspace(0, np.pi, 300))
+    motion = np.concatenate([np.zeros(0), small, data["elongation"][200:]])
+    force = np.concatenate([1e6 * small, data["force"][200:]])
+    assert check_campaign(rows_of({"elongation": motion, "force": force})) == []
+
+
+def test_a_suspected_sign_flip_stops_until_it_is_accepted():
+    flipped = campaign_of({**clean(), "force": -clean()["force"]})
+    with pytest.raises(UserError, match=r"is a sign flipped\?.*accept: \[\"E01\": sign\]"):
+        stop_at_errors(flipped)
+    stop_at_errors(flipped, {("E01", "sign")})
+    with pytest.raises(UserError, match="sign flipped"):
+        stop_at_errors(flipped, {("E01", "offset"), ("E02", "sign")})
+
+
+def test_the_overview_shows_data_in_the_units_that_they_were_declared_in():
+    table = overview(campaign_of(clean(noise=0), peak_force=1e4))
+    row = dict(zip(table.heads, table.rows[0], strict=True))
+    loop = clean(noise=0)
+    assert row["force [kN]"] == f"{np.abs(loop['force']).max() / 1e3:.4g}" and row["elongation [mm]"].startswith("29.")
+    assert float(row["initial stiffness [kN/mm]"]) == pytest.approx(1.0, rel=0.2)
+    energy = np.trapezoid(loop["force"], loop["elongation"])  # 1 J is 1 kN mm
+    assert float(row["dissipated energy [kN mm]"]) == pytest.approx(energy, rel=1e-3)
+    assert row["peak_force [kN]"] == "10" and row["samples"] == "2000"
 
 
 def test_quantities_out_of_range_are_doubted():

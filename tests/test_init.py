@@ -69,6 +69,19 @@ def table_campaign() -> Campaign:
     )
 
 
+def floors_campaign(**channels: str) -> Campaign:
+    """The same test with sensors on the floor alone: by channel, the channel of `table_campaign` that it shows."""
+    record = table_campaign()["E01"].record
+    assert record is not None
+    shown = {name: record[source] for name, source in channels.items()}
+    units = {"displacement": "m", "elongation": "m", "acceleration": "m/s^2", "force": "N"}
+    return Campaign.from_frames(
+        records={"E01": {"time": record.time, "ground_acceleration": record["ground_acceleration"], **shown}},
+        protocol="ground_motion",
+        channels={"time": "s", "ground_acceleration": "m/s^2", **{n: units[n.split("_")[0]] for n in channels}},
+    )
+
+
 def quantities_campaign(inputs=None) -> Campaign:
     inputs = {"V_P": "m/s", "T_P": "s"} if inputs is None else inputs
     rows = [{"id": f"E0{i}", "peak_force": 90.0 + i, "peak_elongation": 20.0 + i, **{n: 1.0 + 0.1 * i for n in inputs}}
@@ -124,6 +137,89 @@ def test_study_of_a_shake_table_test_has_the_mass_and_priors_that_hold_the_truth
     assert holds(Built(study), A=STIFFNESS, beta=STIFFNESS / STRENGTH)
     assert "regression of force on absolute acceleration in E01" in text and commented(text)
     assert study.excitation is None
+
+
+FLOORS = [
+    {"displacement_1": "elongation"},
+    {"acceleration_1_absolute": "acceleration_1_absolute"},
+    {"elongation": "elongation"},
+    {"displacement_1": "elongation", "force": "force"},
+]
+
+
+@pytest.mark.parametrize("channels", FLOORS)
+def test_study_of_floor_sensors_has_priors_that_hold_the_truth_per_mass(tmp_path, capsys, channels):
+    study, text = init(tmp_path / "floors", floors_campaign(**channels), capsys)
+    (mass,) = study.structure.masses
+    assert holds(Built(study), A=STIFFNESS / MASS * mass, beta=STIFFNESS / STRENGTH) and commented(text)
+    if "force" in channels:
+        assert 0.25 < mass / MASS < 4
+    else:
+        assert "a mere placeholder, since no force was measured" in text
+
+
+def test_study_of_several_floors_has_a_storey_for_each(tmp_path, capsys):
+    sensors = {f"acceleration_{floor}_absolute": "acceleration_1_absolute" for floor in (1, 3)}
+    study, text = init(tmp_path / "floors", floors_campaign(**sensors), capsys)
+    assert study.structure.masses == [1000.0] * 3 and "3 equal storeys" in text
+    assert [spring.between for spring in study.structure.springs] == [(1, 2), (2, 3)]
+    frequencies = Built(study).structure.frequencies(study.structure.damping.specimen_stiffness)
+    said = float(text.split("first frequency is ")[1].split()[0])
+    assert float(frequencies[0]) == pytest.approx(said, rel=0.01)
+
+
+def test_scales_of_floor_sensors_are_those_of_the_plain_model(tmp_path, capsys):
+    study, _ = init(tmp_path / "floors", floors_campaign(displacement_1="elongation"), capsys)
+    record = table_campaign()["E01"].record
+    law = study.model.model_copy(
+        update={"parameters": {"A": {"lognormal": [np.log(STIFFNESS), 0.1]}, "beta": STIFFNESS / STRENGTH},
+                "effects": {"strength_degradation": {}}}
+    )  # fmt: skip
+    structure = study.structure.model_copy(update={"masses": [MASS]})
+    built = Built(study.model_copy(update={"model": law, "structure": structure}))
+    energy = np.trapezoid(record["force"], record["elongation"])
+    expected = np.abs(record["force"]).max(), np.abs(record["elongation"]).max(), energy
+    # Two per cent of modal damping are the model's alone.
+    assert (built.scales.force, built.scales.elongation, built.scales.energy) == pytest.approx(expected, rel=0.1)
+    assert 0.02 < built.scales.rate < 2.0
+
+
+def test_after_errors_of_the_data_nothing_is_said_of_what_was_not_measured(tmp_path, capsys):
+    campaign = component_campaign()
+    record = campaign["E01"].record
+    force = record["force"].copy()
+    force[400] = np.nan
+    broken = {"time": record.time, "elongation": record["elongation"], "force": force}
+    channels = {"time": "s", "elongation": "m", "force": "N"}
+    write_campaign(
+        Campaign.from_frames(records={"E01": broken}, protocol="displacement", channels=channels), tmp_path / "c"
+    )
+    assert main(["init", str(tmp_path / "c")]) == 2
+    said = capsys.readouterr()
+    assert "1 of 801 samples are not numbers" in said.out and "errors, listed above" in said.err
+    assert "not both measured" not in said.err and not (tmp_path / "c" / "study.yaml").exists()
+
+
+def test_a_suspected_sign_flip_has_to_be_acknowledged(tmp_path, capsys):
+    campaign, folder = component_campaign(), tmp_path / "c"
+    record = campaign["E01"].record
+    flipped = {"time": record.time, "elongation": record["elongation"], "force": -record["force"]}
+    channels = {"time": "s", "elongation": "m", "force": "N"}
+    write_campaign(Campaign.from_frames(records={"E01": flipped}, protocol="displacement", channels=channels), folder)
+    assert main(["init", str(folder)]) == 0
+    study, run = str(folder / "study.yaml"), tmp_path / "run"
+    for command in (["check", study], ["run", study, "--output", str(run)]):
+        assert main(command) == 2 and not run.exists()
+        assert 'say in the study: measurements: {accept: ["E01": sign]}' in capsys.readouterr().err
+    assert main(["check", study, 'measurements.accept=["E01": sign]']) == 0
+    assert "is a sign flipped? (accepted)" in capsys.readouterr().out
+    for entry, message in (
+        ("{E9: sign}", "measurements.accept: there is no measured experiment 'E9'; measured are E01"),
+        ("{E01: sgin}", "measurements.accept"),
+        ("sign", "measurements.accept"),
+    ):
+        assert main(["check", study, f"measurements.accept=[{entry}]"]) == 2
+        assert message in capsys.readouterr().err
 
 
 def test_study_of_quantities_alone_has_an_excitation_to_begin_with(tmp_path, capsys):

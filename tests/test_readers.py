@@ -186,6 +186,33 @@ def test_matlab_structures(tmp_path, write):
     check(read_campaign(folder))
 
 
+MATRIX = DECLARATION.replace("column: t,", 'column: "log(:,1)",').replace("column: du", 'column: "log(:, 2)"')
+
+
+@pytest.mark.parametrize("write", [write_mat, write_mat_73, write_hdf5])
+def test_columns_and_rows_of_a_matrix(tmp_path, write):
+    record = "E01.h5" if write is write_hdf5 else "E01.mat"
+    folder, path = folder_with(tmp_path, record), tmp_path / "records" / record
+    matrix = np.stack([TIME, ELONGATION, FORCE], axis=1)
+    declare = (folder / "campaign.yaml").write_text
+    # A matrix of MATLAB lies transposed in a v7.3 file.
+    write(path, {"log": matrix.T if write is write_mat_73 else matrix})
+    declare(MATRIX.replace("column: F", 'column: "log(:,3)"'))
+    check(campaign := read_campaign(folder))
+    write_campaign(campaign, tmp_path / "again")
+    check(read_campaign(tmp_path / "again"))
+    declare(MATRIX.replace("column: F", 'column: "log(:,4)"'))
+    with pytest.raises(UserError, match=r"no log\(:,4\); 'log' has shape \(6, 3\)"):
+        read_campaign(folder)
+    declare(DECLARATION.replace("column: F", "column: log"))
+    write(path, {"t": TIME, "du": ELONGATION, "log": matrix})
+    with pytest.raises(UserError, match=r"one column of the matrix is log\(:,1\)"):
+        read_campaign(folder)
+    declare(DECLARATION.replace("column: F", 'column: "log(3,:)"'))
+    write(path, {"t": TIME, "du": ELONGATION, "log": matrix if write is write_mat_73 else matrix.T})
+    check(read_campaign(folder))
+
+
 def test_records_are_found_by_id(tmp_path):
     check(read_campaign(folder_with(tmp_path, "E01.txt", lines(" "), "id\nE01\n")))
 

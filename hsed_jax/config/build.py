@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hsed_jax.config import laboratories, parts
+from hsed_jax.config import records as records_of
 from hsed_jax.config.laboratories import IMPOSED
 from hsed_jax.config.limits import limits_of
 from hsed_jax.config.own_effects import load_own_effects
@@ -21,34 +22,24 @@ from hsed_jax.design.feasible import Limits
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import Data, Error
-from hsed_jax.inference.observation import Grid, Histories, Observation, Outputs, Quantities, assemble
+from hsed_jax.inference.observation import Grid, Histories, Observation, Outputs, Quantities, assemble, conditions_of
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.predict import Predictor
 from hsed_jax.inference.priors import Prior
 from hsed_jax.laboratories.base import ExperimentFailed, Laboratory, experiment_id
 from hsed_jax.laboratories.request import Programme
 from hsed_jax.laboratories.sensors import Sensors
-from hsed_jax.measurements import (
-    Campaign,
-    Characteristics,
-    Experiment,
-    characteristics,
-    parse_unit,
-    read_campaign,
-)
+from hsed_jax.measurements import Campaign, Characteristics, Experiment, characteristics, parse_unit, read_campaign
+from hsed_jax.measurements.thinning import thinned
 from hsed_jax.physics.outputs import output
 from hsed_jax.physics.scales import Scales
-from hsed_jax.physics.simulator import Parametrised, Simulator, Timeline
+from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator, Timeline
 from hsed_jax.physics.structures import Structure
 
 if TYPE_CHECKING:
     # A check of a study samples nothing, and need not wait for what does.
     from hsed_jax.design.sequential import SequentialDesign
     from hsed_jax.inference.nuts import Settings
-
-# A step of an imposed elongation is at most this share of the yield elongation.
-STEP_PER_YIELD = 0.2
-_MOST_STEPS_PER_SAMPLE = 20
 
 
 @dataclass(frozen=True)
@@ -83,6 +74,11 @@ class Built:
     def component_test(self) -> bool:
         """Whether the elongation was imposed on the specimen alone."""
         return self.measured is not None and self.measured.protocol == "displacement"
+
+    def taken(self, experiments: Sequence[Experiment]) -> tuple[Experiment, ...]:
+        """Experiments as they are fitted and scored: long records of a component test are thinned."""
+        samples = self.study.measurements.samples
+        return tuple(thinned(e, samples) for e in experiments) if self.component_test else tuple(experiments)
 
     @cached_property
     def space(self) -> InputSpace:
@@ -133,7 +129,8 @@ class Built:
             return Scales(**self.study.scales.model_dump())
         plain = Scales()
         if (timeline := self._plain_timeline) is not None:
-            plain = parts.plain_scales(self.structure, self.excitation, timeline, self.parameters, self.space)
+            excited = self._plain_conditions()
+            plain = parts.plain_scales(self.structure, self.excitation, timeline, self.parameters, excited)
         values = zip(self._told_scales, plain, strict=True)
         return Scales(*(simulated if told is None else told for told, simulated in values))
 
@@ -149,30 +146,30 @@ class Built:
         virtual = self.study.experiments.virtual
         has_effects = bool(self.study.model.effects or (virtual and virtual.effects))
         told = self.study.scales is not None or None not in self._told_scales
-        return self.planned if has_effects and not told and self.excitation is not None else None
+        return self.timeline if has_effects and not told else None
+
+    def _plain_conditions(self) -> list[Conditions]:
+        """The training experiments as they were excited, or else the middle of the inputs."""
+        if self.measured is not None and len(self.measured.train):
+            train = self.taken(self.measured.train.experiments)
+            return [conditions_of(e, self.measured, self.grid, self.excitation) for e in train]
+        return [parts.middle_of(self.space)]
 
     @cached_property
     def grid(self) -> Grid | None:
         """Samples and steps per sample of the measured records; None where there are none."""
-        records = [] if self.measured is None else [e.record for e in self.measured.completed if e.record is not None]
         if self.measured is not None and not len(self.measured.completed):
             raise UserError(f"the campaign {self.measured.name!r} has no completed experiment")
+        taken = () if self.measured is None else self.taken(self.measured.completed.experiments)
+        records = [e.record for e in taken if e.record is not None]
         if not records:
             return None
-        samples = max(len(record) for record in records)
         if self.component_test:
             assert self.characteristics is not None
-            longest = max(
-                float(np.max(np.abs(np.diff(r["elongation"])), initial=0.0))
-                for r in records
-                if "elongation" in r.channels
-            )
-            yielding = self.characteristics.force / self.characteristics.stiffness
-            needed = longest / (STEP_PER_YIELD * yielding) if math.isfinite(yielding) else 1.0
-        else:
-            longest = max(float(np.max(np.diff(record.time), initial=0.0)) for record in records)
-            needed = longest / parts.longest_step(self.structure, self.parameters, self.study.excitation, self.space)
-        return Grid(samples, min(max(math.ceil(needed - 1e-9), 1), _MOST_STEPS_PER_SAMPLE))
+            return records_of.imposed_grid(records, self.characteristics, self.parameters)
+        longest = max(float(np.max(np.diff(record.time), initial=0.0)) for record in records)
+        needed = longest / parts.longest_step(self.structure, self.parameters, self.study.excitation, self.space)
+        return records_of.divided(max(len(record) for record in records), needed)
 
     @cached_property
     def timeline(self) -> Timeline:
@@ -293,7 +290,7 @@ class Built:
     def data(self, campaign: Campaign, experiments: Sequence[Experiment], size: int | None = None) -> Data:
         """Experiments of a campaign as data, padded to `size` rows."""
         relative = np.asarray([error.is_relative for error in self.errors])
-        return assemble(self.observation, campaign, experiments, relative, size)
+        return assemble(self.observation, campaign, self.taken(experiments), relative, size)
 
     @property
     def settings(self) -> "Settings":
@@ -374,6 +371,7 @@ class Built:
             needed += ["sensors", "programme", "specimen" if virtual else "laboratory"]
         try:
             check_plan(self.study)
+            self.study.measurements.accepted(self.measured)
             for part in needed:
                 getattr(self, part)
         except UserError as error:
@@ -383,11 +381,10 @@ class Built:
     def _declared_error(self, name: str) -> ErrorEntry:
         """The noise that the campaign or the laboratory declares, and where they declare none, inferred."""
         source = self.sensors if self.measured is None else self.measured
-        channels = source.quantities if self.study.observe == "quantities" else source.channels
-        noise = channels[name].noise if name in channels else None
-        if noise is None or not (noise.absolute or noise.relative):
+        declared = (source.quantities if self.study.observe == "quantities" else source.channels).get(name)
+        if declared is None or declared.noise is None or not (declared.noise.absolute or declared.noise.relative):
             return ErrorEntry(unknown=True)
-        return ErrorEntry(absolute=noise.absolute, relative=noise.relative)
+        return ErrorEntry(absolute=declared.noise.absolute, relative=declared.noise.relative)
 
     def _simulator(self, effects: tuple[str, ...], constants: tuple[tuple[str, float], ...]) -> Simulator:
         follows = self.study.structure is not None and self.study.structure.damping.specimen_stiffness == "model"

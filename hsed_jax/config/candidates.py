@@ -74,9 +74,8 @@ def problem_of(
     names = applicable(built, campaign) if effects is None else list(effects)
     large = Built(with_effects(built, names), built.campaign)
     free, _ = large.parameters
-    train, test = campaign.train.experiments, campaign.test.experiments
-    experiments = (*train, *test)
-    data = large.data(campaign, experiments)
+    data = large.data(campaign, (*campaign.train.experiments, *campaign.test.experiments))
+    train, test = large.taken(campaign.train.experiments), large.taken(campaign.test.experiments)
     inputs, further = _candidates(large, campaign, cube)
     parts = [data.conditions, *([] if further is None else [further])]
     conditions = _padded(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts))
@@ -100,7 +99,7 @@ def problem_of(
         scales=large.scales,
         train=measured[0],
         test=measured[1] if test else None,
-        experiments=tuple(train),
+        experiments=train,
         outputs=large.outputs,
         candidates=inputs,
         seed=built.study.seed,

@@ -5,15 +5,26 @@ import math
 import os
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from hsed_jax.config.floors import floor_count, floors_of
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, characteristics, parse_unit
 from hsed_jax.measurements.units import TIME, VELOCITY
 
 # Words that YAML reads as something else than a text.
 _WORDS = ("y", "n", "yes", "no", "on", "off", "true", "false", "null", ".inf", ".nan")
+# Of a floor [kg] where nothing tells it.
+_MASS = 1000.0
+
+
+class _Guess(NamedTuple):
+    """A number for the first model, and where it comes from."""
+
+    value: float
+    source: str
 
 
 def initial_study(campaign: Campaign, folder: Path, output: Path) -> str:
@@ -30,20 +41,10 @@ def initial_study(campaign: Campaign, folder: Path, output: Path) -> str:
     if not len(campaign.train):
         raise UserError(f"{folder}: there is no completed training experiment to start a study from")
     where = os.path.relpath(folder, output.parent)
-    found = characteristics(campaign)
     histories = any(e.record is not None for e in campaign.train) and any(
         c not in ("time", "ground_acceleration") for c in campaign.channels
     )
-    force, elongation = found.force, found.elongation
-    stiffness = found.stiffness
-    source = "slope of the first loading up to a tenth of the largest elongation, median over experiments"
-    if not math.isfinite(stiffness):
-        stiffness, source = 2 * force / elongation, "twice the largest force over the largest elongation"
-    if not (math.isfinite(stiffness) and math.isfinite(force) and stiffness > 0 and force > 0):
-        raise UserError(
-            f"{folder}: force and elongation were not both measured, so nothing tells the specimen's stiffness and "
-            "strength; write the study by hand (configs/ has examples)"
-        )
+    stiffness, strength, mass = _guesses(campaign, folder)
     if campaign.protocol == "displacement" and not histories:
         raise UserError(
             f"{folder}: the protocol is displacement, but no experiment has a record of the elongation that was imposed "
@@ -55,18 +56,18 @@ def initial_study(campaign: Campaign, folder: Path, output: Path) -> str:
         f"study: {_text(_name(folder))}",
         "seed: 0",
         "",
-        *_structure(campaign, stiffness),
+        *_structure(campaign, stiffness.value, mass),
         *_excitation(campaign),
         *_inputs(campaign),
         "model:",
         "  spring: bouc_wen",
         "  parameters:",
-        f"    # initial stiffness [N/m]: {_round(stiffness)} is the {source};",
+        f"    # initial stiffness [N/m]: {_round(stiffness.value)} is the {stiffness.source};",
         "    # within a factor of 4 with 95 %",
-        f"    A: {{lognormal: [{math.log(stiffness):.3f}, 0.7]}}",
-        f"    # stiffness over strength [1/m]: the strength A/beta is about the largest force, {_round(force)} N (median over",
-        "    # experiments); within a factor of 4 with 95 %",
-        f"    beta: {{lognormal: [{math.log(stiffness / force):.3f}, 0.7]}}",
+        f"    A: {{lognormal: [{math.log(stiffness.value):.3f}, 0.7]}}",
+        f"    # stiffness over strength [1/m]: the strength A/beta is about {strength.source},",
+        f"    # {_round(strength.value)} N (median over experiments); within a factor of 4 with 95 %",
+        f"    beta: {{lognormal: [{math.log(stiffness.value / strength.value):.3f}, 0.7]}}",
         "    gamma: 0.0                              # symmetric loading and unloading: the usual first assumption",
         "    n: 1.0                                  # the smoothest yielding: the usual first assumption",
         "  effects: {}                               # none assumed; `hsed effects` lists the catalogue",
@@ -96,14 +97,49 @@ def _name(folder: Path) -> str:
     return "".join(c if c.isalnum() or c in "_.-" else "_" for c in folder.resolve().name)
 
 
-def _structure(campaign: Campaign, stiffness: float) -> list[str]:
+def _guesses(campaign: Campaign, folder: Path) -> tuple[_Guess, _Guess, _Guess]:
+    """Stiffness [N/m] and strength [N] of the specimen, and the mass of a floor [kg].
+
+    Raises:
+        UserError: nothing tells stiffness and strength.
+    """
+    found = characteristics(campaign)
+    stiffness = _Guess(
+        found.stiffness, "slope of the first loading up to a tenth of the largest elongation, median over experiments"
+    )
+    if not math.isfinite(found.stiffness):
+        stiffness = _Guess(2 * found.force / found.elongation, "twice the largest force over the largest elongation")
+    strength = _Guess(found.force, "the largest force")
+    if all(math.isfinite(guess.value) and guess.value > 0 for guess in (stiffness, strength)):
+        return stiffness, strength, _mass(campaign, stiffness.value)
+    floors = floors_of(campaign) if campaign.protocol == "ground_motion" else None
+    if floors is None or not floors.strength > 0:
+        raise UserError(
+            f"{folder}: force and elongation were not both measured, nor the motion of a floor on a shake table, so nothing "
+            "tells the specimen's stiffness and strength; write the study by hand (configs/ has examples)"
+        )
+    mass = _Guess(_MASS, "a mere placeholder, since no force was measured; A and strength grow with it")
+    if found.force > 0:
+        mass = _Guess(found.force / floors.strength, "largest force over largest accelerations")
+    way = f"that of storeys whose first frequency is {floors.frequency:.3g} Hz, where the highest floor follows most"
+    return (
+        _Guess(mass.value * floors.stiffness, way),
+        _Guess(mass.value * floors.strength, "the masses times their largest accelerations"),
+        mass,
+    )
+
+
+def _structure(campaign: Campaign, stiffness: float, mass: _Guess) -> list[str]:
     if campaign.protocol == "displacement":
         return ["# structure: none, the elongation was imposed on the specimen alone", ""]
-    mass, source = _mass(campaign, stiffness)
+    count = floor_count(campaign)
+    springs = [f"{{between: [{i}, {i + 1}], stiffness: {stiffness:.4g}}}" for i in range(1, count)]
+    guess = "one mass on the specimen" if count == 1 else f"{count} equal storeys, the specimen the lowest"
     return [
-        "structure:                                  # a guess: one mass on the specimen; describe yours here",
-        f"  masses: [{mass:.4g}]                      # kg: {source}",
-        "  springs: []                               # linear springs, such as {between: [ground, 1], stiffness: 4.0e5}",
+        f"structure:                                  # a guess: {guess}; describe yours here",
+        f"  masses: [{', '.join([f'{mass.value:.4g}'] * count)}]  # kg: {mass.source}",
+        "  # linear springs, such as {between: [ground, 1], stiffness: 4.0e5}",
+        f"  springs: [{', '.join(springs)}]",
         "  specimen: {between: [ground, 1]}",
         "  # damping of the structure besides the specimen: 2 % is common for bare frames",
         f"  damping: {{modal: 0.02, specimen_stiffness: {stiffness:.4g}}}",
@@ -111,7 +147,7 @@ def _structure(campaign: Campaign, stiffness: float) -> list[str]:
     ]
 
 
-def _mass(campaign: Campaign, stiffness: float) -> tuple[float, str]:
+def _mass(campaign: Campaign, stiffness: float) -> _Guess:
     """Mass of one degree of freedom, from force and absolute acceleration, or from the dominant frequency."""
     for experiment in campaign.train:
         record = experiment.record
@@ -121,13 +157,13 @@ def _mass(campaign: Campaign, stiffness: float) -> tuple[float, str]:
         if force is not None and absolute is not None and float(absolute @ absolute) > 0:
             mass = -float(force @ absolute) / float(absolute @ absolute)
             if mass > 0:
-                return mass, f"regression of force on absolute acceleration in {experiment.id}"
+                return _Guess(mass, f"regression of force on absolute acceleration in {experiment.id}")
         elongation = record.channels.get("elongation")
         if elongation is not None and len(record) > 16 and np.ptp(elongation) > 0:
             turns = np.count_nonzero(np.diff(np.sign(elongation - elongation.mean())) != 0)
             frequency = max(turns, 2) / 2 / float(np.ptp(record.time))
-            return stiffness / (2 * math.pi * frequency) ** 2, f"from the dominant frequency of {experiment.id}"
-    return stiffness / (2 * math.pi) ** 2, "for a frequency of 1 Hz, a mere placeholder"
+            return _Guess(stiffness / (2 * math.pi * frequency) ** 2, f"from the dominant frequency of {experiment.id}")
+    return _Guess(stiffness / (2 * math.pi) ** 2, "for a frequency of 1 Hz, a mere placeholder")
 
 
 def _excitation(campaign: Campaign) -> list[str]:

@@ -2,7 +2,7 @@
 
 import difflib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -169,23 +169,35 @@ def plain_scales(
     excitation: Parametrised | None,
     timeline: Timeline,
     parameters: tuple[dict[str, Prior], dict[str, float]],
-    space: InputSpace,
+    experiments: Sequence[Conditions],
 ) -> Scales:
-    """What the model without effects does at the middle of inputs and priors, to two digits."""
+    """What the model without effects does in the middle of its priors, the median over experiments, to two digits.
+
+    Raises:
+        UserError: it does nothing, or its simulation diverges.
+    """
     free, fixed = parameters
     law = {name: float(prior.quantile(0.5)) for name, prior in free.items() if "." not in name}
     law |= {name: value for name, value in fixed.items() if "." not in name}
-    plain = Simulator(structure, excitation, timeline)
+    plain, rows = Simulator(structure, excitation, timeline), []
+    for conditions in experiments:
+        response = plain.respond(law, conditions, ("elongation_rate",))
+        peaks = (response.quantities[name] for name in ("peak_force", "peak_elongation"))
+        rate = np.abs(response.channels["elongation_rate"]).max()
+        rows.append([float(value) for value in (*peaks, rate, response.quantities["dissipated_energy"])])
+    found = [float(f"{value:.2g}") for value in np.median(rows, axis=0)]
+    if not all(math.isfinite(value) and value > 0 for value in found):
+        raise UserError(
+            "scales: in the middle of its priors the model without effects stays at rest or diverges, so nothing tells "
+            "the characteristic values of effects; check structure and priors, or give scales"
+        )
+    return Scales(*found)
+
+
+def middle_of(space: InputSpace) -> Conditions:
+    """An experiment in the middle of the inputs."""
     middle = space.si(space.declared(np.full((1, len(space.names)), 0.5)))
-    conditions = Conditions({name: jnp.asarray(values[0]) for name, values in middle.items()})
-    response = plain.respond(law, conditions, ("elongation_rate",))
-    found = (
-        response.quantities["peak_force"],
-        response.quantities["peak_elongation"],
-        np.abs(response.channels["elongation_rate"]).max(),
-        response.quantities["dissipated_energy"],
-    )
-    return Scales(*(float(f"{float(value):.2g}") for value in found))
+    return Conditions({name: jnp.asarray(values[0]) for name, values in middle.items()})
 
 
 def planned_timeline(entry: ExcitationEntry, folder: Path, step: float, histories: bool) -> Timeline:

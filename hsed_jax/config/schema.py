@@ -13,6 +13,9 @@ from pydantic import (
 
 from hsed_jax.config.experiments import ExperimentsEntry
 from hsed_jax.config.sections import ErrorsEntry, Positive, Section
+from hsed_jax.errors import UserError
+from hsed_jax.measurements import Campaign
+from hsed_jax.measurements.checks import DoubtKind
 from hsed_jax.physics.outputs import QUANTITIES
 from hsed_jax.tables import Table, Tabular
 
@@ -211,6 +214,31 @@ class CalibrationEntry(Section):
     target_acceptance: Annotated[float, Field(gt=0, lt=1)] = 0.8
 
 
+class MeasurementsEntry(Section):
+    """How the measurements are taken."""
+
+    accept: list[dict[str, DoubtKind]] = []
+    """Doubts that were looked at and are no faults, each as `experiment: kind`."""
+    samples: Annotated[int, Field(ge=100)] = 4000
+    """Longer records of component tests are thinned to about so many samples."""
+
+    def accepted(self, campaign: Campaign | None) -> frozenset[tuple[str, str]]:
+        """The accepted doubts of a campaign: experiment and kind.
+
+        Raises:
+            UserError: an experiment was not measured.
+        """
+        pairs = [pair for entry in self.accept for pair in entry.items()]
+        known = [] if campaign is None else [experiment.id for experiment in campaign]
+        for experiment, _ in pairs:
+            if experiment not in known:
+                raise UserError(
+                    f"measurements.accept: there is no measured experiment {experiment!r}; measured are "
+                    f"{', '.join(known) or 'none'}"
+                )
+        return frozenset(pairs)
+
+
 class ScalesEntry(Section):
     """Characteristic values that make the amplitudes of effects dimensionless (SI); by default from the data."""
 
@@ -239,6 +267,7 @@ class Study(Tabular, Section):
     inputs: dict[str, InputEntry] = {}
     model: ModelEntry
     experiments: ExperimentsEntry
+    measurements: MeasurementsEntry = MeasurementsEntry()
     observe: Literal["quantities", "histories"] = "quantities"
     channels: list[str] | None = None
     """Channels to fit and compare when histories are observed; by default all that were measured."""

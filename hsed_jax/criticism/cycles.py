@@ -14,6 +14,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from hsed_jax.measurements import half_cycles
+
 
 def cycle_numbers(elongation: np.ndarray) -> np.ndarray:
     """Number of the cycle that each sample belongs to, from 0.
@@ -91,27 +93,6 @@ def _peaks(elongation: np.ndarray, cycles: np.ndarray) -> np.ndarray:
     starts = np.flatnonzero(np.diff(cycles, prepend=-1))
     parts = [slice(a, b) for a, b in pairwise([*starts, cycles.size])]
     return np.asarray([[s.start + pick(elongation[s]) for s in parts] for pick in (np.argmin, np.argmax)])
-
-
-def half_cycles(elongation: np.ndarray) -> np.ndarray:
-    """Samples at which the elongation turns, the first and the last sample included, (h+1,).
-
-    A turn is one of at least 2 % of the range, so that noise makes none.
-    """
-    slack = 0.02 * float(np.ptp(elongation))
-    turns, highest, lowest, towards = [0], 0, 0, 0
-    for i, value in enumerate(elongation):
-        if towards >= 0 and value > elongation[highest]:
-            highest = i
-        if towards <= 0 and value < elongation[lowest]:
-            lowest = i
-        if towards >= 0 and elongation[highest] - value > slack:
-            turns.append(highest)
-            towards, lowest = -1, i
-        elif towards <= 0 and value - elongation[lowest] > slack:
-            turns.append(lowest)
-            towards, highest = 1, i
-    return np.unique([*turns, elongation.size - 1])
 
 
 def branches(force: np.ndarray, elongation: np.ndarray) -> np.ndarray:

@@ -29,6 +29,8 @@ _MOST_TRIALS = 6
 _RACE = {3: 2, 7: 1}
 # Curvature of a coordinate that neither data nor prior hold: its box does.
 _FLAT = 1e-6
+# Outputs that are held at once.
+_NUMBERS = 2**24
 
 
 class Target(NamedTuple):
@@ -226,6 +228,12 @@ class NestedModels:
         return costs, tables
 
     def _linearise(self, target: Target, fits: list[Descent]) -> None:
+        """Gradients and Hessians of fits, some at a time: memory is that of a batch and not of all of them."""
+        batch = max(1, _NUMBERS // (target.values.size * max((len(f.free) for f in fits), default=1)))
+        for start in range(0, len(fits), batch):
+            self._linearise_batch(target, fits[start : start + batch])
+
+    def _linearise_batch(self, target: Target, fits: list[Descent]) -> None:
         """Gradient and Gauss–Newton Hessian by forward differences, away from the nearer bound."""
         requests, sizes = [], []
         for one in fits:

@@ -8,11 +8,14 @@ from hsed_jax.measurements.characteristics import characteristics as characteris
 from hsed_jax.measurements.checks import Finding as Finding
 from hsed_jax.measurements.checks import check_campaign as check_campaign
 from hsed_jax.measurements.checks import noise_estimate as noise_estimate
+from hsed_jax.measurements.checks import stop_at_errors as stop_at_errors
 from hsed_jax.measurements.experiment import Channel as Channel
 from hsed_jax.measurements.experiment import Experiment as Experiment
 from hsed_jax.measurements.experiment import Noise as Noise
 from hsed_jax.measurements.experiment import Record as Record
+from hsed_jax.measurements.overview import overview as overview
 from hsed_jax.measurements.readers import read_campaign as read_campaign
+from hsed_jax.measurements.thinning import half_cycles as half_cycles
 from hsed_jax.measurements.units import Unit as Unit
 from hsed_jax.measurements.units import parse_unit as parse_unit
 from hsed_jax.measurements.writers import write_campaign as write_campaign

@@ -1,12 +1,14 @@
 """Faults of measured data: errors that stop, doubts that are listed.  Nothing is repaired."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import json
+from collections.abc import Iterator, Set
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 
+from hsed_jax.errors import UserError
 from hsed_jax.measurements.campaign import Campaign
 from hsed_jax.measurements.experiment import Experiment, Record
 from hsed_jax.measurements.units import channel_dimension, quantity_dimension
@@ -17,9 +19,13 @@ PLAUSIBLE = {"length": (1e-6, 5.0), "velocity": (1e-5, 50.0), "acceleration": (1
 PLAUSIBLE_GROUND_ACCELERATION = (1e-2, 40.0)
 """The same for the ground [m/s²]; the strongest records reach about 4 g."""
 
+DoubtKind = Literal["unit", "constant", "gap", "jump", "clipped", "stuck", "noise", "offset", "sign"]
+"""What may be doubted, as `measurements.accept` of a study names it."""
+
 GAP = 8  # time steps this many times longer than the median are gaps, if they are rare
 PLATEAU = 4  # equal samples at an extreme
 STUCK = 20  # equal samples elsewhere
+JUMP = 5  # a step of the elongation this many times as long as nearly all others
 NOISE_FACTOR = 3  # estimated against declared
 QUIET = 10  # samples before the motion that a base line needs
 
@@ -32,8 +38,10 @@ class Finding:
         level: `error`: the data cannot be used so; `doubt`: they can, but somebody should look.
         experiment: Its id.
         channel: The channel or quantity.
-        time: When it begins [s], where it has a time.
+        time: When it begins [s], where it has a time; the row, where rows stand for time.
         message: What was found.
+        kind: What is doubted; None of an error.
+        has_time: Whether the records have a time.
     """
 
     level: Literal["error", "doubt"]
@@ -41,10 +49,12 @@ class Finding:
     channel: str
     time: float | None
     message: str
+    kind: DoubtKind | None = None
+    has_time: bool = True
 
     def __str__(self) -> str:
         """Return the finding as one line."""
-        when = "" if self.time is None else f", t = {self.time:g} s"
+        when = "" if self.time is None else f", t = {self.time:g} s" if self.has_time else f", row {self.time:.0f}"
         return f"{self.level}: {self.experiment}, {self.channel}{when}: {self.message}"
 
 
@@ -56,10 +66,35 @@ def check_campaign(campaign: Campaign) -> list[Finding]:
 
     Returns:
         Findings by experiment, in order.  Errors are NaN, backward or duplicate time and constant channels; doubts are
-        gaps in time, clipped or stuck channels, absurd magnitudes, impossible energy, noise unlike the declared one, and
-        a base line that is not zero before the motion.
+        gaps in time, jumps of an elongation without time, clipped or stuck channels, absurd magnitudes, impossible energy
+        (a flipped sign), noise unlike the declared one, and a base line that is not zero before the motion.
     """
-    return [finding for e in campaign if e.status in ("completed", "pending") for finding in _experiment(campaign, e)]
+    used = [e for e in campaign if e.status in ("completed", "pending")]
+    return [replace(finding, has_time=campaign.has_time) for e in used for finding in _experiment(campaign, e)]
+
+
+def stop_at_errors(campaign: Campaign, accepted: Set[tuple[str, str]] = frozenset()) -> None:
+    """Refuse a campaign whose data have errors, or a sign that seems flipped.
+
+    Arguments:
+        campaign: the measurements.
+        accepted: doubts that were looked at, each an experiment and a kind.
+
+    Raises:
+        UserError: names the first and says how many there are.
+    """
+    found = check_campaign(campaign)
+    errors = [f for f in found if f.level == "error"] + [
+        f for f in found if f.kind == "sign" and (f.experiment, "sign") not in accepted
+    ]
+    if errors:
+        first, where = errors[0], campaign.source or campaign.name
+        more = f" (and {len(errors) - 1} more: hsed check lists them)" if len(errors) > 1 else ""
+        remedy = ""
+        if first.kind == "sign":
+            entries = ", ".join(f"{json.dumps(f.experiment)}: sign" for f in errors)
+            remedy = f" If it is as it should be, say in the study: measurements: {{accept: [{entries}]}}"
+        raise UserError(f"{where}: {str(first).removeprefix(f'{first.level}: ')}{more}{remedy}")
 
 
 def noise_estimate(time, values) -> float:
@@ -83,7 +118,7 @@ def _experiment(campaign: Campaign, experiment: Experiment) -> Iterator[Finding]
     for name, value in experiment.quantities.items():
         low, high = PLAUSIBLE.get(quantity_dimension(name).name, (0.0, np.inf))
         if not low <= abs(value) <= high:
-            yield Finding("doubt", id, name, None, _absurd(abs(value), quantity_dimension(name).si, low, high))
+            yield Finding("doubt", id, name, None, _absurd(abs(value), quantity_dimension(name).si, low, high), "unit")
     if record is None:
         return
     errors = list(_time(id, record)) + [f for name in record.channels for f in _finite(id, record, name)]
@@ -93,14 +128,17 @@ def _experiment(campaign: Campaign, experiment: Experiment) -> Iterator[Finding]
     for name, values in record.channels.items():
         if np.ptp(values) == 0:
             # A free vibration has a constant ground; any other constant channel measured nothing.
-            level = "doubt" if name == "ground_acceleration" else "error"
-            yield Finding(
-                level, id, name, None, f"it is constant ({values[0]:g}) over the whole record; a dead sensor?"
-            )
+            message = f"it is constant ({values[0]:g}) over the whole record; a dead sensor?"
+            if name == "ground_acceleration":
+                yield Finding("doubt", id, name, None, message, "constant")
+            else:
+                yield Finding("error", id, name, None, message)
             continue
         yield from _plateaus(id, record, name)
         yield from _magnitude(id, record, name)
         yield from _noise(campaign, id, record, name)
+    if not campaign.has_time:
+        yield from _jumps(id, record)
     yield from _base_lines(id, record)
     yield from _energy(id, record)
 
@@ -123,7 +161,22 @@ def _time(id: str, record: Record) -> Iterator[Finding]:
     if 0 < gaps.size <= max(3, steps.size // 100):  # many long steps are uneven sampling
         longest = steps[gaps].max()
         message = f"{gaps.size} gaps, the longest {longest:g} s where the usual step is {np.median(steps):g} s"
-        yield Finding("doubt", id, "time", float(time[gaps[0]]), message)
+        yield Finding("doubt", id, "time", float(time[gaps[0]]), message, "gap")
+
+
+def _jumps(id: str, record: Record) -> Iterator[Finding]:
+    """Steps of the elongation that missing rows leave, where no time shows the gap."""
+    steps = np.abs(np.diff(record.channels["elongation"])) if "elongation" in record.channels else np.zeros(0)
+    if not (steps > 0).sum() >= QUIET:
+        return
+    usual = float(np.quantile(steps[steps > 0], 0.95))
+    jumps = np.flatnonzero(steps > max(JUMP * usual, 0.05 * float(np.ptp(record.channels["elongation"]))))
+    if jumps.size:
+        message = (
+            f"it jumps by {steps[jumps].max():.3g} m where nearly all steps are below {usual:.2g} m, {jumps.size} times in "
+            "all: are rows missing?"
+        )
+        yield Finding("doubt", id, "elongation", float(record.time[jumps[0] + 1]), message, "jump")
 
 
 def _finite(id: str, record: Record, name: str) -> Iterator[Finding]:
@@ -156,7 +209,8 @@ def _plateaus(id: str, record: Record, name: str) -> Iterator[Finding]:
             start, end = max(found, key=lambda run: run[1] - run[0])
             message = f"{word} ({values[start]:g}) for {end - start} samples, {len(found)} such stretches"
             reason = "clipped, or held there?" if found is clipped else "a stuck sensor, or held there?"
-            yield Finding("doubt", id, name, float(record.time[found[0][0]]), f"{message}: {reason}")
+            kind = "clipped" if found is clipped else "stuck"
+            yield Finding("doubt", id, name, float(record.time[found[0][0]]), f"{message}: {reason}", kind)
 
 
 def _magnitude(id: str, record: Record, name: str) -> Iterator[Finding]:
@@ -165,7 +219,7 @@ def _magnitude(id: str, record: Record, name: str) -> Iterator[Finding]:
     peak = int(np.argmax(np.abs(record.channels[name])))
     value = float(np.abs(record.channels[name][peak]))
     if not low <= value <= high:
-        yield Finding("doubt", id, name, float(record.time[peak]), _absurd(value, dimension.si, low, high))
+        yield Finding("doubt", id, name, float(record.time[peak]), _absurd(value, dimension.si, low, high), "unit")
 
 
 def _absurd(value: float, unit: str, low: float, high: float) -> str:
@@ -184,7 +238,7 @@ def _noise(campaign: Campaign, id: str, record: Record, name: str) -> Iterator[F
     if third > NOISE_FACTOR * declared or NOISE_FACTOR * min(second, third) < declared:
         unit = channel_dimension(name).si
         message = f"the samples scatter by about {third:.2g} {unit}, the declared noise is {declared:.2g} {unit}"
-        yield Finding("doubt", id, name, None, message)
+        yield Finding("doubt", id, name, None, message, "noise")
 
 
 def _difference_noise(time: np.ndarray, values: np.ndarray, order: int) -> float:
@@ -207,7 +261,9 @@ def _base_lines(id: str, record: Record) -> Iterator[Finding]:
     if driver not in record.channels:
         return
     drive = record.channels[driver] - np.median(record.channels[driver][:QUIET])
-    quiet = int(np.argmax(np.abs(drive) > 0.01 * np.abs(drive).max()))
+    # A first small loading is a motion, too: it begins where the driver leaves its own noise.
+    noise = 5 * noise_estimate(record.time, record.channels[driver])
+    quiet = int(np.argmax(np.abs(drive) > min(max(noise, 1e-6 * np.abs(drive).max()), 0.01 * np.abs(drive).max())))
     if quiet < QUIET:
         return
     for name, values in record.channels.items():
@@ -218,7 +274,7 @@ def _base_lines(id: str, record: Record) -> Iterator[Finding]:
         if abs(offset) > max(0.02 * float(np.abs(values).max()), scatter):
             unit = channel_dimension(name).si
             message = f"it is {offset:.3g} {unit} on average before the motion starts ({quiet} samples): an offset?"
-            yield Finding("doubt", id, name, float(record.time[0]), message)
+            yield Finding("doubt", id, name, float(record.time[0]), message, "offset")
 
 
 def _energy(id: str, record: Record) -> Iterator[Finding]:
@@ -232,4 +288,4 @@ def _energy(id: str, record: Record) -> Iterator[Finding]:
         message = (
             f"the work of force on elongation is {work.sum():.3g} J: a specimen cannot give energy; is a sign flipped?"
         )
-        yield Finding("doubt", id, "force", None, message)
+        yield Finding("doubt", id, "force", None, message, "sign")

@@ -164,11 +164,11 @@ class Experiment:
         first, last, slack = float(np.min(self.record.time)), float(np.max(self.record.time)), self._slack
         if not first - slack <= start < end <= last + slack:
             raise UserError(
-                f"{where}the window from {start:g} to {end:g} s does not lie in the record; "
-                f"'from' must be less than 'to', and both between {first:g} and {last:g} s"
+                f"{where}the window from {start:g} to {end:g} does not lie in the record; "
+                f"'from' must be less than 'to', and both between {first:g} and {last:g}"
             )
         if not self.in_window.any():
-            raise UserError(f"{where}no sample lies in the window from {start:g} to {end:g} s; widen 'from' and 'to'")
+            raise UserError(f"{where}no sample lies in the window from {start:g} to {end:g}; widen 'from' and 'to'")
 
     @property
     def in_window(self) -> np.ndarray:

@@ -141,10 +141,9 @@ def _window(header: Campaign, table: Table, row: int, comma: bool, record: Recor
     for column, end in zip(("from", "to"), ends, strict=True):
         if end is not None and not first - slack <= end <= last + slack:
             unit = header.unit("time")
-            raise UserError(
-                f"{table.where(row, column)}: {table.text(row, column)} is outside the record; "
-                f"its time runs from {unit.from_si(first):g} to {unit.from_si(last):g} ({unit.text})"
-            )
+            runs = f"from {unit.from_si(first):g} to {unit.from_si(last):g}"
+            runs = f"its time runs {runs} ({unit.text})" if header.has_time else f"its rows run {runs}"
+            raise UserError(f"{table.where(row, column)}: {table.text(row, column)} is outside the record; {runs}")
     return first if ends[0] is None else ends[0], last if ends[1] is None else ends[1]
 
 

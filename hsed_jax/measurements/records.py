@@ -1,5 +1,6 @@
 """Record files: one time history each, as text, Parquet, MATLAB, HDF5 or PEER `.AT2`."""
 
+import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -14,13 +15,17 @@ HDF5 = ("h5", "hdf5", "hdf")
 FORMATS = (*TEXT, "parquet", "mat", *HDF5, "at2")
 """Endings of record files that can be read."""
 
+# What MATLAB calls a column of a matrix, or a row of it.
+_PART = re.compile(r"(.+)\((?::\s*,\s*(\d+)|(\d+)\s*,\s*:)\)")
+
 
 def read_columns(path: Path, wanted: Iterable[str], optional: Iterable[str] = ()) -> dict[str, np.ndarray]:
     """Read columns of a record file, as numbers in the file's units.
 
     Args:
         path: The file; its ending tells the format.  In MATLAB and HDF5 files a column is a variable or dataset, and
-            ``group/name`` or ``struct.field`` reaches into groups and structures.
+            ``group/name`` or ``struct.field`` reaches into groups and structures, ``name(:,2)`` is the second column of a
+            matrix and ``name(2,:)`` its second row.
         wanted: Columns to read.
         optional: Those of them that a file may lack if it holds all the others and nothing else.
 
@@ -44,6 +49,10 @@ def read_columns(path: Path, wanted: Iterable[str], optional: Iterable[str] = ()
     else:
         raise UserError(f"{path}: records ending in {path.suffix!r} cannot be read; allowed: .{', .'.join(FORMATS)}")
     names = _present(wanted, optional, found)
+    for name in names:
+        part = _PART.fullmatch(name)
+        if part is not None and name not in found and part[1] in found:
+            found[name] = lambda part=part, whole=found[part[1]]: _part_of(path, part, whole())
     if missing := [name for name in names if name not in found]:
         raise UserError(f"{path}: column {missing[0]!r} is missing; the file has {', '.join(sorted(found)) or 'none'}")
     columns = {name: _vector(path, name, found[name]()) for name in names}
@@ -127,10 +136,20 @@ def _hdf5(path: Path, wanted: list[str]) -> dict[str, Callable]:
             file.visititems(collect)
     except OSError as error:
         raise UserError(f"{path}: cannot be read as HDF5 ({error})") from None
-    for name in wanted:  # a structure of MATLAB is a group in a v7.3 file
+    if path.suffix.lower() == ".mat":  # MATLAB writes a matrix by columns, HDF5 reads it by rows
+        found = {name: lambda whole=whole: np.transpose(whole()) for name, whole in found.items()}
+    for name in (_PART.sub(r"\1", name) for name in wanted):  # a structure of MATLAB is a group in a v7.3 file
         if name not in found and name.replace(".", "/") in found:
             found[name] = found.pop(name.replace(".", "/"))
     return found
+
+
+def _part_of(path: Path, part: re.Match, values) -> np.ndarray:
+    matrix, axis = np.asarray(values), 0 if part[2] is None else 1
+    number = int(part[2] or part[3])
+    if matrix.ndim != 2 or not 1 <= number <= matrix.shape[axis]:
+        raise UserError(f"{path}: there is no {part[0]}; {part[1]!r} has shape {matrix.shape}, counted from 1")
+    return matrix.take(number - 1, axis)
 
 
 def _vector(path: Path, name: str, values) -> np.ndarray:
@@ -139,8 +158,9 @@ def _vector(path: Path, name: str, values) -> np.ndarray:
         array = array.reshape(-1)  # MATLAB has rows and columns, no vectors
     array = np.atleast_1d(array)
     if array.ndim != 1 or array.dtype.kind not in "iuf":
+        columns = f"; one column of the matrix is {name}(:,1)" if array.ndim == 2 else ""
         raise UserError(
             f"{path}: column {name!r} has shape {array.shape} and type {array.dtype}; "
-            "a channel is a vector of real numbers"
+            f"a channel is a vector of real numbers{columns}"
         )
     return array.astype(float)

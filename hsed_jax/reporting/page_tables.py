@@ -8,6 +8,7 @@ import numpy as np
 
 from hsed_jax.criticism.coordinates import UNITS, coordinates_of
 from hsed_jax.criticism.prediction import has_diverged
+from hsed_jax.measurements import Record
 from hsed_jax.physics.outputs import QUANTITIES, output
 from hsed_jax.reporting import style
 from hsed_jax.reporting.finished import SPLITS, FinishedRun
@@ -94,8 +95,7 @@ def samples_table(run: FinishedRun) -> Table:
     axes, parts = axes_of(run), []
     histories = list(_histories(run))
     for id, split, models in histories:
-        record = run.campaign[id].record
-        assert record is not None
+        record = _predicted_part(run.campaign[id].record, models)
         kept = thinned(
             [record.channels[name] for name in ("force", "elongation") if name in record.channels]
             or [*record.channels.values()],
@@ -202,6 +202,13 @@ def thinned(channels: list[np.ndarray], most: int) -> np.ndarray:
             part = np.where(np.isfinite(channel[start:end]), channel[start:end], 0.0)
             kept |= {start + int(np.argmin(part)), start + int(np.argmax(part))}
     return np.sort(np.fromiter(kept, dtype=int))
+
+
+def _predicted_part(record: Record | None, models: dict[str, Any]) -> Record:
+    """The samples of a record that were predicted: of a long one not all were."""
+    assert record is not None
+    rows = np.searchsorted(record.time, np.asarray(next(iter(models.values()))["time"]))
+    return Record(record.time[rows], {name: values[rows] for name, values in record.channels.items()})
 
 
 def _histories(run: FinishedRun) -> Iterator[tuple[str, str, dict[str, Any]]]:

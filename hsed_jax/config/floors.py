@@ -1,0 +1,84 @@
+"""A first model of a shaken building from its floor sensors, where no force was measured."""
+
+import math
+import re
+from typing import NamedTuple
+
+import numpy as np
+
+from hsed_jax.measurements import Campaign, Record
+
+# Frequencies at which the ground has less than this share of its largest power say nothing about the building.
+_LEAST_POWER = 0.01
+
+
+class Floors(NamedTuple):
+    """What floor sensors tell of a building of equal storeys.
+
+    Attributes:
+        frequency: the first one [Hz].
+        stiffness: of a storey, per mass of a floor [N/m/kg].
+        strength: largest force in the lowest storey, per mass of a floor [N/kg].
+    """
+
+    frequency: float
+    stiffness: float
+    strength: float
+
+
+def floor_count(campaign: Campaign) -> int:
+    """The highest floor with a sensor; 1 where there is none."""
+    return max((number for number, _ in map(_floor, campaign.channels)), default=1)
+
+
+def floors_of(campaign: Campaign) -> Floors | None:
+    """Frequency, stiffness and strength by the highest sensor, medians over the training experiments; None without one.
+
+    The first frequency is where that floor follows the ground most.  All floors move in the first mode of a shear building of
+    n equal storeys, $\\phi_i = \\sin\\frac{i\\pi}{2n+1}$, $\\omega_1 = 2\\sqrt{k/m}\\sin\\frac{\\pi}{4n+2}$.
+    """
+    names = [name for name in campaign.channels if _floor(name)[0]]
+    if not names:
+        return None
+    count, _ = _floor(name := max(names, key=_floor))
+    rows = [_top(e.record, name) for e in campaign.train if e.record is not None and name in e.record.channels]
+    if not rows:
+        return None
+    frequency, acceleration = (float(value) for value in np.median(rows, axis=0))
+    mode = np.sin(np.arange(1, count + 1) * math.pi / (2 * count + 1))
+    stiffness = (math.pi * frequency / math.sin(math.pi / (4 * count + 2))) ** 2
+    return Floors(frequency, stiffness, acceleration * float(mode.sum() / mode[-1]))
+
+
+def _floor(name: str) -> tuple[int, int]:
+    """Number of the floor that a channel is of, and how directly it tells accelerations; 0 of a channel of no floor."""
+    if name == "elongation":
+        return 1, 0  # the specimen of the first model is its lowest storey
+    found = re.fullmatch(r"(displacement|velocity|acceleration)_(\d+)(_absolute)?", name)
+    if found is None:
+        return 0, 0
+    return int(found[2]), {"displacement": 0, "velocity": 1, "acceleration": 2}[found[1]] + (found[3] is not None)
+
+
+def _top(record: Record, name: str) -> tuple[float, float]:
+    """First frequency [Hz] by one sensor of a record, and the largest absolute acceleration there [m/s²]."""
+    from scipy.signal import periodogram
+
+    motion, ground = record[name], record.channels.get("ground_acceleration")
+    time = np.linspace(record.time[0], record.time[-1], len(record))
+    rate = (len(record) - 1) / float(np.ptp(time))
+
+    def power(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        frequencies, found = periodogram(np.interp(time, record.time, values), rate, "hann", detrend="linear")
+        return frequencies[1:], np.convolve(found, np.ones(5) / 5, "same")[1:]
+
+    frequencies, response = power(motion)
+    if ground is not None:
+        shaken = power(ground)[1]
+        response = np.where(shaken > _LEAST_POWER * shaken.max(), response / np.maximum(shaken, 1e-300), 0.0)
+    frequency = float(frequencies[np.argmax(response)])
+    if name.startswith("acceleration"):
+        total = motion if name.endswith("_absolute") or ground is None else motion + ground
+        return frequency, float(np.abs(total).max())
+    order = 1 if name.startswith("velocity") else 2
+    return frequency, float(np.abs(motion - motion[0]).max()) * (2 * math.pi * frequency) ** order

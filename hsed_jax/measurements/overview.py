@@ -1,0 +1,48 @@
+"""The data of a campaign in a few numbers in their declared units, so that kN for N catches the eye."""
+
+import numpy as np
+
+from hsed_jax.measurements.campaign import Campaign
+from hsed_jax.measurements.characteristics import initial_stiffness
+from hsed_jax.measurements.experiment import Record
+from hsed_jax.tables import Table
+
+
+def overview(campaign: Campaign) -> Table:
+    """Largest magnitude of every channel and quantity, initial stiffness and dissipated energy of completed experiments."""
+    channels = [name for name in campaign.channels if name != "time"]
+    loop = {"elongation", "force"} <= campaign.channels.keys()
+    heads = ["experiment", *(["samples"] if channels else [])]
+    heads += [f"{name} [{campaign.unit(name).text}]" for name in (*channels, *campaign.quantities)]
+    if loop:
+        force, length = campaign.unit("force").text, campaign.unit("elongation").text
+        heads += [f"initial stiffness [{force}/{length}]", f"dissipated energy [{force} {length}]"]
+    rows = []
+    for experiment in campaign.completed:
+        record = experiment.record
+        cells = [_number(campaign, name, _peak(record, name)) for name in channels]
+        cells += [_number(campaign, name, experiment.quantities.get(name)) for name in campaign.quantities]
+        if channels:
+            cells.insert(0, "–" if record is None else str(len(record)))
+        if loop:
+            cells += ["–", "–"] if record is None else _loop(campaign, record)
+        rows.append([experiment.id, *cells])
+    return Table("the data in declared units, channels by their largest magnitude:", heads, rows)
+
+
+def _peak(record: Record | None, name: str) -> float | None:
+    return None if record is None or name not in record.channels else float(np.abs(record[name]).max())
+
+
+def _number(campaign: Campaign, name: str, value: float | None) -> str:
+    return "–" if value is None else f"{campaign.unit(name).from_si(value):.4g}"
+
+
+def _loop(campaign: Campaign, record: Record) -> list[str]:
+    """Stiffness and energy in the units of force and elongation."""
+    if not {"elongation", "force"} <= record.channels.keys():
+        return ["–", "–"]
+    declared = {name: campaign.unit(name).from_si(record[name]) for name in ("elongation", "force")}
+    stiffness = initial_stiffness(Record(record.time, declared))
+    energy = float(np.trapezoid(declared["force"], declared["elongation"]))
+    return [f"{stiffness:.4g}" if np.isfinite(stiffness) else "–", f"{energy:.4g}"]

@@ -1,0 +1,110 @@
+r"""Long records of component tests, thinned along the path of the elongation.
+
+A quasi-static test is sampled in time, and its loops are told by far fewer samples.  Kept are both ends, every reversal, the
+largest force between two reversals, and between them samples at equal steps of
+
+$$s = 0.8\,\frac{\sigma}{\sigma_{end}} + 0.2\,\frac{row}{rows}, \qquad d\sigma = \frac{|d\Delta u|}{\sqrt{w}},$$
+
+with w the elongation from one reversal to the next: small cycles keep more than their share, since they tell the stiffness, and a
+hold its relaxation.  Samples are left out and never averaged: what is kept was measured.
+"""
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from hsed_jax.measurements.experiment import Experiment, Record
+
+_EVENLY = 0.2
+
+
+class Loss(NamedTuple):
+    """What a record lost.
+
+    Attributes:
+        rows, kept: samples before and after.
+        deviation: RMS of what was left out from a line between its neighbours, over the range; of the worst channel.
+        energy: change of the dissipated energy, relative; 0 without force and elongation.
+    """
+
+    rows: int
+    kept: int
+    deviation: float
+    energy: float
+
+    def __str__(self) -> str:
+        """Return the loss in words."""
+        energy = f"the dissipated energy changes by {100 * self.energy:.2g} %"
+        return (
+            f"thinned from {self.rows} to {self.kept} samples along the path, reversals kept; what is left out lies within "
+            f"{100 * self.deviation:.2g} % of the range of a line through the others (RMS), {energy}"
+        )
+
+
+def thinned(experiment: Experiment, samples: int) -> Experiment:
+    """Thin the record of a component test.
+
+    Args:
+        experiment: With an elongation in its record; not changed.
+        samples: About how many to keep; a shorter record stays as it is.
+
+    Returns:
+        The experiment with some samples of its record, at their own times, and its window.
+    """
+    record = experiment.record
+    if record is None or len(record) <= samples or "elongation" not in record.channels:
+        return experiment
+    if not np.isfinite(record["elongation"]).all():
+        return experiment  # the check of the data says so
+    rows = len(record)
+    turns = half_cycles(record["elongation"])
+    within = np.flatnonzero(experiment.in_window)
+    kept = [turns, [0, within[0], within[-1], rows - 1]]
+    if "force" in record.channels:
+        force = np.abs(record["force"])
+        kept.append(np.asarray([a + int(np.argmax(force[a : b + 1])) for a, b in pairwise(turns)], dtype=int))
+    swings = np.maximum(np.abs(np.diff(record["elongation"][turns])), 1e-300)
+    swing = np.repeat(swings, np.diff(turns))
+    path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(record["elongation"])) / np.sqrt(swing))])
+    s = (1 - _EVENLY) * path / path[-1] + _EVENLY * np.arange(rows) / (rows - 1)
+    fixed = np.unique(np.concatenate(kept))
+    evenly = np.searchsorted(s, np.linspace(0, s[-1], max(samples - len(fixed), samples // 2)))
+    chosen = np.union1d(fixed, np.minimum(evenly, rows - 1)).astype(int)
+    thin = Record(record.time[chosen], {name: values[chosen] for name, values in record.channels.items()})
+    return replace(experiment, record=thin)
+
+
+def loss(record: Record, thin: Record) -> Loss:
+    """Compare a record with what was kept of it."""
+    deviations = [
+        float(np.sqrt(np.mean((np.interp(record.time, thin.time, thin[name]) - values) ** 2)) / (np.ptp(values) or 1.0))
+        for name, values in record.channels.items()
+    ]
+    energy = 0.0
+    if {"force", "elongation"} <= record.channels.keys():
+        before, after = (float(np.trapezoid(r["force"], r["elongation"])) for r in (record, thin))
+        energy = abs(after - before) / (abs(before) or 1.0)
+    return Loss(len(record), len(thin), max(deviations), energy)
+
+
+def half_cycles(elongation: np.ndarray) -> np.ndarray:
+    """Samples at which the elongation turns, the first and the last sample included, (h+1,).
+
+    A turn is one of at least 2 % of the range, so that noise makes none.
+    """
+    slack = 0.02 * float(np.ptp(elongation))
+    turns, highest, lowest, towards = [0], 0, 0, 0
+    for i, value in enumerate(elongation):
+        if towards >= 0 and value > elongation[highest]:
+            highest = i
+        if towards <= 0 and value < elongation[lowest]:
+            lowest = i
+        if towards >= 0 and elongation[highest] - value > slack:
+            turns.append(highest)
+            towards, lowest = -1, i
+        elif towards <= 0 and value - elongation[lowest] > slack:
+            turns.append(lowest)
+            towards, highest = 1, i
+    return np.unique([*turns, elongation.size - 1])

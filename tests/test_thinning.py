@@ -1,0 +1,129 @@
+"""Long records of component tests: what is kept, what that costs, and that the rest of the package follows."""
+
+import re
+
+import numpy as np
+import pytest
+
+import hsed_jax as hx
+from hsed_jax.config.build import Built
+from hsed_jax.config.records import forecast, imposed_grid, thinning_notes
+from hsed_jax.inference.priors import Prior
+from hsed_jax.measurements import Campaign, Experiment, Record, characteristics
+from hsed_jax.measurements.thinning import loss, thinned
+from hsed_jax.reporting.page_tables import _predicted_part
+
+STRENGTH, YIELD, ROWS = 1e5, 5e-3, 28000
+
+
+def long_record(rows: int = ROWS, noise: float = 1e-3) -> Record:
+    """Cycles of growing amplitude at constant speed, and the force of an elastoplastic spring (rounded); no time."""
+    rng = np.random.default_rng(0)
+    corners = np.concatenate([[0.0], np.repeat([3, 10, 25, 60, 100], 6) * 1e-3 * np.tile([1, -1], 15), [0.0]])
+    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(corners)))])
+    elongation = np.interp(np.linspace(0, way[-1], rows), way, corners)
+    force = np.zeros(rows)
+    for k, step in enumerate(np.diff(elongation), 1):
+        towards = np.sign(step) * STRENGTH
+        force[k] = towards + (force[k - 1] - towards) * np.exp(-abs(step) / YIELD)
+    return Record(
+        np.arange(rows), {"elongation": elongation, "force": force + noise * STRENGTH * rng.normal(size=rows)}
+    )
+
+
+def campaign_of(record: Record) -> Campaign:
+    return Campaign.from_frames(
+        [{"id": "E01", "from": 0, "to": 1500}, {"id": "E02", "from": 1500, "to": len(record) - 1, "split": "test"}],
+        records=dict.fromkeys(("E01", "E02"), record.channels),
+        protocol="displacement",
+        channels={"elongation": "m", "force": "N"},
+    )
+
+
+def study_of(**more):
+    law = {"A": {"lognormal": [np.log(STRENGTH / YIELD), 0.3]}, "beta": {"lognormal": [-np.log(YIELD), 0.3]}}
+    content = {"study": "long", "model": {"parameters": law}, "experiments": {"campaign": "."}, "observe": "histories"}
+    return hx.load_study({**content, "error": {"absolute": 0.02 * STRENGTH}, **more})
+
+
+def test_a_long_record_keeps_its_reversals_extremes_ends_and_window():
+    record = long_record()
+    experiment = Experiment("E01", record=record, window=(1234, 20000))
+    thin = thinned(experiment, 4000).record
+    assert 3000 < len(thin) <= 4000 and set(thin.time) <= set(record.time)
+    assert {0, 1234, 20000, ROWS - 1} <= set(thin.time)
+    turned = np.flatnonzero(np.diff(np.sign(np.diff(record["elongation"]))) != 0) + 1
+    assert turned.size == 30 and set(turned) <= set(thin.time)
+    for name, values in record.channels.items():
+        assert (thin[name].max(), thin[name].min()) == (values.max(), values.min())
+        np.testing.assert_array_equal(thin[name], values[thin.time.astype(int)])
+    # The smallest cycles are 1.5 % of the path and keep 5 % of the samples.
+    small = np.count_nonzero(thin.time < turned[5])
+    assert small > 0.04 * len(thin)
+
+
+def test_what_thinning_costs_is_small_and_said():
+    record = long_record()
+    experiment = Experiment("E01", record=record)
+    lost = loss(record, thinned(experiment, 4000).record)
+    # Noise of 0.05 % of the range is nearly all of it.
+    assert lost.deviation < 1e-3 and lost.energy < 1e-3
+    assert "from 28000 to" in str(lost) and "dissipated energy changes by 0.0" in str(lost)
+    coarse = loss(record, thinned(experiment, 400).record)
+    assert coarse.deviation > lost.deviation and coarse.kept <= 400
+
+
+def test_a_short_record_stays_as_it_is():
+    experiment = Experiment("E01", record=long_record(3000))
+    assert thinned(experiment, 4000) is experiment
+
+
+def test_steps_longer_than_the_yield_elongation_are_divided():
+    coarse = Record(
+        np.arange(4), {"elongation": np.array([0.0, 0.5, -0.5, 0.0]), "force": np.array([0.0, 1, -1, 0]) * 1e5}
+    )
+    campaign = campaign_of(long_record())
+    law = {"A": Prior("lognormal", [np.log(2e7), 0.3]), "beta": Prior("lognormal", [np.log(200.0), 0.3])}
+    for record, longest in ((coarse, 1.0), (long_record(500), None)):
+        longest = longest or np.abs(np.diff(record["elongation"])).max()
+        step = longest / imposed_grid([record], characteristics(campaign), (law, {})).every
+        assert step <= YIELD * 1.001 and (longest > 20 * 0.2 * YIELD or step <= 0.2 * YIELD * 1.001)
+    # Where the first sample is far beyond yield, the data cannot tell it, and the model does.
+    blind = characteristics(
+        campaign_of(
+            Record(
+                np.arange(2001), {"elongation": 0.1 * np.sin(np.arange(2001)), "force": 1e5 * np.sin(np.arange(2001))}
+            )
+        )
+    )
+    assert imposed_grid([coarse], blind, (law, {})).every >= 200
+
+
+def test_a_study_fits_and_predicts_the_samples_that_were_kept():
+    campaign = campaign_of(long_record(3000))
+    study = study_of(measurements={"samples": 300}, calibration={"sampler": "laplace", "starts": 1})
+    fit = hx.calibrate(study, campaign)
+    assert fit.fit.data.values.shape[1] <= 300
+    thin = fit.train.experiments[0].record
+    assert len(thin) <= 300 and fit.train.histories(0, "force")[0].size == len(thin)
+    notes = hx.compare(fit).notes
+    assert len([note for note in notes if "thinned from 3000" in note]) == 2
+    assert fit.map["A"] == pytest.approx(STRENGTH / YIELD, rel=0.05) and campaign["E01"].record is not thin
+    # The report draws the measured record beside predictions of part of it.
+    part = _predicted_part(campaign["E01"].record, {"before": {"time": thin.time}})
+    assert part == thin
+
+
+def test_time_and_memory_are_forecast_and_grow_with_the_steps():
+    campaign = campaign_of(long_record())
+    said = {}
+    for samples in (1000, 28000):
+        built = Built(study_of(measurements={"samples": samples}, steps=["calibrate", "compare", "diagnose"]), campaign)
+        text = forecast(built, campaign)
+        found = re.fullmatch(
+            r"2 experiments of (\d+) steps each: expect about (.*) on \d+ cores, .* and ([\d.]+) GB", text
+        )
+        assert found and int(found[1]) == built.timeline.steps
+        said[samples] = float(found[3])
+        assert len(thinning_notes(built, campaign)) == (2 if samples == 1000 else 0)
+    assert said[1000] < said[28000] < 5
