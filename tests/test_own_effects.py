@@ -30,28 +30,56 @@ def folder(tmp_path):
     (example,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     (tmp_path / "mine.py").write_text(example, encoding="utf-8")
     (tmp_path / "study.yaml").write_text(STUDY.format(effects="{wave: {force: 2.0e3}}"), encoding="utf-8")
-    yield tmp_path
-    EFFECTS.pop("wave", None)
+    return tmp_path
 
 
 def test_the_example_of_the_documentation_joins_the_catalogue(folder, capsys):
     built = Built(load_study(folder / "study.yaml"))
     assert built.parameters[1]["wave.force"] == 2e3
-    assert main(["effects", "wave", "--study", str(folder / "study.yaml")]) == 0
+    assert main(["effects", "wave", "--study", str(folder / "study.yaml"), "--trust"]) == 0
     assert "waves with the elongation" in capsys.readouterr().out
 
 
 def test_a_changed_file_is_read_again(folder):
     study = load_study(folder / "study.yaml")
-    Built(study)
-    before = EFFECTS["wave"]
-    Built(study)
-    assert EFFECTS["wave"] is before
+    before = Built(study).catalogue["wave"]
+    assert Built(study).catalogue["wave"] is before
     text = (folder / "mine.py").read_text(encoding="utf-8").replace("post-yield", "another")
     (folder / "mine.py").write_text(text, encoding="utf-8")
     (folder / "mine.py").touch()
-    Built(study)
-    assert EFFECTS["wave"].family == "another"
+    assert Built(study).catalogue["wave"].family == "another"
+
+
+def test_an_effect_belongs_to_the_study_that_names_its_file(folder):
+    study = load_study(folder / "study.yaml")
+    other = folder / "other"
+    other.mkdir()
+    text = (folder / "mine.py").read_text(encoding="utf-8").replace("post-yield", "another")
+    (other / "mine.py").write_text(text, encoding="utf-8")
+    (other / "study.yaml").write_text((folder / "study.yaml").read_text())
+    plain = load_study(folder / "study.yaml", ["model.own_effects=[]", "model.effects={}"])
+    ours, theirs = Built(study), Built(load_study(other / "study.yaml"))
+    # One name, two effects; and a study beside them knows neither.
+    assert [b.catalogue["wave"].family for b in (ours, theirs)] == ["post-yield", "another"]
+    # By which compiled programs are told apart, and shared.
+    assert ours.catalogue != theirs.catalogue and ours.catalogue == Built(study).catalogue
+    assert hash(ours.catalogue) == hash(Built(study).catalogue)
+    assert Built(plain).catalogue == EFFECTS and "wave" not in EFFECTS and len(ours.catalogue) == len(EFFECTS) + 1
+
+
+def test_an_effect_is_given_from_python(folder):
+    wave = Built(load_study(folder / "study.yaml")).catalogue["wave"]
+    study = load_study(folder / "study.yaml", ["model.own_effects=[]"])
+    with pytest.raises(UserError, match="no such effect"):
+        _ = Built(study).parameters
+    assert Built(study.with_own_effects(wave)).parameters[1] == {"beta": 40.0, "wave.force": 2e3}
+
+
+def test_a_name_that_is_taken_is_refused(folder):
+    text = (folder / "mine.py").read_text(encoding="utf-8").replace('"wave"', '"slip"')
+    (folder / "mine.py").write_text(text, encoding="utf-8")
+    with pytest.raises(UserError, match=r"model\.own_effects: two effects are named 'slip'"):
+        Built(load_study(folder / "study.yaml")).check()
 
 
 @pytest.mark.parametrize(
@@ -68,4 +96,4 @@ def test_a_file_that_cannot_be_used_is_one_clear_message(folder, text, words):
     if text is not None:
         (folder / "mine.py").write_text(text, encoding="utf-8")
     with pytest.raises(UserError, match=rf"model\.own_effects: mine\.py: .*{words}"):
-        Built(load_study(folder / "study.yaml"))
+        Built(load_study(folder / "study.yaml")).check()

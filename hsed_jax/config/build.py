@@ -13,7 +13,7 @@ import numpy as np
 from hsed_jax.config import laboratories, parts
 from hsed_jax.config.laboratories import IMPOSED
 from hsed_jax.config.limits import limits_of
-from hsed_jax.config.own_effects import load_own_effects
+from hsed_jax.config.own_effects import catalogue_of
 from hsed_jax.config.plan import check_plan
 from hsed_jax.config.schema import Study
 from hsed_jax.config.sections import ErrorEntry
@@ -36,6 +36,7 @@ from hsed_jax.measurements import (
     parse_unit,
     read_campaign,
 )
+from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.outputs import output
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Parametrised, Simulator, Timeline
@@ -67,9 +68,10 @@ class Built:
     workspace: Path | None = None
     function: Callable[..., Any] | None = None
 
-    def __post_init__(self):
-        """Let the study's own effects join the catalogue."""
-        load_own_effects(self.study)
+    @cached_property
+    def catalogue(self) -> Catalogue:
+        """The effects that the study may name; its own files of effects are executed."""
+        return catalogue_of(self.study)
 
     @cached_property
     def measured(self) -> Campaign | None:
@@ -108,13 +110,13 @@ class Built:
     @cached_property
     def parameters(self) -> tuple[dict[str, Prior], dict[str, float]]:
         """Free parameters of the model with their priors, and the fixed ones with their values."""
-        return parts.model_parameters(self.study.model)
+        return parts.model_parameters(self.study.model, self.catalogue)
 
     @cached_property
     def units(self) -> dict[str, str]:
         """SI unit of every free parameter."""
         free, fixed = self.parameters
-        return parts.parameter_units(tuple(free), fixed)
+        return parts.parameter_units(tuple(free), fixed, self.catalogue)
 
     @cached_property
     def excitation(self) -> Parametrised | None:
@@ -218,7 +220,7 @@ class Built:
     def specimen(self) -> dict[str, float]:
         """The parameters of the virtual specimen."""
         assert self.study.experiments.virtual is not None
-        return parts.true_parameters(self.study.experiments.virtual)
+        return parts.true_parameters(self.study.experiments.virtual, self.catalogue)
 
     @cached_property
     def laboratory(self) -> Laboratory:
@@ -229,6 +231,7 @@ class Built:
             self.programme,
             self.structure,
             lambda effects: self._simulator(effects, ()),
+            self.catalogue,
             self.workspace,
             self.function,
         )
@@ -372,7 +375,7 @@ class Built:
             virtual = self.study.experiments.virtual is not None
             needed += ["sensors", "programme", "specimen" if virtual else "laboratory"]
         try:
-            check_plan(self.study)
+            check_plan(self.study, self.catalogue)
             for part in needed:
                 getattr(self, part)
         except UserError as error:
@@ -390,4 +393,5 @@ class Built:
 
     def _simulator(self, effects: tuple[str, ...], constants: tuple[tuple[str, float], ...]) -> Simulator:
         follows = self.study.structure is not None and self.study.structure.damping.specimen_stiffness == "model"
-        return Simulator(self.structure, self.excitation, self.timeline, effects, self.scales, constants, follows)
+        present = self.catalogue.only(effects)
+        return Simulator(self.structure, self.excitation, self.timeline, present, self.scales, constants, follows)
