@@ -362,8 +362,11 @@ class Built:
             quantities=dict(self.sensors.quantities),
         )
 
-    def check(self) -> None:
+    def check(self, *, performs: bool = True) -> None:
         """Build everything that can be wrong, and compute nothing.
+
+        Arguments:
+            performs: whether the laboratory is to perform experiments; else it is left alone, as it may be code.
 
         Raises:
             UserError: something is.
@@ -373,7 +376,7 @@ class Built:
         if self.study.experiments.laboratory is not None or "design" in self.study.steps:
             # A virtual laboratory has a simulator, and the scales of that may take a simulation.
             virtual = self.study.experiments.virtual is not None
-            needed += ["sensors", "programme", "specimen" if virtual else "laboratory"]
+            needed += ["sensors", "programme", *(["specimen"] if virtual else ["laboratory"] if performs else [])]
         try:
             check_plan(self.study, self.catalogue)
             for part in needed:

@@ -130,6 +130,8 @@ def model_parameters(model: ModelEntry, catalogue: Catalogue) -> tuple[dict[str,
                     within(where, bound, known)
         else:
             fixed[name] = within(where, float(entry), known)
+    highest = dict(fixed) | {name: math.inf if p.bounds[1] is None else p.bounds[1] for name, p in free.items()}
+    _check_bounded("model.parameters", highest)
     if not free:
         raise UserError("model.parameters: at least one parameter needs a prior, such as A: {uniform: [2.0e5, 9.0e5]}")
     return free, fixed
@@ -144,11 +146,22 @@ def true_parameters(entry: VirtualEntry, catalogue: Catalogue) -> dict[str, floa
     for name, known in law.items():
         if known.neutral is None and name not in truth:
             raise UserError(f"{where}.parameters.{name}: this key is required ({known.meaning})")
+    _check_bounded(f"{where}.parameters", truth)
     for effect, values in entry.effects.items():
         forms = effect_parameters(f"{where}.effects", effect, values, catalogue)
         for name, value in values.items():
             truth[f"{effect}.{name}"] = within(f"{where}.effects.{effect}.{name}", value, forms[name])
     return truth
+
+
+def _check_bounded(where: str, highest: Mapping[str, float]) -> None:
+    """Refuse a law that has no ultimate force: parts of a prior where it has none are failures of those simulations."""
+    beta, gamma = highest["beta"], highest.get("gamma", 0.0)
+    if beta + gamma < 0:
+        raise UserError(
+            f"{where}.gamma: beta + gamma is {beta + gamma:g} at most, and the force of such a law grows without bound; "
+            "gamma must be at least -beta (the effect hardening gives a stiffness after yielding)"
+        )
 
 
 def parameter_units(names: tuple[str, ...], constants: Mapping[str, float], catalogue: Catalogue) -> dict[str, str]:

@@ -137,6 +137,7 @@ class Simulator(eqx.Module):
             assert isinstance(forcing, Tabulated)
             forcing = felt(forcing, slots, jax.numpy.asarray(length))
         response = integrate(self.system(parameters), forcing, length, steps, channels=channels, every=every)
+        response = response._replace(ok=response.ok & self.spring(parameters).is_bounded)
         if slots is None:
             return response
         return measured(response, slots, length, every, is_imposed=self.structure is None)
