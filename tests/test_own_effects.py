@@ -3,13 +3,17 @@
 import re
 from pathlib import Path
 
+import pandas as pd
 import pytest
+import yaml
 
 from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
+from hsed_jax.measurements import Campaign, write_campaign
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.run import main
+from hsed_jax.store import RunFolder
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 STUDY = """
@@ -97,3 +101,49 @@ def test_a_file_that_cannot_be_used_is_one_clear_message(folder, text, words):
         (folder / "mine.py").write_text(text, encoding="utf-8")
     with pytest.raises(UserError, match=rf"model\.own_effects: mine\.py: .*{words}"):
         Built(load_study(folder / "study.yaml")).check()
+
+
+# --- looking executes nothing ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def foreign(tmp_path):
+    """A run of somebody else's, whose study names code that leaves a mark when it is executed."""
+    mark = f"open({str(tmp_path / 'mark')!r}, 'w')\n"
+    for name in ("evil.py", "rig.py"):
+        (tmp_path / name).write_text(mark)
+    store = RunFolder(tmp_path / "run", {**yaml.safe_load(STUDY.format(effects="{wave: {}}")), "seed": 0})
+    content = yaml.safe_load((store.path / "study.yaml").read_text())
+    content["model"]["own_effects"] = ["../evil.py"]
+    (store.path / "study.yaml").write_text(yaml.safe_dump(content))
+    store.write_summary({"study": "own", "status": "complete", "references": {"wave": "their own tests"}})
+    table = pd.DataFrame({"id": ["E01"], "peak_force": [1.0]})
+    write_campaign(Campaign.from_frames(table, quantities={"peak_force": "N"}), store.campaign)
+    store.close()
+    return tmp_path
+
+
+def test_a_report_of_somebodys_run_executes_none_of_their_code(foreign):
+    assert main(["report", str(foreign / "run")]) == 0
+    assert not (foreign / "mark").exists()
+    assert "their own tests" in (foreign / "run" / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("words", [["check"], ["run", "--check"], ["effects", "--study"]])
+@pytest.mark.parametrize("code", ["evil.py", "rig.py"])
+def test_looking_at_somebodys_study_asks_for_trust(foreign, words, code, capsys):
+    path = foreign / "run" / "study.yaml"
+    if code == "rig.py":
+        content = yaml.safe_load(path.read_text())
+        content["model"]["own_effects"], content["experiments"] = [], {"python": "../rig.py"}
+        path.write_text(yaml.safe_dump(content))
+    assert main([*words, str(path)]) == 2
+    assert (
+        f"names code of its own (../{code}), which this command would execute; say --trust" in capsys.readouterr().err
+    )
+    assert not (foreign / "mark").exists()
+
+
+def test_trust_lets_a_check_execute_it(foreign, capsys):
+    assert main(["check", str(foreign / "run" / "study.yaml"), "--trust"]) == 2
+    assert (foreign / "mark").exists() and "registers no effect" in capsys.readouterr().err
