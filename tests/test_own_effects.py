@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from hsed_jax.config.build import Built
-from hsed_jax.config.load import load_study
+from hsed_jax.config.load import load_study, parse_yaml
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, write_campaign
 from hsed_jax.physics.effects import EFFECTS
@@ -109,16 +109,18 @@ def test_a_file_that_cannot_be_used_is_one_clear_message(folder, text, words):
 @pytest.fixture
 def foreign(tmp_path):
     """A run of somebody else's, whose study names code that leaves a mark when it is executed."""
-    mark = f"open({str(tmp_path / 'mark')!r}, 'w')\n"
+    mark = f"import pathlib\npathlib.Path({str(tmp_path / 'mark')!r}).touch()\n"
     for name in ("evil.py", "rig.py"):
         (tmp_path / name).write_text(mark)
-    store = RunFolder(tmp_path / "run", {**yaml.safe_load(STUDY.format(effects="{wave: {}}")), "seed": 0})
+    store = RunFolder(tmp_path / "run", {**parse_yaml(STUDY.format(effects="{wave: {}}"), "study"), "seed": 0})
     content = yaml.safe_load((store.path / "study.yaml").read_text())
     content["model"]["own_effects"] = ["../evil.py"]
     (store.path / "study.yaml").write_text(yaml.safe_dump(content))
     store.write_summary({"study": "own", "status": "complete", "references": {"wave": "their own tests"}})
     table = pd.DataFrame({"id": ["E01"], "peak_force": [1.0]})
-    write_campaign(Campaign.from_frames(table, quantities={"peak_force": "N"}), store.campaign)
+    write_campaign(
+        Campaign.from_frames(table, protocol="ground_motion", quantities={"peak_force": "N"}), store.campaign
+    )
     store.close()
     return tmp_path
 
