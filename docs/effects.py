@@ -21,7 +21,7 @@ from PIL import Image
 from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study
 from hsed_jax.inference.priors import Prior
-from hsed_jax.physics.effects import EFFECTS, AbstractEffect
+from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.excitations import Imposed, Tabulated
 from hsed_jax.physics.parameters import Parameter, PhysicalForm, parameters_of
 from hsed_jax.physics.scales import Scales
@@ -101,8 +101,9 @@ experiment that would separate them) rather than pick one by luck. Where to be c
 OWN = '''\
 ## An effect of your own
 
-A Python file that the study names, `model: {own_effects: [mine.py]}` (relative to the study), adds to the catalogue; its
-effects then take part in everything, `hsed effects NAME --study STUDY.yaml` included. One class is one effect: its first
+A Python file that the study names, `model: {own_effects: [mine.py]}` (relative to the study), adds to the catalogue of that
+study; its effects then take part in everything, `hsed effects NAME --study STUDY.yaml --trust` included ([when it is
+executed](laboratories.md#what-is-executed-when)). One class is one effect: its first
 parameter is the amplitude, zero when it is absent; it contributes to the places of the law in the equation above.
 
 ```python
@@ -139,15 +140,10 @@ class Wave(AbstractSpringEffect):
 '''
 
 
-def effects() -> dict[str, type[AbstractEffect]]:
-    """The catalogue of the package, without effects of a user."""
-    return {name: e for name, e in EFFECTS.items() if e.__module__.startswith("hsed_jax.physics.effects.")}
-
-
 def page() -> str:
     """The text of `docs/effects.md`."""
     families: dict[str, list[str]] = {}
-    for name, effect in effects().items():
+    for name, effect in EFFECTS.items():
         families.setdefault(effect.family, []).append(name)
     index = ["| family | effects |", "|---|---|"]
     index += [f"| {f} | {', '.join(f'[`{n}`](#{n})' for n in names)} |" for f, names in families.items()]
@@ -253,7 +249,7 @@ def draw() -> None:
     for old in IMAGES.glob("*.png"):
         old.unlink()
     test, shaken = ComponentTest(), Shaken()
-    for name, effect in effects().items():
+    for name, effect in EFFECTS.items():
         size = {f"{name}.{key}": value for key, value in medium(name).items()}
         picture = (shaken if effect.shaken_only else test).picture(name, size)
         buffer = io.BytesIO()
@@ -273,13 +269,13 @@ class ComponentTest:
         path = Imposed(jnp.asarray(size * np.sin(omega * time)), jnp.asarray(size * omega * np.cos(omega * time)))
         self.conditions = Conditions({}, Recorded(Tabulated(path), jnp.full(steps, STEP)))
         self.constants = (("A", A), ("beta", BETA), ("gamma", 0.0), ("n", 1.0))
-        self.simulator = Simulator(None, None, Timeline(STEP, steps), (), Scales(), self.constants)
+        self.simulator = Simulator(None, None, Timeline(STEP, steps), constants=self.constants)
         self.plain = _respond(self.simulator, {}, self.conditions)
         self.scales = _scales(self.plain)
 
     def picture(self, name: str, size: Mapping[str, float]) -> Picture:
         """The loop, plain and with the effect."""
-        simulator = replace(self.simulator, effects=(name,), scales=self.scales)
+        simulator = replace(self.simulator, effects=EFFECTS.only([name]), scales=self.scales)
         changed = _respond(simulator, size, self.conditions)
         curves = [(channels["elongation"], channels["force"]) for channels in (self.plain, changed)]
         return _picture(name, curves, ("elongation", "m"), ("force", "N"))
@@ -295,14 +291,14 @@ class Shaken:
         middle = space.si(space.declared(np.full((1, len(space.names)), 0.5)))
         self.conditions = Conditions({key: jnp.asarray(values[0]) for key, values in middle.items()})
         self.law = {k: v for k, v in built.laboratory.parameters.items() if "." not in k}
-        self.simulator = replace(built.simulator, effects=(), constants=())
+        self.simulator = replace(built.simulator, effects=EFFECTS.only([]), constants=())
         self.plain = _respond(self.simulator, self.law, self.conditions)
         step, _, every = self.simulator.timeline
         self.time = step * every * np.arange(len(self.plain["elongation"]))
 
     def picture(self, name: str, size: Mapping[str, float]) -> Picture:
         """The elongation over time, plain and with the effect."""
-        simulator = replace(self.simulator, effects=(name,), scales=_scales(self.plain))
+        simulator = replace(self.simulator, effects=EFFECTS.only([name]), scales=_scales(self.plain))
         changed = _respond(simulator, {**self.law, **size}, self.conditions)
         return _picture(
             name, [(self.time, c["elongation"]) for c in (self.plain, changed)], ("time", "s"), ("elongation", "m")

@@ -44,7 +44,7 @@ class AskTell(Tabular):
             raise UserError(f"steps: they are {', '.join(study.steps)}; only a design is asked and told")
         self.path = Path(output) if output is not None else Path("runs") / study.study
         self.built = Built(study, workspace=laboratory_folder(self.path))
-        self.built.check()
+        self.built.check(performs=False)
         self._store = RunFolder(self.path, study.written(), resume=self.path.exists())
         try:
             self.conduct = Conduct(self.built, self._store)

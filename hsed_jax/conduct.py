@@ -19,12 +19,15 @@ from hsed_jax.design.stopping import StopRules, stop_reason
 from hsed_jax.errors import UserError
 from hsed_jax.inference.fit import summarise
 from hsed_jax.laboratories.base import Measured, experiment_id
-from hsed_jax.measurements import Experiment, Record, read_campaign, write_campaign, write_experiment
+from hsed_jax.measurements import Campaign, Experiment, Record, read_campaign, write_campaign, write_experiment
 from hsed_jax.remedy import discriminate, verdict_of
 from hsed_jax.store import RunFolder
 
 _DRAWS = 64
 """Draws of the parameters that are kept with each step; enough for bands."""
+_STEP = ("cube", "max_expected_improvement", "acquisition", "map", "posterior", "draws", "divergences", "log_evidence",
+         "discrepancy", "kriging", "state")  # fmt: skip
+"""What further steps and the results rely on in a step of the journal."""
 
 
 class Asked(NamedTuple):
@@ -291,33 +294,53 @@ class Conduct:
         self.state = self.design.tell(self.state, about["cube"], outputs.tolist(), experiment.status, row)
 
     def _replay(self) -> None:
-        """Go through the journal."""
+        """Go through the journal.
+
+        Raises:
+            UserError: it is damaged, or has lost experiments that would be performed once more.
+        """
         events = self.store.events()
-        held = (self.store.campaign / "campaign.yaml").exists() and any(e["event"] == "performed" for e in events)
-        records = read_campaign(self.store.campaign) if held else None
-        for event in events:
-            kind = event["event"]
-            if kind == "step":
-                self.steps.append({k: v for k, v in event.items() if k != "event"})
-                carried = event["state"]
-                self.state = replace(self.state, theta=np.asarray(carried["theta"]), step_size=carried["step_size"])
-                self._chosen = np.asarray(event["cube"])
-            elif kind == "asked":
-                self._expect(event["experiment"], event["cube"])
-            elif kind in ("performed", "failed", "abandoned"):
-                record = None
-                if records is not None and event["experiment"] in records:
-                    record = records[event["experiment"]].record
-                self._take(
-                    event,
-                    Experiment(
-                        event["experiment"],
-                        self._si(event["inputs"]),
-                        record=record,
-                        quantities=event.get("quantities", {}),
-                        status="completed" if kind == "performed" else kind,
-                        reason=event.get("reason"),
-                    ),
-                )
+        is_kept = (self.store.campaign / "campaign.yaml").exists()
+        if is_kept and not events:
+            raise self.store.damaged("it is empty or gone, and the experiments of the run would be performed again")
+        performed = {event.get("experiment") for event in events if event["event"] == "performed"}
+        records = read_campaign(self.store.campaign) if is_kept and performed else None
+        # A kill loses the line of one experiment at most; it is performed once more.
+        lost = [] if records is None else [e.id for e in records if e.status == "completed" and e.id not in performed]
+        if len(lost) > 1:
+            raise self.store.damaged(f"it does not know {', '.join(lost)}, which would be performed again")
+        for number, event in enumerate(events, start=1):
+            try:
+                self._take_up(event, records)
+            except (KeyError, TypeError, ValueError, IndexError) as error:
+                raise self.store.damaged(f"line {number} is no whole event ({type(error).__name__}: {error})") from None
         if len(self.campaign):
             write_campaign(self.campaign, self.store.campaign)
+
+    def _take_up(self, event: dict[str, Any], records: Campaign | None) -> None:
+        """Take one event of the journal."""
+        kind = event["event"]
+        if kind == "step":
+            for key in _STEP:
+                _ = event[key]
+            carried = event["state"]
+            self.steps.append({k: v for k, v in event.items() if k != "event"})
+            self.state = replace(self.state, theta=np.asarray(carried["theta"]), step_size=carried["step_size"])
+            self._chosen = np.asarray(event["cube"])
+        elif kind == "asked":
+            self._expect(event["experiment"], event["cube"])
+        elif kind in ("performed", "failed", "abandoned"):
+            name = event["experiment"]
+            self._take(
+                event,
+                Experiment(
+                    name,
+                    self._si(event["inputs"]),
+                    record=records[name].record if records is not None and name in records else None,
+                    quantities=event.get("quantities", {}),
+                    status="completed" if kind == "performed" else kind,
+                    reason=event.get("reason"),
+                ),
+            )
+        else:
+            raise ValueError("there is no such event")

@@ -16,6 +16,7 @@ from hsed_jax.sweeps import command as sweeping
 
 if TYPE_CHECKING:
     from hsed_jax.ask_tell import AskTell
+    from hsed_jax.config.schema import Study
     from hsed_jax.workflow import Run
 
 
@@ -55,6 +56,7 @@ def command_line() -> argparse.ArgumentParser:
     check = commands.add_parser("check", help=text, description=text.capitalize() + ".")
     check.add_argument("study", metavar="STUDY.yaml")
     check.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="override a key by its dotted path")
+    check.add_argument("--trust", action="store_true", help="execute Python files that the study names, to check them")
     check.set_defaults(command=_check)
     text = "write a ready study for a campaign of measurements"
     init = commands.add_parser("init", help=text, description=text.capitalize() + ".")
@@ -90,6 +92,7 @@ def command_line() -> argparse.ArgumentParser:
     effects = commands.add_parser("effects", help=text, description=text.capitalize() + ".")
     effects.add_argument("name", nargs="?", metavar="NAME", help="show one effect: equation, parameters, reference")
     effects.add_argument("--study", metavar="STUDY.yaml", help="with the effects of this study's own")
+    effects.add_argument("--trust", action="store_true", help="execute the Python files that the study names")
     effects.set_defaults(command=_effects)
     return parser
 
@@ -102,6 +105,7 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     existing.add_argument("--resume", action="store_true", help="go on with the run in the folder")
     existing.add_argument("--force", action="store_true", help="replace the run in the folder")
     parser.add_argument("--check", action="store_true", help="validate, run nothing")
+    parser.add_argument("--trust", action="store_true", help="with --check: execute Python files that the study names")
     parser.set_defaults(command=_run)
 
 
@@ -152,15 +156,31 @@ def _guarded(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -
         return 3
 
 
+def _trusted(study: "Study", options: Any) -> "Study":
+    """A study that is only looked at: it may not execute its files, unless the user trusts them.
+
+    Raises:
+        UserError: it would, and the user did not say so.
+    """
+    if study.code and not options.trust:
+        raise UserError(
+            f"{options.study}: it names code of its own ({', '.join(study.code)}), which this command would execute; "
+            "say --trust if you trust it"
+        )
+    return study
+
+
 def _effects(options: Any) -> int:
+    from hsed_jax.physics.effects import EFFECTS
     from hsed_jax.reporting.catalogue import catalogue, entry
 
+    effects = EFFECTS
     if options.study:
         from hsed_jax.config.load import load_study
-        from hsed_jax.config.own_effects import load_own_effects
+        from hsed_jax.config.own_effects import catalogue_of
 
-        load_own_effects(load_study(options.study))
-    print(entry(options.name) if options.name else catalogue())
+        effects = catalogue_of(_trusted(load_study(options.study), options))
+    print(entry(options.name, effects) if options.name else catalogue(effects))
     return 0
 
 
@@ -170,7 +190,7 @@ def _check(options: Any) -> int:
     from hsed_jax.config.records import forecast, thinning_notes
     from hsed_jax.measurements import check_campaign, overview, stop_at_errors
 
-    study = load_study(options.study, options.overrides)
+    study = _trusted(load_study(options.study, options.overrides), options)
     built = Built(study)
     built.check()
     if built.measured is not None:
@@ -269,16 +289,12 @@ def _numbers(option: str, given: Sequence[str] | None) -> dict[str, float] | Non
 
 
 def _report(options: Any) -> int:
-    from hsed_jax.config.load import load_study
-    from hsed_jax.config.own_effects import load_own_effects
     from hsed_jax.reporting.report import report_page
     from hsed_jax.reporting.side_by_side import comparison_page
     from hsed_jax.store import read_run, write_page
 
     folders = [Path(run) for run in options.runs]
     runs = [read_run(folder) for folder in folders]
-    for folder in folders:
-        load_own_effects(load_study(folder / "study.yaml"))
     alone = len(runs) == 1
     output = Path(options.output) if options.output else folders[0] / "report.html" if alone else Path("runs.html")
     write_page(report_page(runs[0]) if alone else comparison_page(runs), output)

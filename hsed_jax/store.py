@@ -8,13 +8,8 @@ import fcntl
 import json
 import math
 import os
-import platform
 import shutil
-import subprocess
-import sys
 from collections.abc import Mapping
-from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,13 +18,12 @@ import yaml
 from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import read_campaign
+from hsed_jax.provenance import begin_session, end_session, read_provenance
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from hsed_jax.reporting.finished import FinishedRun
-
-_PACKAGES = ("hsed_jax", "jax", "jaxlib", "diffrax", "optimistix", "numpyro", "tinygp", "numpy", "scipy")
 
 
 class RunFolder:
@@ -65,10 +59,10 @@ class RunFolder:
                 self._clear()
             written = self.path / "study.yaml"
             if resume and written.exists():
-                self._agree(yaml.safe_load(written.read_text(encoding="utf-8")), dict(study))
+                self._agree(_mapping(written), dict(study))
             else:
                 write_whole(written, yaml.safe_dump(dict(study), sort_keys=False, allow_unicode=True))
-            self._provenance(study.get("seed"))
+            begin_session(self._provenance, study.get("seed"))
         except BaseException:
             # An exception that a notebook keeps would keep the lock, too.
             self.close()
@@ -87,14 +81,37 @@ class RunFolder:
             os.fsync(journal.fileno())
 
     def events(self) -> list[dict[str, Any]]:
-        """All events so far, null read as NaN; a last line that a kill cut short is dropped from the file, too."""
+        """All events so far, null read as NaN; a last line that a kill cut short is dropped from the file, too.
+
+        Raises:
+            UserError: the journal is damaged.
+        """
         if not self._journal.exists():
             return []
-        text = self._journal.read_text(encoding="utf-8")
-        whole, _, rest = text.rpartition("\n")
+        try:
+            whole, _, rest = self._journal.read_bytes().rpartition(b"\n")
+        except OSError as error:
+            raise self.damaged(f"it cannot be read ({error.strerror})") from None
+        events = [self._event(number, line) for number, line in enumerate(whole.split(b"\n"), start=1) if line]
         if rest:
-            write_whole(self._journal, whole + "\n" if whole else "")
-        return [_with_nan(json.loads(line)) for line in whole.splitlines() if line]
+            write_whole(self._journal, whole.decode() + "\n" if whole else "")
+        return events
+
+    def _event(self, number: int, line: bytes) -> dict[str, Any]:
+        try:
+            event = _with_nan(json.loads(line.decode()))
+        except (ValueError, RecursionError):
+            raise self.damaged(f"line {number} is no event") from None
+        if not (isinstance(event, dict) and isinstance(event.get("event"), str)):
+            raise self.damaged(f"line {number} is no event")
+        return event
+
+    def damaged(self, how: str) -> UserError:
+        """What to say of a journal that cannot be gone on from, and what can be done."""
+        return UserError(
+            f"{self._journal}: {how}; restore it from a copy, or begin another run and let it take the experiments: "
+            f"hsed tell STUDY.yaml --output DIR --campaign {self.campaign}"
+        )
 
     def write_summary(self, summary: Mapping[str, Any]) -> None:
         """Write `summary.json`: numbers are numbers, what is not finite is left out."""
@@ -133,10 +150,11 @@ class RunFolder:
 
     def finish(self) -> None:
         """Note when the run ended."""
-        path = self.path / "provenance.json"
-        content = json.loads(path.read_text(encoding="utf-8"))
-        content["sessions"][-1]["end"] = _now()
-        write_whole(path, json.dumps(content, indent=2) + "\n")
+        end_session(self._provenance)
+
+    @property
+    def _provenance(self) -> Path:
+        return self.path / "provenance.json"
 
     @property
     def _journal(self) -> Path:
@@ -170,23 +188,6 @@ class RunFolder:
                 "resume with the study it was started with, or choose another --output"
             )
 
-    def _provenance(self, seed: Any) -> None:
-        path = self.path / "provenance.json"
-        sessions = json.loads(path.read_text(encoding="utf-8"))["sessions"] if path.exists() else []
-        content = {
-            "python": sys.version.split()[0],
-            "versions": {package: version(package) for package in _PACKAGES},
-            "git": _git_state(),
-            "seed": seed,
-            "machine": {
-                "platform": platform.platform(),
-                "processor": platform.processor() or platform.machine(),
-                "cores": os.cpu_count(),
-            },
-            "sessions": [*sessions, {"start": _now()}],
-        }
-        write_whole(path, json.dumps(content, indent=2) + "\n")
-
 
 def laboratory_folder(path: str | Path) -> Path:
     """The folder of a run in which its laboratory works; known before there is a run."""
@@ -197,7 +198,7 @@ def read_run(path: str | Path) -> "FinishedRun":
     """Read back what a run folder holds.
 
     Raises:
-        UserError: there is no run, or it has come to nothing yet.
+        UserError: there is no run, it has come to nothing yet, or a file is damaged.
     """
     import xarray as xr
 
@@ -210,19 +211,45 @@ def read_run(path: str | Path) -> "FinishedRun":
         raise UserError(
             f"{folder}: the run has no results yet; go on with it: hsed run STUDY.yaml --output {folder} --resume"
         )
-    texts = {
-        name: (folder / name).read_text(encoding="utf-8") for name in ("study.yaml", "summary.json", "provenance.json")
-    }
     results = folder / "results.nc"
+    try:
+        tree = xr.load_datatree(results, engine="h5netcdf") if results.is_file() else None
+    except (OSError, ValueError, KeyError) as error:
+        raise UserError(f"{results}: this is no file of results ({error})") from None
     return FinishedRun(
         folder,
-        yaml.safe_load(texts["study.yaml"]),
-        json.loads(texts["summary.json"]),
-        json.loads(texts["provenance.json"]),
+        _mapping(folder / "study.yaml", "study", "model", "steps"),
+        _mapping(folder / "summary.json", "study", "status"),
+        read_provenance(folder / "provenance.json").model_dump(exclude_unset=True),
         read_campaign(folder / "campaign"),
-        xr.load_datatree(results, engine="h5netcdf") if results.is_file() else None,
-        {path.stem: path.read_text(encoding="utf-8") for path in sorted((folder / "figures").glob("*.svg"))},
+        tree,
+        {path.stem: _text(path) for path in sorted((folder / "figures").glob("*.svg"))},
     )
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"{path}: cannot be read as text ({error})") from None
+
+
+def _mapping(path: Path, *keys: str) -> dict[str, Any]:
+    """A mapping in YAML or JSON that has these keys.
+
+    Raises:
+        UserError: it is something else.
+    """
+    text = _text(path)
+    try:
+        content = json.loads(text) if path.suffix == ".json" else yaml.safe_load(text)
+    except (ValueError, RecursionError, yaml.YAMLError):
+        content = None
+    if not isinstance(content, dict) or any(key not in content for key in keys):
+        raise UserError(
+            f"{path}: it is damaged: a mapping of {', '.join(keys) or 'keys'} is wanted; restore it from a copy"
+        )
+    return content
 
 
 def write_page(page: str, path: str | Path) -> None:
@@ -242,23 +269,6 @@ def write_page(page: str, path: str | Path) -> None:
         write_whole(path, page)
     except OSError as error:
         raise UserError(f"{path} cannot be written ({error.strerror}); choose another --output") from None
-
-
-def _git_state() -> dict[str, Any] | None:
-    """Commit of the package's own checkout and whether it was changed; None where it is no checkout."""
-    here = Path(__file__).parent
-    if not (here.parent / ".git").exists():
-        return None
-
-    def git(*arguments: str) -> str:
-        return subprocess.run(
-            ["git", "-C", str(here), *arguments], capture_output=True, text=True, check=True
-        ).stdout.strip()
-
-    try:
-        return {"commit": git("rev-parse", "HEAD"), "modified": bool(git("status", "--porcelain"))}
-    except (OSError, subprocess.CalledProcessError):
-        return None
 
 
 def _finite(value: Any) -> Any:
@@ -291,7 +301,3 @@ def _with_nan(value: Any) -> Any:
 def _is_content(path: Path) -> bool:
     """Whether a file of a run folder holds anything: a run killed in its first moments leaves a lock and a draft."""
     return path.name != ".lock" and path.suffix != ".part"
-
-
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="seconds")

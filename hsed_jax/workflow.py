@@ -162,6 +162,7 @@ class Run:
             status=status,
             posterior=self.built.posterior,
             simulator=self.built.simulator,
+            catalogue=self.built.catalogue,
             laboratory=laboratory if isinstance(laboratory, VirtualLaboratory) else None,
             units=self.built.units,
             campaign=self.campaign,

@@ -27,11 +27,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import hsed_jax as hx
-from hsed_jax.physics.effects.base import EFFECTS, AbstractSpringEffect, register
+from hsed_jax.physics.effects import EFFECTS, AbstractSpringEffect
 from hsed_jax.physics.parameters import parameter
 from hsed_jax.reporting.catalogue import entry
-
-EFFECTS.pop("bumper", None)  # so that the next cell can be run again
 
 # %% [markdown]
 # ## The class
@@ -42,7 +40,6 @@ EFFECTS.pop("bumper", None)  # so that the next cell can be run again
 
 
 # %%
-@register
 @final
 class Bumper(AbstractSpringEffect):
     r"""An elastic bumper on one side: $\delta\,\frac{F_c}{u_c}\max(\Delta u - c\,u_c, 0)$."""
@@ -60,21 +57,21 @@ class Bumper(AbstractSpringEffect):
 
 
 # %% [markdown]
-# It is in the catalogue now:
+# As the catalogue shows it:
 
 # %%
-print(entry("bumper"))
+print(entry("bumper", EFFECTS.joined([Bumper])))
 
 # %% [markdown]
 # ## Is it right?
 #
-# Neutral means exactly nothing, to the last digit:
+# A study is told of it, and may then name it. Neutral means exactly nothing, to the last digit:
 
 # %%
 CONFIG, inputs = "../configs/hidden_effect.yaml", {"V_P": 2.25, "T_P": 1.0}
 law = {"A": 5.0e5, "beta": 1.0}
 plain = hx.load_study(CONFIG)
-suspected = hx.load_study(CONFIG, ["model.effects={bumper: {}}"])
+suspected = hx.load_study(CONFIG, ["model.effects={bumper: {}}"]).with_own_effects(Bumper)
 absent = {"bumper.delta": 0.0, "bumper.clearance": 0.5}
 forces = [
     hx.simulate(plain, inputs, law).channels["force"],
@@ -104,7 +101,7 @@ print(f"derivative {derivative:.5g} N, finite difference {(high - low) / 0.002:.
 
 # %%
 truth = "experiments.virtual.effects={bumper: {delta: 1.0, clearance: 0.4}}"
-study = hx.load_study(CONFIG, [truth, "experiments.virtual.test=2", "design.initial=4"])
+study = hx.load_study(CONFIG, [truth, "experiments.virtual.test=2", "design.initial=4"]).with_own_effects(Bumper)
 fit = hx.calibrate(study)
 axes = hx.plot.loops(fit)
 
@@ -122,5 +119,6 @@ ax = hx.plot.ranking(diagnosis)
 # The bumper is named before everything in the catalogue. Second is the quadratic spring, which is as one-sided but has no
 # clearance. (δ is relative to the characteristic force and elongation of these measurements.)
 #
-# For a study of your own, put the class into a file, say `bumper.py`, and name it in the study:
-# `model: {own_effects: [bumper.py]}`; then the command line knows it, too ([how](../docs/effects.md)).
+# For a study of your own, put the class into a file, say `bumper.py`, decorated with
+# `hsed_jax.physics.effects.base.register`, and name it in the study: `model: {own_effects: [bumper.py]}`; then the command line
+# knows it, too ([how](../docs/effects.md)).

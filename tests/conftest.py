@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import pandas as pd
 import pytest
 
+from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.excitations import NearFaultPulse
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator, Timeline
@@ -48,12 +49,12 @@ def paper_excitation() -> Parametrised:
 
 @pytest.fixture(scope="session")
 def paper_simulator(paper_structure, paper_excitation):
-    """A factory: the paper's simulator (10 s, γ = 0, n = 1), with any field changed by keyword.
+    """A factory: the paper's simulator (10 s, γ = 0, n = 1), with any field changed by keyword, effects by name.
 
     The characteristic energy is 1 J, so that `stiffness_degradation.delta` is the paper's η [1/J].
     """
 
-    def make(**changes) -> Simulator:
+    def make(effects=(), **changes) -> Simulator:
         fields = {
             "structure": paper_structure,
             "excitation": paper_excitation,
@@ -61,7 +62,7 @@ def paper_simulator(paper_structure, paper_excitation):
             "constants": (("gamma", 0.0), ("n", 1.0)),
             "scales": Scales(),
         }
-        return Simulator(**{**fields, **changes})
+        return Simulator(effects=EFFECTS.only(effects), **{**fields, **changes})
 
     return make
 

@@ -224,9 +224,9 @@ def test_the_page_of_effects_is_up_to_date(docs):
 def test_the_page_names_every_effect_and_each_has_a_small_figure(docs):
     text = docs.PAGE.read_text(encoding="utf-8")
     sizes = {path.stem: path.stat().st_size for path in docs.IMAGES.glob("*.png")}
-    assert sizes.keys() == docs.effects().keys() and len(sizes) > 30
+    assert sizes.keys() == docs.EFFECTS.keys() and len(sizes) > 30
     assert max(sizes.values()) <= 40_000
-    for name, effect in docs.effects().items():
+    for name, effect in docs.EFFECTS.items():
         assert f"### {name}\n" in text and f"(images/effects/{name}.png)" in text
         assert effect.reference in text
     assert "`eta` = $\\delta_\\eta/E_c$ [1/J]" in text

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from hsed_jax.physics.bouc_wen import BoucWen
 from hsed_jax.physics.effects import EFFECTS, AbstractSetupEffect, AbstractSpringEffect
-from hsed_jax.physics.effects.base import ADDED, MULTIPLIED, Setup, SpringPoint, combine, register
+from hsed_jax.physics.effects.base import ADDED, MULTIPLIED, Setup, SpringPoint, combine
 from hsed_jax.physics.excitations import Imposed, NearFaultPulse, Tabulated
 from hsed_jax.physics.integrate import integrate
 from hsed_jax.physics.parameters import dimensionless, parameters_of
@@ -118,8 +118,8 @@ def test_either_form_of_a_parameter_sets_the_same_effect(name):
 
 
 def test_two_effects_of_one_name_are_refused():
-    with pytest.raises(ValueError, match="in the catalogue already"):
-        register(EFFECTS["stiffness_degradation"])
+    with pytest.raises(ValueError, match="two effects are named 'stiffness_degradation'"):
+        EFFECTS.joined([EFFECTS["stiffness_degradation"]])
 
 
 def test_an_unknown_slot_is_refused():
@@ -548,7 +548,12 @@ def test_a_gain_of_the_ground_motion_is_a_stronger_pulse(paper_simulator, pulse_
 def test_relaxation_is_the_maxwell_element():
     # u = a sin ωt from rest: q = k a ω τ/(1 + ω²τ²) (cos ωt + ωτ sin ωt − exp(−t/τ)).
     simulator = Simulator(
-        None, None, Timeline(STEP, STEPS), ("relaxation",), SCALES, (("gamma", 0.0), ("n", 1.0), ("beta", 0.0))
+        None,
+        None,
+        Timeline(STEP, STEPS),
+        EFFECTS.only(["relaxation"]),
+        SCALES,
+        (("gamma", 0.0), ("n", 1.0), ("beta", 0.0)),
     )
     k, tau, amplitude, omega = 3e5, 0.2, 0.2, 2 * np.pi / 1.5
     values = {"A": 1e5, "relaxation.k": k, "relaxation.tau": tau}

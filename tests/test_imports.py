@@ -19,6 +19,7 @@ LEVELS = (
     ("criticism",),
     ("reporting",),
     ("config",),
+    ("provenance",),
     ("store",),
     ("analysis",),
     ("remedy", "sobol"),

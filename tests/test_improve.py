@@ -145,7 +145,7 @@ def test_what_is_there_already_is_not_added_again(better):
 
 
 def test_an_improved_model_lacks_nothing(better, monkeypatch):
-    monkeypatch.setattr("hsed_jax.config.candidates.EFFECTS", few())
+    monkeypatch.setattr("hsed_jax.config.own_effects.EFFECTS", few())
     found = hx.diagnose(better.calibration)
     assert found.verdict == "adequate" and {c.effect for c in found.ranking} == {"coulomb_friction"}
 
@@ -156,7 +156,7 @@ def test_an_improved_model_lacks_nothing(better, monkeypatch):
 def few():
     from hsed_jax.physics.effects import EFFECTS
 
-    return {name: EFFECTS[name] for name in ("viscous_damping", "hardening", "coulomb_friction")}
+    return EFFECTS.only(["viscous_damping", "hardening", "coulomb_friction"])
 
 
 @pytest.fixture
@@ -179,7 +179,7 @@ def summary_of(folder):
 
 
 def test_diagnose_and_improve_from_the_command_line(folder, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("hsed_jax.config.candidates.EFFECTS", few())
+    monkeypatch.setattr("hsed_jax.config.own_effects.EFFECTS", few())
     assert main(["diagnose", str(folder), "--output", str(tmp_path / "run")]) == 0, capsys.readouterr().err
     summary = summary_of(tmp_path / "run")
     assert summary["status"] == "complete" and summary.keys() >= {"calibration", "comparison", "diagnosis"}

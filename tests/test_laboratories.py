@@ -528,3 +528,8 @@ def test_kills_at_random_moments_lose_and_double_no_experiment(folder, tmp_path,
         print(f"{kind}: run {runs} ended after {sessions} sessions; {kills} kills so far")
         runs, sessions = runs + 1, 0
     assert runs >= 1 and kills == most
+
+
+def test_a_program_that_deletes_what_it_said_fails_its_experiment_alone(tmp_path):
+    with pytest.raises(ExperimentFailed, match="ended with status 3: it said nothing"):
+        run_program(["sh", "-c", "rm stdout.txt stderr.txt; exit 3"], tmp_path, 20.0)

@@ -10,6 +10,7 @@ import pytest
 import xarray as xr
 import yaml
 
+from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, Experiment, Record, write_campaign
 from hsed_jax.measurements.experiment import Channel
 from hsed_jax.reporting import style
@@ -358,6 +359,25 @@ def test_the_error_of_an_experiment_is_averaged_in_the_square():
     assert error_of({"force": {"nrmse": 0.3}, "elongation": {"nrmse": 0.4}}) == pytest.approx(np.sqrt(0.125))
     assert np.isinf(error_of({"force": {"nrmse": 0.3}, "elongation": {}}))  # not finite, hence not in the summary
     assert np.isnan(error_of({}))
+
+
+@pytest.mark.parametrize(
+    "inside",
+    [
+        "<script>alert(1)</script>",
+        '<script xmlns="http://www.w3.org/1999/xhtml">alert(1)</script>',
+        '<g onload="alert(1)"/>',
+        '<image href="https://elsewhere/x.png"/>',
+        "<foreignObject/>",
+        "<title><![CDATA[>]]</title>",
+    ],
+)
+def test_a_page_takes_no_script_from_somebodys_figure(inside):
+    drawing = '<svg xmlns="http://www.w3.org/2000/svg">{}<path d="M 0 0"/></svg>'
+    assert "<path" in inline("fine", drawing.format("<?x > <script>alert(1)</script> ?><!-- <script> -->")).svg
+    assert "script" not in inline("fine", drawing.format("<?x > <script>alert(1)</script> ?><!-- <script> -->")).svg
+    with pytest.raises(UserError, match=r"figures/worst\.svg: (it holds more than|this is no) "):
+        inline("worst", drawing.format(inside))
 
 
 def test_an_inlined_figure_keeps_its_words_and_its_identifiers_to_itself(folder):

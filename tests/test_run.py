@@ -15,14 +15,16 @@ import pytest
 import xarray as xr
 import yaml
 
+from hsed_jax.ask_tell import AskTell
+from hsed_jax.conduct import Conduct
 from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
 from hsed_jax.laboratories.base import ExperimentFailed
 from hsed_jax.laboratories.virtual import VirtualLaboratory
-from hsed_jax.measurements import read_campaign
+from hsed_jax.measurements import Experiment, read_campaign, write_campaign
 from hsed_jax.run import run_main
-from hsed_jax.store import RunFolder
+from hsed_jax.store import RunFolder, read_run
 from hsed_jax.workflow import Run, run
 
 SMALL = """
@@ -311,6 +313,109 @@ def test_the_journal_keeps_numbers_to_the_last_bit_and_survives_a_cut_line(tmp_p
         again.record("asked", experiment="E02")
         assert path.read_text() == whole
         again.close()
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", "\0\0\0", "{", '{"sessions": []}', '{"sessions": 3}'])
+def test_a_damaged_provenance_is_one_clear_message(tmp_path, text):
+    RunFolder(tmp_path / "run", {"study": "x", "seed": 0}).close()
+    (tmp_path / "run" / "provenance.json").write_text(text)
+    with pytest.raises(UserError, match=r"provenance\.json: it is damaged; delete it"):
+        RunFolder(tmp_path / "run", {"study": "x", "seed": 0}, resume=True)
+    (tmp_path / "run" / "provenance.json").unlink()
+    store = RunFolder(tmp_path / "run", {"study": "x", "seed": 0}, resume=True)
+    store.write_summary({"study": "x", "status": "complete"})
+    store.close()
+    (tmp_path / "run" / "provenance.json").write_text(text)
+    with pytest.raises(UserError, match=r"study\.yaml: it is damaged|provenance\.json: it is damaged"):
+        read_run(tmp_path / "run")
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"", b"[1, 2]", b"a: [", b"\0"])
+def test_a_written_study_that_is_none_is_one_clear_message(tmp_path, content):
+    RunFolder(tmp_path / "run", {"study": "x", "seed": 0}).close()
+    (tmp_path / "run" / "study.yaml").write_bytes(content)
+    with pytest.raises(UserError, match=r"study\.yaml: (it is damaged|cannot be read as text)"):
+        RunFolder(tmp_path / "run", {"study": "x", "seed": 0}, resume=True)
+
+
+@pytest.mark.parametrize("line", [b"\0\0\0", b"garbage", b"\xff", b"3", b"[]", b"{}", b'{"event": 3}', b"[" * 100_000])
+def test_a_journal_that_is_damaged_in_its_middle_is_one_clear_message(tmp_path, line):
+    store = RunFolder(tmp_path / "run", {"study": "x", "seed": 0})
+    for name in ("E01", "E02"):
+        store.record("asked", experiment=name)
+    first, second, _ = (path := store.path / "journal.jsonl").read_bytes().split(b"\n")
+    path.write_bytes(b"\n".join([first, line, second, b""]))
+    with pytest.raises(UserError, match=r"journal\.jsonl: line 2 is no event; restore it .* --campaign "):
+        store.events()
+    path.unlink()
+    path.mkdir()
+    with pytest.raises(UserError, match=r"journal\.jsonl: it cannot be read"):
+        store.events()
+    store.close()
+
+
+ASKED = {"experiment": "E01", "inputs": {"V_P": 225.0, "T_P": 1.0}, "cube": [0.5, 0.5]}
+
+
+@pytest.mark.parametrize(
+    ("event", "content"),
+    [
+        ("asked", {"experiment": "E01"}),
+        ("asked", {**ASKED, "cube": "x"}),
+        ("performed", {"experiment": "E01"}),
+        ("performed", {**ASKED, "inputs": {"V_P": "x", "T_P": 1.0}}),
+        ("step", {"number": 0, "cube": [0.5, 0.5]}),
+        ("perfXrmed", ASKED),
+    ],
+)
+def test_an_event_that_lacks_a_key_is_one_clear_message(built, tmp_path, event, content):
+    store = RunFolder(tmp_path / "run", built.study.written())
+    store.record("asked", **ASKED)
+    store.record(event, **content)
+    with pytest.raises(UserError, match=r"journal\.jsonl: line 2 is no whole event"):
+        Conduct(built, store)
+    store.close()
+
+
+def test_experiments_that_a_lost_journal_does_not_know_are_not_performed_again(built, tmp_path):
+    store = RunFolder(tmp_path / "run", built.study.written())
+    inputs, quantities = {"V_P": 2.25, "T_P": 1.0}, dict.fromkeys(QUANTITIES, 1.0)
+    campaign = built.empty_campaign()
+    for name in ("E01", "E02", "E03"):
+        campaign = campaign.add(Experiment(name, inputs, quantities=quantities))
+    write_campaign(campaign, store.campaign)
+    with pytest.raises(UserError, match=r"journal\.jsonl: it is empty or gone, .* hsed tell STUDY\.yaml --output DIR"):
+        Conduct(built, store)
+    for event in ("asked", "performed"):
+        store.record(event, **ASKED, quantities=quantities)
+    with pytest.raises(UserError, match=r"journal\.jsonl: it does not know E02, E03, which would be performed again"):
+        Conduct(built, store)
+    store.close()
+    # What the message says to do.
+    with AskTell(built.study, tmp_path / "other") as design:
+        assert design.take(read_campaign(store.campaign)) == ["E01", "E02", "E03"]
+
+
+def test_many_terminations_are_one(tmp_path):
+    code = """if True:
+        import time
+        from hsed_jax.interruptions import heed_interruptions
+        heed_interruptions()
+        try:
+            print("ready", flush=True)
+            time.sleep(60)
+        except KeyboardInterrupt:
+            time.sleep(0.5)
+            print("kept")
+        time.sleep(0.2)
+    """
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stdout.readline() == "ready\n"
+    for _ in range(9):
+        process.terminate()
+        time.sleep(0.05)
+    out, errors = process.communicate(timeout=30)
+    assert (out, errors, process.returncode) == ("kept\n", "", 0)
 
 
 # --- a run that was stopped, at every line of its journal ---------------------------------------------------------

@@ -5,11 +5,13 @@ import subprocess
 import sys
 from importlib.util import find_spec
 
+import numpy as np
 import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import hsed_jax as hx
 from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study, parse_yaml
 from hsed_jax.errors import UserError
@@ -369,3 +371,23 @@ def test_the_process_itself_exits_with_2_and_one_line(tmp_path):
 def test_from_python_a_mistake_is_an_exception_with_the_same_words():
     with pytest.raises(UserError, match=r"structure\.masses\.0: this must be greater than 0, but it is -1\.0"):
         load_study(changed("structure.masses.0", -1.0))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        ["model.parameters.gamma=-3"],
+        ["model.parameters.gamma={uniform: [-5, -3]}"],
+        ["experiments.virtual.parameters.gamma=-3"],
+    ],
+)
+def test_a_law_whose_force_has_no_bound_is_refused(changes):
+    with pytest.raises(UserError, match=r"parameters\.gamma: beta \+ gamma is -\d.* gamma must be at least -beta"):
+        Built(load_study(content(), changes)).check()
+
+
+def test_a_prior_that_lies_there_in_part_makes_failures_of_its_simulations_there():
+    study = load_study(content(), ["model.parameters.gamma={uniform: [-3, 3]}"])
+    Built(study).check()
+    found = hx.simulate(study, {"V_P": 2.25, "T_P": 1.0}, {"A": 5e5, "beta": 1.0, "gamma": np.array([-2, -1, 0.5])}, ())
+    assert found.ok.tolist() == [False, True, True]

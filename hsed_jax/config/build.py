@@ -14,7 +14,7 @@ from hsed_jax.config import laboratories, parts
 from hsed_jax.config import records as records_of
 from hsed_jax.config.laboratories import IMPOSED
 from hsed_jax.config.limits import limits_of
-from hsed_jax.config.own_effects import load_own_effects
+from hsed_jax.config.own_effects import catalogue_of
 from hsed_jax.config.plan import check_plan
 from hsed_jax.config.schema import Study
 from hsed_jax.config.sections import ErrorEntry
@@ -31,6 +31,7 @@ from hsed_jax.laboratories.request import Programme
 from hsed_jax.laboratories.sensors import Sensors
 from hsed_jax.measurements import Campaign, Characteristics, Experiment, characteristics, parse_unit, read_campaign
 from hsed_jax.measurements.thinning import thinned
+from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.outputs import output
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator, Timeline
@@ -58,9 +59,10 @@ class Built:
     workspace: Path | None = None
     function: Callable[..., Any] | None = None
 
-    def __post_init__(self):
-        """Let the study's own effects join the catalogue."""
-        load_own_effects(self.study)
+    @cached_property
+    def catalogue(self) -> Catalogue:
+        """The effects that the study may name; its own files of effects are executed."""
+        return catalogue_of(self.study)
 
     @cached_property
     def measured(self) -> Campaign | None:
@@ -104,13 +106,13 @@ class Built:
     @cached_property
     def parameters(self) -> tuple[dict[str, Prior], dict[str, float]]:
         """Free parameters of the model with their priors, and the fixed ones with their values."""
-        return parts.model_parameters(self.study.model)
+        return parts.model_parameters(self.study.model, self.catalogue)
 
     @cached_property
     def units(self) -> dict[str, str]:
         """SI unit of every free parameter."""
         free, fixed = self.parameters
-        return parts.parameter_units(tuple(free), fixed)
+        return parts.parameter_units(tuple(free), fixed, self.catalogue)
 
     @cached_property
     def excitation(self) -> Parametrised | None:
@@ -215,7 +217,7 @@ class Built:
     def specimen(self) -> dict[str, float]:
         """The parameters of the virtual specimen."""
         assert self.study.experiments.virtual is not None
-        return parts.true_parameters(self.study.experiments.virtual)
+        return parts.true_parameters(self.study.experiments.virtual, self.catalogue)
 
     @cached_property
     def laboratory(self) -> Laboratory:
@@ -226,6 +228,7 @@ class Built:
             self.programme,
             self.structure,
             lambda effects: self._simulator(effects, ()),
+            self.catalogue,
             self.workspace,
             self.function,
         )
@@ -357,8 +360,11 @@ class Built:
             quantities=dict(self.sensors.quantities),
         )
 
-    def check(self) -> None:
+    def check(self, *, performs: bool = True) -> None:
         """Build everything that can be wrong, and compute nothing.
+
+        Arguments:
+            performs: whether the laboratory is to perform experiments; else it is left alone, as it may be code.
 
         Raises:
             UserError: something is.
@@ -368,9 +374,9 @@ class Built:
         if self.study.experiments.laboratory is not None or "design" in self.study.steps:
             # A virtual laboratory has a simulator, and the scales of that may take a simulation.
             virtual = self.study.experiments.virtual is not None
-            needed += ["sensors", "programme", "specimen" if virtual else "laboratory"]
+            needed += ["sensors", "programme", *(["specimen"] if virtual else ["laboratory"] if performs else [])]
         try:
-            check_plan(self.study)
+            check_plan(self.study, self.catalogue)
             self.study.measurements.accepted(self.measured)
             for part in needed:
                 getattr(self, part)
@@ -388,4 +394,5 @@ class Built:
 
     def _simulator(self, effects: tuple[str, ...], constants: tuple[tuple[str, float], ...]) -> Simulator:
         follows = self.study.structure is not None and self.study.structure.damping.specimen_stiffness == "model"
-        return Simulator(self.structure, self.excitation, self.timeline, effects, self.scales, constants, follows)
+        present = self.catalogue.only(effects)
+        return Simulator(self.structure, self.excitation, self.timeline, present, self.scales, constants, follows)

@@ -20,7 +20,7 @@ from hsed_jax.inference.nested import NestedModels
 from hsed_jax.inference.observation import conditions_of, stacked
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Experiment, Record
-from hsed_jax.physics.effects import EFFECTS
+from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.simulator import Conditions
 
@@ -36,7 +36,7 @@ def applicable(built: Built, campaign: Campaign) -> list[str]:
     quantities = built.study.observe == "quantities"
     return [
         name
-        for name, effect in EFFECTS.items()
+        for name, effect in built.catalogue.items()
         if name not in built.study.model.effects
         and (has_time or not effect.needs_time)
         and not (quantities and effect.histories_only)
@@ -51,7 +51,7 @@ def with_effects(built: Built, effects: Sequence[str]) -> Study:
         UserError: there is no such effect, the model has it, or it stands twice.
     """
     study = built.study
-    check_added(study.model, effects)
+    check_added(study.model, effects, built.catalogue)
     model = study.model.model_copy(update={"effects": {**study.model.effects, **{name: {} for name in effects}}})
     # Ready to be improved again: what was chosen by hand this time is for the diagnosis to find next time.
     steps = [step for step in ORDER if step in study.steps or (step == "diagnose" and "improve" in study.steps)]
@@ -79,10 +79,14 @@ def problem_of(
     inputs, further = _candidates(large, campaign, cube)
     parts = [data.conditions, *([] if further is None else [further])]
     conditions = _padded(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts))
-    neutral = _neutral(free, names)
+    catalogue = built.catalogue.only(names)
+    neutral = _neutral(free, catalogue)
     models = NestedModels(Lanes(large.simulator, large.observation, tuple(free), conditions), Box(free), neutral)
     order = tuple(free)
-    own = {name: np.asarray([order.index(f"{name}.{p}") for p in parameters_of(EFFECTS[name])]) for name in names}
+    own = {
+        name: np.asarray([order.index(f"{name}.{p}") for p in parameters_of(effect)])
+        for name, effect in catalogue.items()
+    }
     of_effects = {int(k) for columns in own.values() for k in columns}
     size = len(train)
     measured = [
@@ -94,6 +98,7 @@ def problem_of(
         models=models,
         names=order,
         units=large.units,
+        catalogue=catalogue,
         law=np.asarray([k for k in range(len(order)) if k not in of_effects]),
         effects=own,
         scales=large.scales,
@@ -106,12 +111,12 @@ def problem_of(
     )
 
 
-def _neutral(free: dict[str, Prior], effects: Sequence[str]) -> np.ndarray:
+def _neutral(free: dict[str, Prior], effects: Catalogue) -> np.ndarray:
     values = []
     for name, prior in free.items():
         effect, _, parameter = name.rpartition(".")
         if effect in effects:
-            neutral = parameters_of(EFFECTS[effect])[parameter].neutral
+            neutral = parameters_of(effects[effect])[parameter].neutral
             assert neutral is not None
             values.append(neutral)
         else:

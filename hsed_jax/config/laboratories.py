@@ -28,6 +28,7 @@ from hsed_jax.laboratories.sensors import Sensors
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.measurements import Channel, Noise
 from hsed_jax.measurements.declaration import declared_channel
+from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.outputs import output
 from hsed_jax.physics.simulator import Simulator
 from hsed_jax.physics.structures import Structure
@@ -51,6 +52,7 @@ class Site:
         programme: what the experiments have in common.
         structure: the numerical substructure.
         simulator: of the given effects, for a virtual specimen.
+        catalogue: the effects that it may have.
         workspace: folder for the folders of experiments; None: a temporary one.
         function: given from Python, for a laboratory that is a function.
     """
@@ -60,6 +62,7 @@ class Site:
     programme: Programme
     structure: Structure | None
     simulator: Callable[[tuple[str, ...]], Simulator]
+    catalogue: Catalogue
     workspace: Path | None
     function: Callable[..., Any] | None
 
@@ -160,7 +163,7 @@ def _virtual(site: Site, entry: VirtualEntry) -> VirtualLaboratory:
     sensors, study = site.sensors, site.study
     return VirtualLaboratory(
         site.simulator(tuple(entry.effects)),
-        parts.true_parameters(entry),
+        parts.true_parameters(entry, site.catalogue),
         tuple(study.quantities),
         tuple(name for name in sensors.channels if name not in IMPOSED),
         _noise(sensors),

@@ -1,45 +1,49 @@
-"""Effects of a user's own: Python files that a study names, whose classes join the catalogue."""
+"""The catalogue of a study: the effects of the package, and its own in Python files that it names."""
 
 import importlib.util
+from functools import cache
 from pathlib import Path
 
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
-from hsed_jax.physics.effects import EFFECTS
-
-# What each file registered, and when it had been changed last.
-_loaded: dict[Path, tuple[float, list[str]]] = {}
+from hsed_jax.physics.effects import EFFECTS, AbstractEffect, Catalogue, registered
 
 
-def load_own_effects(study: Study) -> None:
-    """Execute the files of `model.own_effects` once, and again after they have changed.
+def catalogue_of(study: Study) -> Catalogue:
+    """The effects that a study may name.
+
+    Executes the files of `model.own_effects`, once in a process and again after they have changed.
 
     Raises:
-        UserError: a file is missing, fails, or registers no effect.
+        UserError: a file is missing, fails, or registers no effect; or an effect bears a name that is taken.
     """
+    effects = list(study.own_effects)
     for name in study.model.own_effects:
         path = (study.folder / name).resolve()
         where = f"model.own_effects: {name}"
         if not path.is_file():
             raise UserError(f"{where}: there is no such file ({path})")
-        changed = path.stat().st_mtime
-        if path in _loaded and _loaded[path][0] == changed:
-            continue
-        for effect in _loaded.pop(path, (0.0, []))[1]:
-            EFFECTS.pop(effect, None)
-        before = set(EFFECTS)
-        spec = importlib.util.spec_from_file_location(f"own_effects_{path.stem}", path)
-        assert spec is not None
-        assert spec.loader is not None
         try:
-            spec.loader.exec_module(importlib.util.module_from_spec(spec))
+            found = _registered(path, path.stat().st_mtime_ns)
         except Exception as error:
-            for effect in set(EFFECTS) - before:
-                del EFFECTS[effect]
             raise UserError(f"{where}: it fails with {type(error).__name__}: {error}") from None
-        added = [effect for effect in EFFECTS if effect not in before]
-        if not added:
+        if not found:
             raise UserError(
                 f"{where}: it registers no effect; decorate a class with hsed_jax.physics.effects.base.register"
             )
-        _loaded[path] = (changed, added)
+        effects += found
+    try:
+        return EFFECTS.joined(effects)
+    except ValueError as error:
+        raise UserError(f"model.own_effects: {error}; the catalogue has {', '.join(EFFECTS)}") from None
+
+
+@cache
+def _registered(path: Path, changed: int) -> list[type[AbstractEffect]]:
+    """The effects of a file as it was last changed [ns]; those of the package that it imports are not its own."""
+    spec = importlib.util.spec_from_file_location(f"own_effects_{path.stem}", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return [effect for effect in registered(module) if effect not in EFFECTS.values()]

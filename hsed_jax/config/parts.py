@@ -19,7 +19,7 @@ from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import parse_unit, read_at2
 from hsed_jax.measurements.units import TIME, VELOCITY
 from hsed_jax.physics.bouc_wen import BoucWen
-from hsed_jax.physics.effects import EFFECTS
+from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.excitations import NearFaultPulse, RecordedMotion
 from hsed_jax.physics.parameters import Parameter, parameters_of
 from hsed_jax.physics.scales import Scales
@@ -101,7 +101,7 @@ def recorded_motion(entry: ExcitationEntry, folder: Path) -> tuple[np.ndarray, n
     return step * np.arange(len(acceleration)), acceleration
 
 
-def model_parameters(model: ModelEntry) -> tuple[dict[str, Prior], dict[str, float]]:
+def model_parameters(model: ModelEntry, catalogue: Catalogue) -> tuple[dict[str, Prior], dict[str, float]]:
     """Free parameters of the model with their priors, and the fixed ones with their values."""
     law = parameters_of(BoucWen)
     check_names("model.parameters", model.parameters, law)
@@ -112,11 +112,11 @@ def model_parameters(model: ModelEntry) -> tuple[dict[str, Prior], dict[str, flo
         elif known.neutral is None:
             raise UserError(f"model.parameters.{name}: this key is required ({known.meaning}, {known.unit})")
     for effect, entries in model.effects.items():
-        forms = effect_parameters("model.effects", effect, entries)
+        forms = effect_parameters("model.effects", effect, entries, catalogue)
         named = {forms[name].name for name in entries}
         for name, entry in entries.items():
             given[f"{effect}.{name}"] = (f"model.effects.{effect}.{name}", forms[name], entry)
-        for known in parameters_of(EFFECTS[effect]).values():
+        for known in parameters_of(catalogue[effect]).values():
             if known.name not in named:
                 assert known.prior is not None
                 given[f"{effect}.{known.name}"] = ("", known, dict(known.prior))
@@ -130,12 +130,14 @@ def model_parameters(model: ModelEntry) -> tuple[dict[str, Prior], dict[str, flo
                     within(where, bound, known)
         else:
             fixed[name] = within(where, float(entry), known)
+    highest = dict(fixed) | {name: math.inf if p.bounds[1] is None else p.bounds[1] for name, p in free.items()}
+    _check_bounded("model.parameters", highest)
     if not free:
         raise UserError("model.parameters: at least one parameter needs a prior, such as A: {uniform: [2.0e5, 9.0e5]}")
     return free, fixed
 
 
-def true_parameters(entry: VirtualEntry) -> dict[str, float]:
+def true_parameters(entry: VirtualEntry, catalogue: Catalogue) -> dict[str, float]:
     """The parameters of a virtual specimen."""
     law = parameters_of(BoucWen)
     where = "experiments.virtual"
@@ -144,19 +146,30 @@ def true_parameters(entry: VirtualEntry) -> dict[str, float]:
     for name, known in law.items():
         if known.neutral is None and name not in truth:
             raise UserError(f"{where}.parameters.{name}: this key is required ({known.meaning})")
+    _check_bounded(f"{where}.parameters", truth)
     for effect, values in entry.effects.items():
-        forms = effect_parameters(f"{where}.effects", effect, values)
+        forms = effect_parameters(f"{where}.effects", effect, values, catalogue)
         for name, value in values.items():
             truth[f"{effect}.{name}"] = within(f"{where}.effects.{effect}.{name}", value, forms[name])
     return truth
 
 
-def parameter_units(names: tuple[str, ...], constants: Mapping[str, float]) -> dict[str, str]:
+def _check_bounded(where: str, highest: Mapping[str, float]) -> None:
+    """Refuse a law that has no ultimate force: parts of a prior where it has none are failures of those simulations."""
+    beta, gamma = highest["beta"], highest.get("gamma", 0.0)
+    if beta + gamma < 0:
+        raise UserError(
+            f"{where}.gamma: beta + gamma is {beta + gamma:g} at most, and the force of such a law grows without bound; "
+            "gamma must be at least -beta (the effect hardening gives a stiffness after yielding)"
+        )
+
+
+def parameter_units(names: tuple[str, ...], constants: Mapping[str, float], catalogue: Catalogue) -> dict[str, str]:
     """SI unit of every named parameter."""
     units = {}
     for name in names:
         effect, _, rest = name.rpartition(".")
-        known = parameters_of(EFFECTS[effect]) if effect else parameters_of(BoucWen)
+        known = parameters_of(catalogue[effect]) if effect else parameters_of(BoucWen)
         physical = {p.physical.name: p.physical.unit for p in known.values() if p.physical is not None}
         unit = known[rest].unit if rest in known else physical[rest]
         # With n = 1 the unit of β and γ is an ordinary one.
@@ -247,13 +260,15 @@ def longest_step(
     return min(periods) / _STEPS_PER_PERIOD
 
 
-def effect_parameters(where: str, effect: str, entries: Mapping[str, Any]) -> dict[str, Parameter]:
+def effect_parameters(
+    where: str, effect: str, entries: Mapping[str, Any], catalogue: Catalogue
+) -> dict[str, Parameter]:
     """Parameters of an effect under both their names, the dimensionless and the physical one."""
-    if effect not in EFFECTS:
-        close = difflib.get_close_matches(effect, EFFECTS, n=1)
+    if effect not in catalogue:
+        close = difflib.get_close_matches(effect, catalogue, n=1)
         hint = f" (did you mean {close[0]}?)" if close else ""
-        raise UserError(f"{where}.{effect}: there is no such effect{hint}; the catalogue has {', '.join(EFFECTS)}")
-    known = parameters_of(EFFECTS[effect])
+        raise UserError(f"{where}.{effect}: there is no such effect{hint}; the catalogue has {', '.join(catalogue)}")
+    known = parameters_of(catalogue[effect])
     forms = {**known, **{p.physical.name: p for p in known.values() if p.physical is not None}}
     check_names(f"{where}.{effect}", entries, forms)
     for name in entries:

@@ -6,12 +6,12 @@ from itertools import pairwise
 
 from hsed_jax.config.schema import ModelEntry, Study
 from hsed_jax.errors import UserError
-from hsed_jax.physics.effects import EFFECTS
+from hsed_jax.physics.effects import Catalogue
 
 ORDER = ["design", "calibrate", "compare", "diagnose", "improve"]
 
 
-def check_plan(study: Study) -> None:
+def check_plan(study: Study, catalogue: Catalogue) -> None:
     """Refuse steps that cannot be done one after the other, and a design that cannot be made.
 
     Raises:
@@ -29,22 +29,24 @@ def check_plan(study: Study) -> None:
         raise UserError("steps: improve needs diagnose before it, or improve.add with the effects to add")
     if study.experiments.folder is not None and "design" not in steps:
         raise UserError("steps: experiments.folder is asked by the step design; put design first")
-    check_added(study.model, study.improve.add or [], "improve.add: ")
+    check_added(study.model, study.improve.add or [], catalogue, "improve.add: ")
     if study.experiments.laboratory is not None or "design" in steps:
         _check_design(study)
 
 
-def check_added(model: ModelEntry, effects: Sequence[str], where: str = "") -> None:
+def check_added(model: ModelEntry, effects: Sequence[str], catalogue: Catalogue, where: str = "") -> None:
     """Refuse effects that cannot be added to a model.
 
     Raises:
         UserError: one is unknown, there already, or given twice.
     """
     for name in effects:
-        if name not in EFFECTS:
-            close = difflib.get_close_matches(name, EFFECTS, n=1)
+        if name not in catalogue:
+            close = difflib.get_close_matches(name, catalogue, n=1)
             hint = f" (did you mean {close[0]}?)" if close else ""
-            raise UserError(f"{where}there is no effect {name!r}{hint}; the catalogue has {', '.join(sorted(EFFECTS))}")
+            raise UserError(
+                f"{where}there is no effect {name!r}{hint}; the catalogue has {', '.join(sorted(catalogue))}"
+            )
         if name in model.effects:
             raise UserError(f"{where}the model has {name} already")
         if list(effects).count(name) > 1:

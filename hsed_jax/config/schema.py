@@ -16,6 +16,7 @@ from hsed_jax.config.sections import ErrorsEntry, Positive, Section
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
 from hsed_jax.measurements.checks import DoubtKind
+from hsed_jax.physics.effects.base import AbstractEffect
 from hsed_jax.physics.outputs import QUANTITIES
 from hsed_jax.tables import Table, Tabular
 
@@ -291,6 +292,7 @@ class Study(Tabular, Section):
 
     _folder: Path = PrivateAttr(default=Path())
     _file: str | None = PrivateAttr(default=None)
+    _own_effects: tuple[type[AbstractEffect], ...] = PrivateAttr(default=())
 
     @property
     def folder(self) -> Path:
@@ -301,6 +303,27 @@ class Study(Tabular, Section):
     def file(self) -> str | None:
         """The file that the study was read from, as the user named it."""
         return self._file
+
+    @property
+    def own_effects(self) -> tuple[type[AbstractEffect], ...]:
+        """Effects that were given from Python, besides those of the files of `model.own_effects`."""
+        return self._own_effects
+
+    def with_own_effects(self, *effects: type[AbstractEffect]) -> "Study":
+        """The study with effects of your own in its catalogue, given from Python and not in a file.
+
+        Arguments:
+            effects: their classes.
+        """
+        study = self.model_copy()
+        study._own_effects = (*self._own_effects, *effects)
+        return study
+
+    @property
+    def code(self) -> list[str]:
+        """Files that are executed where the study is built: its effects, and its laboratory that is a Python function."""
+        python = self.experiments.python
+        return [*self.model.own_effects, *([python.file] if python is not None and python.file is not None else [])]
 
     def _table(self) -> Table:
         def words(name: str, given: Any) -> str:

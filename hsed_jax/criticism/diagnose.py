@@ -14,7 +14,6 @@ from hsed_jax.criticism.rivals import difference, joined, look_alikes_of, next_e
 from hsed_jax.criticism.search import Model, Search, Set, score_p_value
 from hsed_jax.inference.evidence import Sampled, gaussian, importance
 from hsed_jax.inference.nested import Descent
-from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.parameters import parameters_of
 
 # Models with at least this probability have their evidence confirmed by sampling.
@@ -138,7 +137,7 @@ def _ranking(
         found.append(
             Candidate(
                 effect=effect,
-                family=EFFECTS[effect].family,
+                family=problem.catalogue[effect].family,
                 probability=min(float(sum(with_it)), 1.0),
                 log_evidence_gain=model.log_evidence - without.log_evidence,
                 score=score,
@@ -156,7 +155,7 @@ def _ranking(
 def _estimate(problem: Problem, effect: str, fit: Descent, sample: Sampled | None) -> dict[str, dict[str, Any]]:
     """Mean, sd and quantiles of an effect's parameters, from draws or else from the curvature at the fit."""
     found: dict[str, dict[str, Any]] = {}
-    for known in parameters_of(EFFECTS[effect]).values():
+    for known in parameters_of(problem.catalogue[effect]).values():
         column = problem.names.index(f"{effect}.{known.name}")
         numbers = _moments(problem, fit, sample, column)
         found[known.name] = numbers | {"unit": known.unit}

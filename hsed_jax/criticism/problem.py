@@ -9,6 +9,7 @@ from jaxtyping import Float
 from hsed_jax.criticism.search import Measured
 from hsed_jax.inference.nested import NestedModels
 from hsed_jax.measurements import Experiment
+from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.scales import Scales
 
 
@@ -18,6 +19,7 @@ class Problem(NamedTuple):
     Attributes:
         models: the model with every candidate effect in it.
         names, units: of its parameters.
+        catalogue: the candidates.
         law: indices of the parameters that are free without any candidate.
         effects: indices of the parameters of each candidate.
         scales: characteristic values.
@@ -31,6 +33,7 @@ class Problem(NamedTuple):
     models: NestedModels
     names: tuple[str, ...]
     units: Mapping[str, str]
+    catalogue: Catalogue
     law: np.ndarray
     effects: Mapping[str, np.ndarray]
     scales: Scales

@@ -18,7 +18,6 @@ from jaxtyping import Array, Float
 from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import Data, data_of
 from hsed_jax.measurements import Campaign, Experiment, Record
-from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.excitations import AbstractExcitation, Imposed, Tabulated
 from hsed_jax.physics.simulator import Conditions, Recorded, Simulator
 
@@ -150,15 +149,12 @@ class Outputs(eqx.Module):
     simulator: Simulator
     observation: Observation = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
-    effects: tuple[type, ...] = eqx.field(static=True)
 
     def __init__(self, simulator: Simulator, observation: Observation, names: tuple[str, ...]):
         self.simulator = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, simulator)
         # A program is known by its static parts: without the ground motion they are equal for studies of one kind.
         self.observation = dataclasses.replace(observation, grid=None, excitation=None)
         self.names = names
-        # So are effects of a user's own, which may have changed under the same name.
-        self.effects = tuple(EFFECTS[name] for name in simulator.effects)
 
     def __call__(self, theta: Float[Array, " p"], conditions: Conditions) -> tuple[Float[Array, " J"], Array]:
         """Outputs (J,) and whether the simulation converged."""

@@ -38,6 +38,14 @@ class BoucWen(eqx.Module):
     effects: tuple[AbstractSpringEffect, ...] = ()
     scales: Scales = Scales()
 
+    @property
+    def is_bounded(self) -> Array | bool:
+        """Whether the force has a bound, which β + γ < 0 takes away: on loading the stiffness grows with the force.
+
+        At β + γ = 0 the element is elastic on loading, the limit of a large strength.
+        """
+        return self.beta + self.gamma >= 0
+
     def start(self) -> Memory:
         """The states of a virgin spring: hysteretic force z [N] and absorbed energy e [J]."""
         further = {state for effect in self.effects for state in (*effect.needs, *effect.states)}
@@ -100,7 +108,7 @@ class BoucWen(eqx.Module):
         return SpringPoint(elongation, rate, memory["hysteretic"], memory, self.scales, self._strength())
 
     def _strength(self) -> Scalar:
-        """Ultimate force of the virgin element [N]."""
+        """Ultimate force of the virgin element [N]; where it is elastic, a large number stands for none."""
         strength = self.A / jnp.maximum(self.beta + self.gamma, 1e-12)
         return strength if isinstance(self.n, int | float) and self.n == 1 else strength ** (1 / self.n)
 

@@ -8,8 +8,14 @@ import jax
 from jaxtyping import Array, Float
 
 from hsed_jax.physics.bouc_wen import BoucWen
-from hsed_jax.physics.effects import EFFECTS, AbstractEffect, AbstractSetupEffect, AbstractSpringEffect
-from hsed_jax.physics.effects.base import Setup, combine
+from hsed_jax.physics.effects.base import (
+    AbstractEffect,
+    AbstractSetupEffect,
+    AbstractSpringEffect,
+    Catalogue,
+    Setup,
+    combine,
+)
 from hsed_jax.physics.excitations import AbstractExcitation, AbstractForcing, Scaled, Tabulated
 from hsed_jax.physics.parameters import dimensionless
 from hsed_jax.physics.response import Response
@@ -64,7 +70,7 @@ class Simulator(eqx.Module):
         structure: the numerical substructure; None for a component test.
         excitation: from inputs to a ground motion; None where every experiment brings its record.
         timeline: the grid of the integration.
-        effects: names of the effects, of spring, structure and test rig.
+        effects: of spring, structure and test rig.
         scales: characteristic values for the effects; leaves, so that one compiled program can serve any.
         constants: parameters that are fixed numbers (and constants of the compiled program).
         damping_follows_model: form the damping matrix with the model's own A instead of a reference stiffness.
@@ -73,7 +79,7 @@ class Simulator(eqx.Module):
     structure: Structure | None
     excitation: Callable[[Mapping[str, Scalar]], AbstractExcitation] | None
     timeline: Timeline = eqx.field(static=True)
-    effects: tuple[str, ...] = eqx.field(static=True, default=())
+    effects: Catalogue = eqx.field(static=True, default=Catalogue())
     scales: Scales = Scales()
     constants: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
     damping_follows_model: bool = eqx.field(static=True, default=False)
@@ -131,6 +137,7 @@ class Simulator(eqx.Module):
             assert isinstance(forcing, Tabulated)
             forcing = felt(forcing, slots, jax.numpy.asarray(length))
         response = integrate(self.system(parameters), forcing, length, steps, channels=channels, every=every)
+        response = response._replace(ok=response.ok & self.spring(parameters).is_bounded)
         if slots is None:
             return response
         return measured(response, slots, length, every, is_imposed=self.structure is None)
@@ -148,10 +155,10 @@ class Simulator(eqx.Module):
         for name, value in {**dict(self.constants), **parameters}.items():
             effect, _, rest = name.rpartition(".")
             if effect:
-                of_effects[effect].update(dimensionless(EFFECTS[effect], rest, value, self.scales))
+                of_effects[effect].update(dimensionless(self.effects[effect], rest, value, self.scales))
             else:
                 law[name] = value
-        return law, [EFFECTS[effect](**values) for effect, values in of_effects.items()]
+        return law, [self.effects[effect](**values) for effect, values in of_effects.items()]
 
     def _setup(self, parameters: Mapping[str, Scalar]) -> Callable[[str], Any] | None:
         """The slots of structure and test rig; None where no effect writes to them."""

@@ -3,29 +3,29 @@
 import inspect
 
 from hsed_jax.errors import UserError
-from hsed_jax.physics.effects import EFFECTS
+from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.parameters import parameters_of
 
 
-def catalogue() -> str:
+def catalogue(effects: Catalogue) -> str:
     """One line per effect: name, family, what it does."""
-    width = max(len(name) for name in EFFECTS)
-    families = max(len(effect.family) for effect in EFFECTS.values())
+    width = max(len(name) for name in effects)
+    families = max(len(effect.family) for effect in effects.values())
     lines = [
-        f"{name:{width}}  {effect.family:{families}}  {_first_line(effect)}" for name, effect in sorted(EFFECTS.items())
+        f"{name:{width}}  {effect.family:{families}}  {_first_line(effect)}" for name, effect in sorted(effects.items())
     ]
     return "\n".join([*lines, "", "`hsed effects NAME` shows equation, parameters and reference."])
 
 
-def entry(name: str) -> str:
+def entry(name: str, effects: Catalogue) -> str:
     """Equation, parameters in both forms, and reference of one effect.
 
     Raises:
         UserError: there is no such effect.
     """
-    if name not in EFFECTS:
-        raise UserError(f"there is no effect {name!r}; the catalogue has {', '.join(sorted(EFFECTS))}")
-    effect = EFFECTS[name]
+    if name not in effects:
+        raise UserError(f"there is no effect {name!r}; the catalogue has {', '.join(sorted(effects))}")
+    effect = effects[name]
     lines = [f"{name} ({effect.family})", "", inspect.getdoc(effect) or "", "", "parameters:"]
     for known in parameters_of(effect).values():
         prior = ", ".join(f"{kind} {arguments}" for kind, arguments in (known.prior or {}).items())

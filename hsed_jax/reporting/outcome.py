@@ -15,6 +15,7 @@ from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.measurements import Campaign
+from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Simulator
 
@@ -28,6 +29,7 @@ class Outcome:
         status: `complete` or `interrupted`.
         posterior: prior and likelihood of the model.
         simulator: of the model.
+        catalogue: the effects that the study knows.
         laboratory: the virtual laboratory, where there is one.
         units: SI unit of each parameter.
         campaign: the experiments.
@@ -44,6 +46,7 @@ class Outcome:
     status: str
     posterior: Posterior
     simulator: Simulator
+    catalogue: Catalogue
     laboratory: VirtualLaboratory | None
     units: dict[str, str]
     campaign: Campaign
@@ -116,7 +119,18 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             "map": dict(zip(outcome.posterior.names, estimates, strict=False)),
             "stop_reason": outcome.stop_reason,
         }
+    # A report is drawn from what is written: it cannot ask the effects, which may be somebody else's code.
+    if references := _references(outcome):
+        content["references"] = references
     return content
+
+
+def _references(outcome: Outcome) -> dict[str, str]:
+    """Of the effects in the model, of those named and of those added, by name."""
+    used = [*outcome.simulator.effects]
+    used += [] if outcome.diagnosis is None else outcome.diagnosis.effects
+    used += [] if outcome.trail is None else [effect for step in outcome.trail.steps for effect in step.effects]
+    return {name: outcome.catalogue[name].reference for name in dict.fromkeys(used)}
 
 
 def _doubts(fit: Fit) -> dict[str, Any]:

@@ -8,7 +8,6 @@ import numpy as np
 import yaml
 
 from hsed_jax.criticism.prediction import error_cell
-from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.reporting import charts, style
 from hsed_jax.reporting import page_tables as tables
 from hsed_jax.reporting.asked import asked
@@ -181,9 +180,7 @@ def _size(name: str, estimate: dict[str, Any]) -> str:
 
 def _references(run: FinishedRun) -> list[tuple[str, str]]:
     """Of the effects in the model, of those named and added, and of the design."""
-    used = [*(run.study["model"].get("effects") or {}), *run.summary.get("diagnosis", {}).get("effects", [])]
-    used += [effect for step in run.summary.get("improvement", {}).get("steps", []) for effect in step["effects"]]
-    found = [(name.replace("_", " "), EFFECTS[name].reference) for name in dict.fromkeys(used) if name in EFFECTS]
+    found = [(name.replace("_", " "), text) for name, text in run.summary.get("references", {}).items()]
     if "design" in run.summary:
         found.append(
             ("sequential design", "G. Abbiati and S. Marelli, Sequential experimental design of hybrid simulations for Bayesian "

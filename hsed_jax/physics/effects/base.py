@@ -1,8 +1,11 @@
 """What every physical effect is: parameters with a neutral value, states it needs, contributions to named slots."""
 
 from abc import abstractmethod
-from collections.abc import Callable
-from typing import Any, ClassVar, Literal, NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from types import ModuleType
+from typing import Any, ClassVar, Literal, NamedTuple, final
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -71,6 +74,7 @@ class AbstractEffect(eqx.Module):
         needs_time: it depends on rates or on time, not on the path alone: a test without a time scale cannot show it.
         histories_only: it changes channels but no quantity.
         shaken_only: it means nothing in a component test, and does nothing there.
+        registered: it is for a catalogue; `register` says so.
     """
 
     name: ClassVar[str]
@@ -80,6 +84,7 @@ class AbstractEffect(eqx.Module):
     needs_time: ClassVar[bool] = False
     histories_only: ClassVar[bool] = False
     shaken_only: ClassVar[bool] = False
+    registered: ClassVar[bool] = False
 
 
 class AbstractSpringEffect(AbstractEffect):
@@ -122,15 +127,62 @@ class AbstractSetupEffect(AbstractEffect):
         """Contributions by slot."""
 
 
-EFFECTS: dict[str, type[AbstractEffect]] = {}
-
-
 def register[T: type[AbstractEffect]](cls: T) -> T:
-    """Class decorator: put an effect into the catalogue under its name."""
-    if cls.name in EFFECTS:
-        raise ValueError(f"An effect named {cls.name!r} is in the catalogue already.")
-    EFFECTS[cls.name] = cls
+    """Class decorator: the effect is for the catalogue, the package's or that of the study which names the file."""
+    cls.registered = True
     return cls
+
+
+def registered(module: ModuleType) -> tuple[type[AbstractEffect], ...]:
+    """The effects that a module has for a catalogue, in order."""
+    return tuple(item for item in vars(module).values() if isinstance(item, type) and "registered" in vars(item))
+
+
+@final
+@dataclass(frozen=True)
+class Catalogue(Mapping[str, type[AbstractEffect]]):
+    """Effects by name, in order.
+
+    A value: it never changes, and a compiled program is known by it, so that effects of two studies may share a name.
+
+    Attributes:
+        effects: their classes.
+
+    Raises:
+        ValueError: two of them have one name.
+    """
+
+    effects: tuple[type[AbstractEffect], ...] = ()
+
+    def __post_init__(self):
+        """Refuse a name that stands twice."""
+        names = [effect.name for effect in self.effects]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise ValueError(f"two effects are named {twice[0]!r}")
+
+    @cached_property
+    def _by_name(self) -> dict[str, type[AbstractEffect]]:
+        return {effect.name: effect for effect in self.effects}
+
+    def __getitem__(self, name: str) -> type[AbstractEffect]:
+        """The effect of this name."""
+        return self._by_name[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """The names."""
+        return iter(self._by_name)
+
+    def __len__(self) -> int:
+        """How many there are."""
+        return len(self.effects)
+
+    def only(self, names: Iterable[str]) -> "Catalogue":
+        """The catalogue of these effects alone, in this order."""
+        return Catalogue(tuple(self[name] for name in names))
+
+    def joined(self, effects: Iterable[type[AbstractEffect]]) -> "Catalogue":
+        """The catalogue with further effects at its end."""
+        return Catalogue((*self.effects, *effects))
 
 
 def combine(contributions: list[dict[str, Any]]) -> Callable[[str], Any]:
