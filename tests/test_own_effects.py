@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+import yaml
 
 from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study
@@ -61,6 +62,8 @@ def test_a_changed_file_is_read_again(folder):
         ("x = 1", "registers no effect"),
         ("x = 1 / 0", "ZeroDivisionError"),
         ("def f(:", "SyntaxError"),
+        ("\0", "SyntaxError"),
+        ("import sys; sys.exit(0)", "SystemExit"),
     ],
 )
 def test_a_file_that_cannot_be_used_is_one_clear_message(folder, text, words):
@@ -69,3 +72,17 @@ def test_a_file_that_cannot_be_used_is_one_clear_message(folder, text, words):
         (folder / "mine.py").write_text(text, encoding="utf-8")
     with pytest.raises(UserError, match=rf"model\.own_effects: mine\.py: .*{words}"):
         Built(load_study(folder / "study.yaml"))
+
+
+@pytest.mark.parametrize("name", ["a\0b.py", "a" * 300])
+def test_a_file_named_like_no_file_is_not_there(folder, name):
+    study = yaml.safe_load(STUDY.format(effects="{}"))
+    study["model"]["own_effects"] = [name]
+    with pytest.raises(UserError, match=r"model\.own_effects: a.*there is no such file"):
+        Built(load_study(study))
+
+
+def test_a_file_that_is_no_python_is_one_clear_message(folder):
+    (folder / "mine.txt").write_text("x = 1", encoding="utf-8")
+    with pytest.raises(UserError, match=r"model\.own_effects: mine\.txt: .*\.py"):
+        Built(load_study(folder / "study.yaml", ["model.own_effects=[mine.txt]"]))

@@ -1,11 +1,12 @@
 """Effects of a user's own: Python files that a study names, whose classes join the catalogue."""
 
-import importlib.util
 from pathlib import Path
 
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
 from hsed_jax.physics.effects import EFFECTS
+from hsed_jax.plain import is_file
+from hsed_jax.python_files import executed
 
 # What each file registered, and when it had been changed last.
 _loaded: dict[Path, tuple[float, list[str]]] = {}
@@ -18,25 +19,22 @@ def load_own_effects(study: Study) -> None:
         UserError: a file is missing, fails, or registers no effect.
     """
     for name in study.model.own_effects:
-        path = (study.folder / name).resolve()
-        where = f"model.own_effects: {name}"
-        if not path.is_file():
+        path, where = study.folder / name, f"model.own_effects: {name}"
+        if not is_file(path):
             raise UserError(f"{where}: there is no such file ({path})")
+        path = path.resolve()
         changed = path.stat().st_mtime
         if path in _loaded and _loaded[path][0] == changed:
             continue
         for effect in _loaded.pop(path, (0.0, []))[1]:
             EFFECTS.pop(effect, None)
         before = set(EFFECTS)
-        spec = importlib.util.spec_from_file_location(f"own_effects_{path.stem}", path)
-        assert spec is not None
-        assert spec.loader is not None
         try:
-            spec.loader.exec_module(importlib.util.module_from_spec(spec))
-        except Exception as error:
+            executed(path)
+        except UserError as error:
             for effect in set(EFFECTS) - before:
                 del EFFECTS[effect]
-            raise UserError(f"{where}: it fails with {type(error).__name__}: {error}") from None
+            raise UserError(f"{where}: {error}") from None
         added = [effect for effect in EFFECTS if effect not in before]
         if not added:
             raise UserError(
