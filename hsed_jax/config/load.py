@@ -50,9 +50,10 @@ def load_study(source: str | Path | dict[str, Any], overrides: Sequence[str] = (
 
 def _override(content: dict[str, Any], override: str) -> dict[str, Any]:
     path, equals, text = override.partition("=")
+    said = _brief(override)
     if not equals or not path:
-        raise UserError(f"{override!r}: an override is KEY=VALUE, such as design.iterations=10")
-    value = parse_yaml(text, override)
+        raise UserError(f"{said!r}: an override is KEY=VALUE, such as design.iterations=10")
+    value = parse_yaml(text, said)
 
     def put(tree: Any, keys: list[str]) -> Any:
         if not keys:
@@ -60,15 +61,20 @@ def _override(content: dict[str, Any], override: str) -> dict[str, Any]:
         first, *rest = keys
         if isinstance(tree, list):
             if first not in map(str, range(len(tree))):
-                raise UserError(f"{override}: {first!r} is no position in a list of {len(tree)}")
+                raise UserError(f"{said}: {shown(first)} is no position in a list of {len(tree)}")
             return [put(item, rest) if i == int(first) else item for i, item in enumerate(tree)]
         branch = tree if isinstance(tree, dict) else {}
         return {**branch, first: put(branch.get(first), rest)}
 
     keys = path.split(".")
     if len(keys) > DEPTH:
-        raise UserError(f"{shown(override)}: no key of a study lies that deep")
+        raise UserError(f"{said}: no key of a study lies that deep")
     return put(content, keys)
+
+
+def _brief(text: str) -> str:
+    """A text without its end, where that is far."""
+    return text if len(text) <= 60 else f"{text[:59]}…"
 
 
 def explain(error: ValidationError, model: type[BaseModel]) -> str:
@@ -79,7 +85,7 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
         faults, key=lambda f: (len([k for k in f["loc"] if f["type"] != "float_type"]), f["type"] == "extra_forbidden")
     )
     keys = [str(k) for k in fault["loc"] if not _is_branch(str(k))]
-    path = ".".join(k if len(k) <= 60 else f"{k[:59]}…" for k in keys) or "study"
+    path = ".".join(map(_brief, keys)) or "study"
     given = fault["input"]
     if fault["type"] == "extra_forbidden":
         allowed = _allowed(model, keys[:-1])
