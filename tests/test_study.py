@@ -175,6 +175,7 @@ def test_inputs_in_other_units_reach_the_simulator_in_si():
 # Dotted path, what is put there, words that the message must have (its key, and what is allowed).
 MISTAKES = {
     "unknown key": ("desgin", {}, "desgin", "did you mean design?", "excitation"),
+    "unknown key like a branch": ("[(", 1, "[(", "there is no such key", "excitation"),
     "unknown key below": ("design.iteration", 3, "design.iteration", "did you mean iterations?", "candidates"),
     "unknown key deep": ("design.kriging", {"kernal": "x"}, "design.kriging.kernal", "did you mean kernel?"),
     "unknown key in a list": ("structure.springs.0.stifness", 1, "structure.springs.0.stifness", "stiffness?"),
@@ -359,7 +360,7 @@ TEXTS = {
     "no number": ("seed: !!float abc\n", "'abc' is not a number"),
     "neither true nor false": ("seed: !!bool abc\n", "'abc' is not true or false"),
     "no time": ("seed: !!timestamp x\n", "'x' is not a date"),
-    "an impossible date": ("seed: 2024-13-45\n", "whole number", "2024-13-45"),
+    "an impossible date": ("study: a\nseed: 2024-13-45\n", "required"),
     "a seed of 5000 digits": (f"seed: {'9' * 5000}\n", "line 1, column 7", "is not a whole number that can be read"),
     "another encoding": ("study: \xe9\n".encode("latin-1"), "UTF-8"),
 }

@@ -88,6 +88,7 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
     path = ".".join(map(_brief, keys)) or "study"
     given = fault["input"]
     if fault["type"] == "extra_forbidden":
+        keys = keys or [str(fault["loc"][-1])]  # a key that is called like a branch
         allowed = _allowed(model, keys[:-1])
         close = difflib.get_close_matches(keys[-1], allowed, n=1)
         hint = f" (did you mean {close[0]}?)" if close else ""

@@ -204,7 +204,7 @@ def check_id(id: object) -> None:
 def check_word(word: object, allowed: tuple[str, ...], where: str) -> None:
     """Raise `UserError` unless `word` is one of those allowed."""
     if word not in allowed:
-        raise UserError(f"{where}: {word!r} is not allowed; allowed: {', '.join(allowed)}")
+        raise UserError(f"{where}: {shown(word)} is not allowed; allowed: {', '.join(allowed)}")
 
 
 def _frozen(values) -> np.ndarray:
