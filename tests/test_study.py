@@ -360,7 +360,7 @@ TEXTS = {
     "no number": ("seed: !!float abc\n", "'abc' is not a number"),
     "neither true nor false": ("seed: !!bool abc\n", "'abc' is not true or false"),
     "no time": ("seed: !!timestamp x\n", "'x' is not a date"),
-    "an impossible date": ("study: a\nseed: 2024-13-45\n", "required"),
+    "an impossible date": ("study: a\nseed: 2024-13-45\n", "seed", "whole number", "2024-13-45"),
     "a seed of 5000 digits": (f"seed: {'9' * 5000}\n", "line 1, column 7", "is not a whole number that can be read"),
     "another encoding": ("study: \xe9\n".encode("latin-1"), "UTF-8"),
 }

@@ -85,10 +85,11 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
         faults, key=lambda f: (len([k for k in f["loc"] if f["type"] != "float_type"]), f["type"] == "extra_forbidden")
     )
     keys = [str(k) for k in fault["loc"] if not _is_branch(str(k))]
+    if fault["type"] == "extra_forbidden" and keys[-1:] != [str(fault["loc"][-1])]:
+        keys.append(str(fault["loc"][-1]))  # a key of the user's that is called like a branch
     path = ".".join(map(_brief, keys)) or "study"
     given = fault["input"]
     if fault["type"] == "extra_forbidden":
-        keys = keys or [str(fault["loc"][-1])]  # a key that is called like a branch
         allowed = _allowed(model, keys[:-1])
         close = difflib.get_close_matches(keys[-1], allowed, n=1)
         hint = f" (did you mean {close[0]}?)" if close else ""
