@@ -6,6 +6,7 @@ The run folder is held only between opening and closing, so that a laptop may sl
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
+from shlex import quote
 from typing import get_args
 
 import numpy as np
@@ -207,7 +208,9 @@ class AskTell(Tabular):
             most = limits.model_dump(exclude_none=True, exclude={"probability"})
             lines.append(f"  limits: {', '.join(f'{name} {value:g}' for name, value in most.items())} (SI)")
         files = "request.json, ground_motion.csv, ground_motion.AT2, expected.csv"
-        return "\n".join([*lines, f"  request in {folder}: {files}", f"  then: hsed tell {self.path} {asked.id}"])
+        return "\n".join(
+            [*lines, f"  request in {folder}: {files}", f"  then: hsed tell {quote(str(self.path))} {quote(asked.id)}"]
+        )
 
     def expected(self, asked: Asked) -> Expected:
         """What the model expects of an experiment, as its parameters are known now."""

@@ -7,6 +7,7 @@ import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from shlex import quote
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -151,6 +152,9 @@ def _guarded(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except SystemExit as left:  # an effect, say, which is code of the user's own
+        print(f"error: code that the study names called sys.exit({left.code!r})", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print("stopped before there was anything to keep", file=sys.stderr)
         return 3
@@ -231,7 +235,8 @@ def _run(options: Any) -> int:
         print(f"{stop}", file=sys.stderr)
         return 3
     if done.improvement is not None:
-        print(f"the improved study is {output / 'improved.yaml'}; run it with: hsed run {output / 'improved.yaml'}")
+        improved = output / "improved.yaml"
+        print(f"the improved study is {improved}; run it with: hsed run {quote(str(improved))}")
     print(f"results in {output}; open {output / 'report.html'} in a browser")
     return 0
 
@@ -252,8 +257,8 @@ def _ask(options: Any) -> int:
         for asked in [design.ask_again(options.again)] if options.again else design.ask(options.count):
             print(design.told(asked))
         if design.stop_reason is not None and not design.conduct.pending:
-            print(f"the design is complete: {design.stop_reason}; go on with: hsed run {design.path / 'study.yaml'} "
-                  f"--output {design.path} --resume")  # fmt: skip
+            print(f"the design is complete: {design.stop_reason}; go on with: hsed run {quote(str(design.path / 'study.yaml'))} "
+                  f"--output {quote(str(design.path))} --resume")  # fmt: skip
     return 0
 
 
@@ -353,7 +358,7 @@ def _init(options: Any) -> int:
         output.write_text(text, encoding="utf-8")
     except OSError as error:
         raise UserError(f"{output}: cannot be written ({error.strerror}); choose another --output") from None
-    print(f"wrote {output}; run it with: hsed run {output}")
+    print(f"wrote {output}; run it with: hsed run {quote(str(output))}")
     return 0
 
 

@@ -1,6 +1,5 @@
 """Global sensitivity: which inputs and parameters the quantities of a study vary with (Sobol' indices)."""
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from hsed_jax.config.build import Built
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
+from hsed_jax.memory import check_memory
 from hsed_jax.reporting.style import Picture, save
 from hsed_jax.reporting.sweep_figures import sensitivity_bars
 from hsed_jax.tables import Table, Tabular, cell
@@ -89,7 +89,8 @@ def sensitivity(study: Study, samples: int = 1024) -> Sensitivity:
         samples: N, a power of two; N (d + 2) simulations are made for d variables.
 
     Raises:
-        UserError: nothing varies, the ground motion is missing, N is no power of two, or a simulation diverges.
+        UserError: nothing varies, the ground motion is missing, N is no power of two or more than memory holds, or a
+            simulation diverges.
     """
     built = Built(study)
     if built.excitation is None:
@@ -129,13 +130,16 @@ def indices_of(
         seed: of the points and of the bootstrap.
 
     Raises:
-        UserError: there are no variables, or N is no power of two.
+        UserError: there are no variables, N is no power of two, or more than memory holds.
     """
     if not variables:
         raise UserError("nothing varies: the study has neither inputs nor free parameters")
-    if samples < 2 or math.log2(samples) % 1:
+    if samples < 2 or samples.bit_count() != 1:
         raise UserError(f"samples: {samples} is no power of two, such as 1024")
     random, d = np.random.default_rng(seed), len(variables)
+    # The points three times (both samples, mixed, as values of the variables), what is simulated, and the bootstrap.
+    numbers = 3 * d * (d + 2) + len(quantities) * (d + 2) + _RESAMPLES
+    check_memory(f"samples: {samples}", 8 * samples * numbers)
     cube = qmc.Sobol(2 * d, rng=random).random(samples).T
     a, b = cube[:d], cube[d:]
     # A, B, and for each variable A with the values of B.

@@ -54,7 +54,7 @@ ids = st.text(string.ascii_letters + string.digits + " _-+,;'ä", min_size=1, ma
 
 @st.composite
 def records(draw, campaign, motion_only):
-    n = draw(st.integers(1, 6))
+    n = draw(st.integers(2, 6))
     arrays = st.lists(numbers | st.just(float("nan")), min_size=n, max_size=n)
     names = [c for c in campaign.channels if c != "time"]
     if motion_only:
@@ -389,7 +389,7 @@ BROKEN = {
         ["ground_acceleration.gain", "column, noise"],
     ),
     "extra top key": (replace("campaign.yaml", "name:", "title: x\nname:"), ["'title'", "protocol"]),
-    "key twice": (replace("campaign.yaml", "name:", "name: x\nname:"), ["campaign.yaml, row 2", "twice"]),
+    "key twice": (replace("campaign.yaml", "name:", "name: x\nname:"), ["campaign.yaml", "line 2", "twice"]),
     "protocol": (
         replace("campaign.yaml", "protocol: ground_motion", "protocol: shake"),
         ["protocol", "'shake'", "displacement"],
@@ -409,13 +409,29 @@ BROKEN = {
     ),
     "noise of a kind": (replace("campaign.yaml", "relative: 0.02", "rms: 1"), ["channels.force.noise.rms", "relative"]),
     "no time": (replace("campaign.yaml", "  time:\n    column: t\n    unit: s\n", ""), ["campaign.yaml", "'time'"]),
-    "not YAML": (write("campaign.yaml", "name: [a\nprotocol: x"), ["campaign.yaml, row", "YAML"]),
+    "not YAML": (write("campaign.yaml", "name: [a\nprotocol: x"), ["campaign.yaml", "line 2", "YAML"]),
     "a list": (write("campaign.yaml", "- a\n- b\n"), ["campaign.yaml", "keys"]),
     "nothing measured": (
         write("campaign.yaml", "name: a\nprotocol: displacement\n"),
         ["neither channels nor quantities"],
     ),
     "no name": (write("campaign.yaml", "protocol: displacement\n"), ["'name' is missing"]),
+    "true for noise": (replace("campaign.yaml", "relative: 0.02", "relative: true"), ["force.noise.relative", "True"]),
+    "nested without end": (write("campaign.yaml", "name: " + "[" * 3000), ["campaign.yaml", "more than 50 deep"]),
+    "no whole number": (write("campaign.yaml", "name: !!int abc"), ["campaign.yaml", "'abc' is not a whole number"]),
+    "unit without end": (replace("campaign.yaml", "unit: kN", "unit: 9**9**9**9"), ["channels.force", "unknown unit"]),
+    "id of 300 characters": (edit(id="x" * 300), ["row 3, column 'id'", "is not an id"]),
+    "id of 300 bytes": (edit(id="語" * 100), ["row 3, column 'id'", "is not an id"]),
+    "id with NUL": (edit(id="a\0b"), ["row 3, column 'id'", "is not an id"]),
+    "record with NUL": (edit(record="a\0b"), ["row 3, column 'record'", "is missing"]),
+    "record of 300 characters": (edit(record="x" * 300), ["row 3, column 'record'", "is missing"]),
+    "input of 1e400": (edit(V_P="1e400"), ["row 3, column 'V_P'", "beyond any sense"]),
+    "one row": (write("records/E02.csv", "t,ag,F\n0,1,2\n"), ["E02.csv", "at least two samples"]),
+    "infinity": (write("records/E02.csv", "t,ag,F\n0,1,2\n1,1,inf\n"), ["E02.csv", "force is inf at sample 2"]),
+    "1e400": (write("records/E02.csv", "t,ag,F\n0,1,2\n1,1e400,1\n"), ["E02.csv", "ground_acceleration is inf"]),
+    "endless cell": (write("records/E02.csv", f"t,ag,F\n0,{'1' * 140_000},2\n"), ["E02.csv, row 2", "field limit"]),
+    "endless column": (write("records/E02.csv", f"t,ag,F{'x' * 140_000}\n0,1,2\n"), ["E02.csv, row 1", "field limit"]),
+    "endless input": (edit(V_P="1" * 140_000), ["experiments.csv, row 3", "field limit"]),
     "two records": (write("records/E02.txt", "1"), []),
 }
 

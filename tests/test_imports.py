@@ -11,6 +11,8 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "hsed_jax"
 LEVELS = (
     ("drafts", "errors", "backend", "interruptions", "tables"),
+    ("memory", "plain"),
+    ("python_files",),
     ("physics",),
     ("measurements",),
     ("laboratories",),

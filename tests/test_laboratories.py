@@ -370,6 +370,8 @@ def folder(tmp_path_factory):
     """A folder with the rig in it."""
     made = tmp_path_factory.mktemp("rig")
     (made / "rig.py").write_text(RIG)
+    (made / "leaves.py").write_text("import sys; sys.exit(0)")
+    (made / "program.tcl").write_text("puts 1")
     return made
 
 
@@ -407,8 +409,10 @@ def study(folder):
         ({"command": {"run": "true", "channels": {"time": {"unit": "s"}}}}, r"peak_force is observed and not measured"),
         ({"command": {"run": "true", "channels": {"force": {"unit": "N"}}}}, r"experiments\.command: .*time"),
         ({"command": {"run": "true", "quantities": {"peak_farce": {"unit": "N"}}}}, r"peak_farce"),
-        ({"python": "none.py"}, r"experiments\.python: there is no file .*none\.py"),
+        ({"python": "none.py"}, r"experiments\.python: there is no such file .*none\.py"),
         ({"python": "rig.py:shake"}, r"experiments\.python: .*rig\.py fails with FileNotFoundError"),
+        ({"python": "leaves.py"}, r"experiments\.python: leaves\.py fails with SystemExit"),
+        ({"python": "program.tcl"}, r"experiments\.python: program\.tcl must be a Python file"),
         ({"python": {"function": "shake"}}, r"experiments\.python\.file: this key is required, unless a function is given"),
     ],
 )  # fmt: skip

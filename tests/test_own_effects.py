@@ -93,6 +93,8 @@ def test_a_name_that_is_taken_is_refused(folder):
         ("x = 1", "registers no effect"),
         ("x = 1 / 0", "ZeroDivisionError"),
         ("def f(:", "SyntaxError"),
+        ("\0", "SyntaxError"),
+        ("import sys; sys.exit(0)", "SystemExit"),
     ],
 )
 def test_a_file_that_cannot_be_used_is_one_clear_message(folder, text, words):
@@ -101,6 +103,20 @@ def test_a_file_that_cannot_be_used_is_one_clear_message(folder, text, words):
         (folder / "mine.py").write_text(text, encoding="utf-8")
     with pytest.raises(UserError, match=rf"model\.own_effects: mine\.py: .*{words}"):
         Built(load_study(folder / "study.yaml")).check()
+
+
+@pytest.mark.parametrize("name", ["a\0b.py", "a" * 300])
+def test_a_file_named_like_no_file_is_not_there(folder, name):
+    study = yaml.safe_load(STUDY.format(effects="{}"))
+    study["model"]["own_effects"] = [name]
+    with pytest.raises(UserError, match=r"model\.own_effects: a.*there is no such file"):
+        Built(load_study(study)).check()
+
+
+def test_a_file_that_is_no_python_is_one_clear_message(folder):
+    (folder / "mine.txt").write_text("x = 1", encoding="utf-8")
+    with pytest.raises(UserError, match=r"model\.own_effects: mine\.txt: .*\.py"):
+        Built(load_study(folder / "study.yaml", ["model.own_effects=[mine.txt]"])).check()
 
 
 # --- looking executes nothing ------------------------------------------------------------------------------------

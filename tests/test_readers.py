@@ -1,6 +1,7 @@
 """Files as laboratories write them: every format, every spreadsheet's habits, the real campaigns."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -176,6 +177,25 @@ def test_binary_records(tmp_path, name):
         read_campaign(folder)
 
 
+def test_scalars_for_channels_are_no_record(tmp_path):
+    folder = folder_with(tmp_path, "E01.h5")
+    write_hdf5(tmp_path / "records" / "E01.h5", {name: values[0] for name, values in arrays().items()})
+    with pytest.raises(UserError, match=r"E01\.h5: .*at least two samples"):
+        read_campaign(folder)
+
+
+def test_an_array_that_memory_cannot_hold_is_not_read(tmp_path, monkeypatch):
+    import h5py
+
+    monkeypatch.setattr("psutil.virtual_memory", lambda: SimpleNamespace(total=2**34))
+    folder = folder_with(tmp_path, "E01.h5")
+    with h5py.File(tmp_path / "records" / "E01.h5", "w") as file:
+        for name in arrays():
+            file.create_dataset(name, shape=(2_000_000_000,), dtype=float, chunks=(1024,))
+    with pytest.raises(UserError, match=r"E01\.h5: 'F', declared with shape .* would take 59\.6 GiB of memory"):
+        read_campaign(folder)
+
+
 @pytest.mark.parametrize("write", [write_mat, write_mat_73])
 def test_matlab_structures(tmp_path, write):
     folder = folder_with(tmp_path, "E01.mat")
@@ -324,6 +344,9 @@ def test_at2_variants(tmp_path, header, body):
         (AT2 + "NPTS= 3, DT= .01\n1 2\n", "2 samples.*NPTS=3"),
         (AT2 + "NPTS= 1, DT= .01\n1 2\n", "2 samples.*NPTS=1"),
         (AT2 + "NPTS= 0, DT= .01\n", "0 samples"),
+        (AT2 + f"NPTS= {'9' * 5000}, DT= .01\n1 2 3\n", "row 4: NPTS is a number of 5000 digits"),
+        (AT2 + "NPTS= 3, DT= 1e400\n1 2 3\n", "row 4: DT is inf"),
+        (AT2 + "NPTS= 3, DT= .01\n1 1e400 3\n", "row 5: '1e400' g is beyond"),
         (AT2 + "NPTS= 3, DT= 0.0\n1 2 3\n", "row 4: DT"),
         (AT2 + "NPTS= 3, DT= .01\n1 2\nend 3\n", "row 6: 'end 3'"),
         (AT2 + "NPTS= 3, DT= .01\n1 2 0.006300.00364\n", "row 5"),

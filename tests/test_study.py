@@ -4,6 +4,7 @@ import copy
 import subprocess
 import sys
 from importlib.util import find_spec
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -43,6 +44,12 @@ design: {initial: 3, iterations: 3, candidates: 256}
 calibration: {chains: 2, warmup: 20, draws: 40, step_warmup: 10, step_draws: 10}
 """
 DELETE = object()
+
+
+@pytest.fixture(autouse=True)
+def memory(monkeypatch):
+    """A machine of 16 GiB, whichever it is."""
+    monkeypatch.setattr("psutil.virtual_memory", lambda: SimpleNamespace(total=2**34))
 
 
 def content() -> dict:
@@ -170,6 +177,7 @@ def test_inputs_in_other_units_reach_the_simulator_in_si():
 # Dotted path, what is put there, words that the message must have (its key, and what is allowed).
 MISTAKES = {
     "unknown key": ("desgin", {}, "desgin", "did you mean design?", "excitation"),
+    "unknown key like a branch": ("[(", 1, "[(", "there is no such key", "excitation"),
     "unknown key below": ("design.iteration", 3, "design.iteration", "did you mean iterations?", "candidates"),
     "unknown key deep": ("design.kriging", {"kernal": "x"}, "design.kriging.kernal", "did you mean kernel?"),
     "unknown key in a list": ("structure.springs.0.stifness", 1, "structure.springs.0.stifness", "stiffness?"),
@@ -258,8 +266,34 @@ MISTAKES = {
     "no inputs": ("inputs", {}, "inputs", "V_P"),
     "negative seed": ("seed", -1, "seed", "greater than or equal to 0"),
     "no chains": ("calibration.chains", 0, "calibration.chains", "greater than or equal to 1"),
-    "name that is a path": ("study", "a/b", "study", "letters"),
-    "name of a folder above": ("study", "..", "study", "letters"),
+    "name that is a path": ("study", "a/b", "study", "'a/b'", "no slash"),
+    "name of a folder above": ("study", "..", "study", "'..'", "not . or .."),
+    "name of this folder": ("study", ".", "study", "'.'", "not . or .."),
+    "name with NUL": ("study", "a\0b", "study", r"'a\x00b'", "one line of text"),
+    "name of 300 characters": ("study", "x" * 300, "study", "too long", "200"),
+    "mass next to nothing": ("structure.masses.0", 1e-320, "structure.masses.0", "beyond any sense", "1e-100"),
+    "mass of 400 digits": ("structure.masses.0", 10**400, "structure.masses.0", "number"),
+    "step next to nothing": ("excitation.step", 1e-320, "excitation.step", "beyond any sense"),
+    "step of 400 digits": ("excitation.step", 10**400, "excitation.step", "number"),
+    "prior next to nothing": ("model.parameters.A", {"uniform": [1e-320, 1.0]}, "model.parameters.A", "sensible size"),
+    "prior of 400 digits": ("model.parameters.A", {"uniform": [1.0, 10**400]}, "model.parameters.A", "low, high"),
+    "true for a mass": ("structure.masses.0", True, "structure.masses.0", "number", "True"),
+    "true for a parameter": ("model.parameters.A", True, "model.parameters.A", "number or a mapping", "True"),
+    "true for a true parameter": ("experiments.virtual.parameters.A", True, "virtual.parameters.A", "number", "True"),
+    "true for an input": ("excitation.near_fault_pulse.T_P", True, "near_fault_pulse.T_P", "number or a text", "True"),
+    "true for a whole number": ("seed", True, "seed", "whole number", "True"),
+    "true for an end": ("structure.specimen.between", [True, 2], "structure.specimen.between.0", "whole number", "True"),
+    "1e10 candidates": ("design.candidates", 10**10, "design.candidates: 10000000000 would take 447 GiB of memory"),
+    "1e9 initial experiments": ("design.initial", 10**9, "design.initial: 1000000000 would take 6.94 EiB of memory"),
+    "1e9 chains": ("calibration.chains", 10**9, "calibration.chains: 1000000000 would take 894 GiB of memory"),
+    "campaign with NUL": ("experiments", {"campaign": "a\0b"}, "no such folder"),
+    "campaign of 300 characters": ("experiments", {"campaign": "a" * 300}, "no such folder"),
+    "record with NUL": ("excitation", {"recorded": {"file": "a\0b"}}, "cannot be read"),
+    "record of 300 characters": ("excitation", {"recorded": {"file": "a" * 300}}, "cannot be read"),
+    "program with NUL": ("experiments", {"python": "a\0.py:f"}, "experiments.python", "no such file"),
+    "no channels": ("channels", [], "channels", "empty"),
+    "channel twice": ("channels", ["force", "force"], "channels", "'force' stands twice"),
+    "unit without end": ("inputs.V_P.unit", "9**9**9**9", "inputs.V_P.unit", "unknown unit"),
 }  # fmt: skip
 
 
@@ -317,6 +351,19 @@ TEXTS = {
     "nothing": ("", "mapping of keys"),
     "a list": ("- a\n", "mapping of keys"),
     "a number for a key": ("1: 2\n", "study", "required"),
+    "3000 lists": ("study: " + "[" * 3000, "line 1, column 57", "more than 50 deep"),
+    "3000 mappings": ("{study: " * 3000, "line 1", "more than 50 deep"),
+    "a list of itself": ("study: &a [*a]\n", "more than 50 deep"),
+    "a list of lists of lists": (
+        "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}' if i else '1'] * 10)}]\n" for i in range(9)),
+        "1000000 values",
+    ),
+    "no whole number": ("seed: !!int abc\n", "line 1, column 7", "'abc' is not a whole number"),
+    "no number": ("seed: !!float abc\n", "'abc' is not a number"),
+    "neither true nor false": ("seed: !!bool abc\n", "'abc' is not true or false"),
+    "no time": ("seed: !!timestamp x\n", "'x' is not a date"),
+    "an impossible date": ("study: a\nseed: 2024-13-45\n", "seed", "whole number", "2024-13-45"),
+    "a seed of 5000 digits": (f"seed: {'9' * 5000}\n", "line 1, column 7", "is not a whole number that can be read"),
     "another encoding": ("study: \xe9\n".encode("latin-1"), "UTF-8"),
 }
 
@@ -329,6 +376,38 @@ def test_a_file_that_is_no_study_is_refused_with_the_place(case, tmp_path, capsy
     line = message_of([str(file), "--check"], capsys)
     for word in ("mistaken.yaml", *words):
         assert word in line
+
+
+@pytest.mark.parametrize(
+    ("channels", "word"), [(["time"], "'time'"), (["displacement_3"], "'displacement_3'"), (["velocity_1_absolute"], "velocity")]
+)  # fmt: skip
+def test_a_channel_that_the_model_does_not_give_is_refused(channels, word):
+    tree = content() | {"observe": "histories", "channels": channels}
+    with pytest.raises(
+        UserError, match=rf"channels: there is no channel .*{word}.*it gives .*displacement_2"
+    ) as refused:
+        Built(load_study(tree)).check()
+    assert "displacement_3," not in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["a+b", "größe (2)", "50 % & more", "2024-11-22", "-x", "a'b"])
+def test_a_study_may_bear_any_name_that_a_folder_may(name, tmp_path, capsys):
+    file = tmp_path / "study.yaml"
+    file.write_text(yaml.safe_dump(content() | {"study": name}, allow_unicode=True), encoding="utf-8")
+    assert load_study(file).study == name
+    assert run_main([str(file), "--check"]) == 0
+
+
+def test_a_file_named_like_no_file_is_not_there(capsys):
+    for name in ("a\0b", "a" * 300):
+        assert "there is no such file" in message_of([name, "--check"], capsys)
+
+
+def test_code_of_the_user_that_leaves_by_an_exit_is_no_success(tmp_path, capsys, monkeypatch):
+    file = tmp_path / "study.yaml"
+    file.write_text(SMALL)
+    monkeypatch.setattr("hsed_jax.workflow.run", lambda *_, **__: sys.exit(0))
+    assert "sys.exit(0)" in message_of([str(file), "--output", str(tmp_path / "run")], capsys)
 
 
 def test_a_missing_file_is_named(tmp_path, capsys):

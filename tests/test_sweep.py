@@ -603,3 +603,11 @@ def test_a_lost_plan_is_the_same_again(folder):
     assert isinstance(folder.plan, Plan)
     assert table_of(folder.path, folder.plan)["status"].tolist() == ["pending", "pending"]
     assert dataset_of(table_of(folder.path, folder.plan), ("seed",)).sizes == {"seed": 2}
+
+
+@pytest.mark.slow
+def test_a_wrong_address_is_told_within_ten_seconds():
+    begin = time.perf_counter()
+    with pytest.raises(UserError, match="no Dask scheduler answers"), workers.remote_client("tcp://127.0.0.1:1"):
+        pass
+    assert time.perf_counter() - begin < 10

@@ -32,7 +32,6 @@ from hsed_jax.laboratories.sensors import Sensors
 from hsed_jax.measurements import Campaign, Characteristics, Experiment, characteristics, parse_unit, read_campaign
 from hsed_jax.measurements.thinning import thinned
 from hsed_jax.physics.effects import Catalogue
-from hsed_jax.physics.outputs import output
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator, Timeline
 from hsed_jax.physics.structures import Structure
@@ -247,14 +246,9 @@ class Built:
             known = tuple(name for name in self.measured.channels if name not in imposed)
             names = tuple(self.study.channels or known)
         for name in names:
-            try:
-                output(name)
-            except KeyError:
-                raise UserError(
-                    f"channels: there is no channel {name!r}, such as force, elongation, velocity_1"
-                ) from None
             if known is not None and name not in known:
                 raise UserError(f"channels: {name} was not measured; measured are {', '.join(known) or 'none'}")
+            parts.at("channels", laboratories.check_response, name, self.structure)
         if not names:
             raise UserError(
                 "observe: there is no measured channel to compare with; the campaign has only what was imposed"

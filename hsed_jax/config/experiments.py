@@ -8,15 +8,16 @@ from pydantic import Field, field_validator, model_validator
 
 from hsed_jax.config.sections import ErrorsEntry, Positive, Section
 from hsed_jax.measurements.declaration import ChannelEntry
+from hsed_jax.plain import Number, Whole, is_file
 
 
 class VirtualEntry(Section):
     """A virtual laboratory: the specimen's true parameters and effects, and the noise of its sensors."""
 
-    parameters: dict[str, float]
-    effects: dict[str, dict[str, float]] = {}
+    parameters: dict[str, Number]
+    effects: dict[str, dict[str, Number]] = {}
     noise: ErrorsEntry | None = None
-    test: Annotated[int, Field(ge=0)] = 0
+    test: Annotated[Whole, Field(ge=0)] = 0
     """Experiments at further inputs that are performed for testing and never fitted."""
 
 
@@ -49,7 +50,7 @@ class CommandEntry(MeasuredEntry):
         """The program and its arguments; files beside the study by their whole path."""
         first, *rest = (word.replace("{study}", str(folder.absolute())) for word in shlex.split(self.run))
         # As in a shell, a program without a slash is one of the path.
-        rest = [str((folder / word).absolute()) if (folder / word).is_file() else word for word in rest]
+        rest = [str((folder / word).absolute()) if is_file(folder / word) else word for word in rest]
         return (str((folder / first).absolute()) if "/" in first else first, *rest)
 
 
@@ -82,7 +83,7 @@ class OpenSeesEntry(Section):
     """The structure in OpenSees, the specimen a material of OpenSees or the user's own."""
 
     material: Literal["BoucWen", "BWBN", "Steel02"] | OwnMaterialEntry
-    parameters: dict[str, float] = {}
+    parameters: dict[str, Number] = {}
     noise: ErrorsEntry | None = None
     step: Positive | None = None
     """Of the analysis [s]; by default a fiftieth of that of the simulator."""

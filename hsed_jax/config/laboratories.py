@@ -29,9 +29,10 @@ from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.measurements import Channel, Noise
 from hsed_jax.measurements.declaration import declared_channel
 from hsed_jax.physics.effects import Catalogue
-from hsed_jax.physics.outputs import output
+from hsed_jax.physics.outputs import CHANNELS, PER_MASS, output
 from hsed_jax.physics.simulator import Simulator
 from hsed_jax.physics.structures import Structure
+from hsed_jax.plain import shown
 
 IMPOSED = ("time", "ground_acceleration")
 # What a quantity is taken from, where it is not measured by itself.
@@ -65,6 +66,26 @@ class Site:
     catalogue: Catalogue
     workspace: Path | None
     function: Callable[..., Any] | None
+
+
+def check_response(name: str, structure: Structure | None) -> None:
+    """Refuse a channel that the model does not give.
+
+    Arguments:
+        name: of the channel.
+        structure: that the specimen is in; None: the specimen is alone.
+
+    Raises:
+        UserError: there is no such channel, it is imposed, or it is of a mass that does not exist.
+    """
+    masses = range(1, 1 if structure is None else len(structure.masses) + 1)
+    kinds = [*(f"{kind}_{{}}" for kind in PER_MASS), "acceleration_{}_absolute"]
+    given = [
+        *(name for name in CHANNELS if name not in IMPOSED),
+        *(kind.format(mass) for mass in masses for kind in kinds),
+    ]
+    if name not in given:
+        raise UserError(f"there is no channel {shown(name)} that the model gives; it gives {', '.join(given)}")
 
 
 def declared_responses(study: Study) -> tuple[str, ...] | None:

@@ -1,43 +1,16 @@
 """Reading a study: YAML, overrides by dotted path, and one clear message for what is wrong."""
 
 import difflib
-import re
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import BaseModel, ValidationError
 
 from hsed_jax.config.schema import Study
 from hsed_jax.config.sections import TAGS
 from hsed_jax.errors import UserError
-
-
-class _Loader(yaml.SafeLoader):
-    """Safe YAML in which 2e5 is a number, as engineers write it, and a key stands once."""
-
-    def construct_mapping(self, node, deep=False):
-        seen = set()
-        for key, _ in node.value:
-            name = self.construct_object(key, deep=True)
-            if not isinstance(name, Hashable):
-                raise yaml.YAMLError(f"line {key.start_mark.line + 1}: a key must be a word, not a list or a mapping")
-            if name in seen:
-                raise yaml.YAMLError(f"line {key.start_mark.line + 1}: the key {name!r} stands twice")
-            seen.add(name)
-        return super().construct_mapping(node, deep=deep)
-
-
-_Loader.yaml_implicit_resolvers = {
-    first: [(tag, pattern) for tag, pattern in resolvers if tag != "tag:yaml.org,2002:float"]
-    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
-}
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?(\d+\.?\d*([eE][-+]?\d+)?|\.\d+([eE][-+]?\d+)?|\.(inf|nan))$"),
-    list("-+0123456789."),
-)
+from hsed_jax.plain import DEPTH, is_file, parse_yaml, shown
 
 
 def load_study(source: str | Path | dict[str, Any], overrides: Sequence[str] = ()) -> Study:
@@ -55,7 +28,7 @@ def load_study(source: str | Path | dict[str, Any], overrides: Sequence[str] = (
     else:
         path = Path(source)
         where = str(source)
-        if not path.is_file():
+        if not is_file(path):
             raise UserError(f"{where}: there is no such file")
         try:
             text = path.read_text(encoding="utf-8")
@@ -75,37 +48,33 @@ def load_study(source: str | Path | dict[str, Any], overrides: Sequence[str] = (
     return study
 
 
-def parse_yaml(text: str, where: str) -> Any:
-    """Parse YAML; a fault names the place."""
-    try:
-        return yaml.load(text, _Loader)
-    except yaml.YAMLError as error:
-        place = getattr(error, "problem_mark", None)
-        if place is None:
-            raise UserError(f"{where}: not valid YAML: {' '.join(str(error).split())}") from None
-        problem = getattr(error, "problem", None) or "it cannot be read"
-        line = f"line {place.line + 1}, column {place.column + 1}"
-        raise UserError(f"{where}: not valid YAML: {line}: {problem}") from None
-
-
 def _override(content: dict[str, Any], override: str) -> dict[str, Any]:
     path, equals, text = override.partition("=")
+    said = _brief(override)
     if not equals or not path:
-        raise UserError(f"{override!r}: an override is KEY=VALUE, such as design.iterations=10")
-    value = parse_yaml(text, override)
+        raise UserError(f"{said!r}: an override is KEY=VALUE, such as design.iterations=10")
+    value = parse_yaml(text, said)
 
     def put(tree: Any, keys: list[str]) -> Any:
         if not keys:
             return value
         first, *rest = keys
         if isinstance(tree, list):
-            if not (first.isdigit() and int(first) < len(tree)):
-                raise UserError(f"{override}: {first!r} is no position in a list of {len(tree)}")
+            if first not in map(str, range(len(tree))):
+                raise UserError(f"{said}: {shown(first)} is no position in a list of {len(tree)}")
             return [put(item, rest) if i == int(first) else item for i, item in enumerate(tree)]
         branch = tree if isinstance(tree, dict) else {}
         return {**branch, first: put(branch.get(first), rest)}
 
-    return put(content, path.split("."))
+    keys = path.split(".")
+    if len(keys) > DEPTH:
+        raise UserError(f"{said}: no key of a study lies that deep")
+    return put(content, keys)
+
+
+def _brief(text: str) -> str:
+    """A text without its end, where that is far."""
+    return text if len(text) <= 60 else f"{text[:59]}…"
 
 
 def explain(error: ValidationError, model: type[BaseModel]) -> str:
@@ -116,7 +85,9 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
         faults, key=lambda f: (len([k for k in f["loc"] if f["type"] != "float_type"]), f["type"] == "extra_forbidden")
     )
     keys = [str(k) for k in fault["loc"] if not _is_branch(str(k))]
-    path = ".".join(keys) or "study"
+    if fault["type"] == "extra_forbidden" and keys[-1:] != [str(fault["loc"][-1])]:
+        keys.append(str(fault["loc"][-1]))  # a key of the user's that is called like a branch
+    path = ".".join(map(_brief, keys)) or "study"
     given = fault["input"]
     if fault["type"] == "extra_forbidden":
         allowed = _allowed(model, keys[:-1])
@@ -128,10 +99,10 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
     if fault["type"] == "value_error":
         message = fault["msg"].removeprefix("Value error, ")
         return f"{path}: {message[0].lower()}{message[1:]}"
-    shown = repr(given) if not isinstance(given, dict | list) or len(repr(given)) < 60 else "something else"
+    seen = shown(given) if not isinstance(given, dict | list) or len(repr(given)) < 60 else "something else"
     first, *others = dict.fromkeys(_wanted(f) for f in faults if _same_place(f, fault))
     wanted = " or ".join([first, *(other.removeprefix("this must be ") for other in others)])
-    return f"{path}: {wanted}, but it is {shown}"
+    return f"{path}: {wanted}, but it is {seen}"
 
 
 _WANTED = {
@@ -159,8 +130,6 @@ def _wanted(fault: Any) -> str:
         return f"this must be {context['expected']}"
     if kind == "too_short":
         return "this must not be empty" if context["min_length"] == 1 else f"this needs {context['min_length']} values"
-    if kind == "string_pattern_mismatch":
-        return "this must be made of letters, digits, blanks, dots, dashes and underscores"
     message = fault["msg"].removeprefix("Input should be ")
     return f"this must be {message[0].lower()}{message[1:]}"
 

@@ -1,12 +1,13 @@
 """The catalogue of a study: the effects of the package, and its own in Python files that it names."""
 
-import importlib.util
 from functools import cache
 from pathlib import Path
 
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
 from hsed_jax.physics.effects import EFFECTS, AbstractEffect, Catalogue, registered
+from hsed_jax.plain import is_file
+from hsed_jax.python_files import executed
 
 
 def catalogue_of(study: Study) -> Catalogue:
@@ -19,14 +20,14 @@ def catalogue_of(study: Study) -> Catalogue:
     """
     effects = list(study.own_effects)
     for name in study.model.own_effects:
-        path = (study.folder / name).resolve()
-        where = f"model.own_effects: {name}"
-        if not path.is_file():
+        path, where = study.folder / name, f"model.own_effects: {name}"
+        if not is_file(path):
             raise UserError(f"{where}: there is no such file ({path})")
+        path = path.resolve()
         try:
             found = _registered(path, path.stat().st_mtime_ns)
-        except Exception as error:
-            raise UserError(f"{where}: it fails with {type(error).__name__}: {error}") from None
+        except UserError as error:
+            raise UserError(f"{where}: {error}") from None
         if not found:
             raise UserError(
                 f"{where}: it registers no effect; decorate a class with hsed_jax.physics.effects.base.register"
@@ -41,9 +42,5 @@ def catalogue_of(study: Study) -> Catalogue:
 @cache
 def _registered(path: Path, changed: int) -> list[type[AbstractEffect]]:
     """The effects of a file as it was last changed [ns]; those of the package that it imports are not its own."""
-    spec = importlib.util.spec_from_file_location(f"own_effects_{path.stem}", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = executed(path)
     return [effect for effect in registered(module) if effect not in EFFECTS.values()]

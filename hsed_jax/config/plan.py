@@ -6,8 +6,11 @@ from itertools import pairwise
 
 from hsed_jax.config.schema import ModelEntry, Study
 from hsed_jax.errors import UserError
+from hsed_jax.memory import check_memory
 from hsed_jax.physics.effects import Catalogue
 
+# An experiment as an object, with its inputs and quantities [bytes].
+_EXPERIMENT = 1000
 ORDER = ["design", "calibrate", "compare", "diagnose", "improve"]
 
 
@@ -30,8 +33,32 @@ def check_plan(study: Study, catalogue: Catalogue) -> None:
     if study.experiments.folder is not None and "design" not in steps:
         raise UserError("steps: experiments.folder is asked by the step design; put design first")
     check_added(study.model, study.improve.add or [], catalogue, "improve.add: ")
+    _check_sizes(study)
     if study.experiments.laboratory is not None or "design" in steps:
         _check_design(study)
+
+
+def _check_sizes(study: Study) -> None:
+    """Refuse sizes that memory cannot hold, by the arrays and objects that each is certain to need."""
+    design, sizes = study.design, study.calibration
+    free = [entry for entry in study.model.parameters.values() if isinstance(entry, dict)]
+    test = 0 if study.experiments.virtual is None else study.experiments.virtual.test
+    asked = design.iterations if "design" in study.steps else 0
+    experiments = design.initial + asked + test if study.experiments.laboratory is not None else 1
+    # Of a design the Kriging has a covariance between all experiments, and one between them and every candidate.
+    related = experiments if "design" in study.steps else 1
+    for key, count, each in (
+        ("design.initial", design.initial, _EXPERIMENT + 8 * related),
+        ("design.iterations", asked, _EXPERIMENT + 8 * related),
+        ("experiments.virtual.test", test, _EXPERIMENT),
+        ("design.candidates", design.candidates, 8 * related),
+        ("design.kriging.starts", design.kriging.starts, 8 * related**2),
+        ("calibration.starts", sizes.starts, 8 * experiments * (1 + len(free))),
+        ("calibration.chains", sizes.chains, 8 * max(sizes.draws, experiments) * (1 + len(free))),
+        ("calibration.draws", sizes.chains * sizes.draws, 8 * (1 + len(free))),
+        ("calibration.step_draws", sizes.chains * sizes.step_draws, 8 * (1 + len(free))),
+    ):
+        check_memory(f"{key}: {count}", count * each)
 
 
 def check_added(model: ModelEntry, effects: Sequence[str], catalogue: Catalogue, where: str = "") -> None:

@@ -18,12 +18,13 @@ from hsed_jax.measurements import Campaign
 from hsed_jax.measurements.checks import DoubtKind
 from hsed_jax.physics.effects.base import AbstractEffect
 from hsed_jax.physics.outputs import QUANTITIES
+from hsed_jax.plain import Number, Whole, name_fault, shown
 from hsed_jax.tables import Table, Tabular
 
-Count = Annotated[int, Field(ge=1)]
-Ratio = Annotated[float, Field(ge=0, lt=1)]
-End = int | Literal["ground"]
-Value = float | str
+Count = Annotated[Whole, Field(ge=1)]
+Ratio = Annotated[Number, Field(ge=0, lt=1)]
+End = Whole | Literal["ground"]
+Value = Number | str
 """A number, or the name of an input."""
 
 
@@ -31,7 +32,7 @@ class SpringEntry(Section):
     """A linear spring of the structure."""
 
     between: tuple[End, End]
-    stiffness: Annotated[float, Field(ge=0)]
+    stiffness: Annotated[Number, Field(ge=0)]
 
 
 class SpecimenEntry(Section):
@@ -43,8 +44,8 @@ class SpecimenEntry(Section):
 class Rayleigh(Section):
     """Rayleigh damping C = alpha M + beta K."""
 
-    alpha: Annotated[float, Field(ge=0)]
-    beta: Annotated[float, Field(ge=0)]
+    alpha: Annotated[Number, Field(ge=0)]
+    beta: Annotated[Number, Field(ge=0)]
 
 
 class Damping(Section):
@@ -110,7 +111,7 @@ def _prior(value: Any) -> Any:
 
 
 PriorEntry = Annotated[dict[str, Any], BeforeValidator(_prior)]
-ParameterEntry = float | PriorEntry
+ParameterEntry = Number | PriorEntry
 """A fixed number, or a prior."""
 
 
@@ -179,7 +180,7 @@ class LimitsEntry(Section):
     """Largest rate of the elongation [m/s]."""
     energy: Positive | None = None
     """Energy that the specimen may absorb in one experiment [J]."""
-    probability: Annotated[float, Field(gt=0, lt=1)] = 0.05
+    probability: Annotated[Number, Field(gt=0, lt=1)] = 0.05
     """Of exceeding a limit that is accepted."""
 
 
@@ -187,7 +188,7 @@ class DesignEntry(Section):
     """The sequential design of experiments."""
 
     initial: Count = 3
-    iterations: Annotated[int, Field(ge=0)] = 40
+    iterations: Annotated[Whole, Field(ge=0)] = 40
     candidates: Count = 16384
     acquisition: Literal["expected_improvement", "max_variance", "discriminate", "random", "sobol"] = (
         "expected_improvement"
@@ -212,7 +213,7 @@ class CalibrationEntry(Section):
     step_warmup: Count = 40
     step_draws: Count = 60
     """Of the posterior at each step of the design, which only steers and reports."""
-    target_acceptance: Annotated[float, Field(gt=0, lt=1)] = 0.8
+    target_acceptance: Annotated[Number, Field(gt=0, lt=1)] = 0.8
 
 
 class MeasurementsEntry(Section):
@@ -261,8 +262,8 @@ Step = Literal["design", "calibrate", "compare", "diagnose", "improve"]
 class Study(Tabular, Section):
     """A study, as written in its YAML file."""
 
-    study: Annotated[str, Field(pattern=r"^\w[\w.\- ]*$")]
-    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    study: str
+    seed: Annotated[Whole, Field(ge=0, lt=2**32)] = 0
     structure: StructureEntry | None = None
     excitation: ExcitationEntry | None = None
     inputs: dict[str, InputEntry] = {}
@@ -270,7 +271,7 @@ class Study(Tabular, Section):
     experiments: ExperimentsEntry
     measurements: MeasurementsEntry = MeasurementsEntry()
     observe: Literal["quantities", "histories"] = "quantities"
-    channels: list[str] | None = None
+    channels: Annotated[list[str], Field(min_length=1)] | None = None
     """Channels to fit and compare when histories are observed; by default all that were measured."""
     quantities: Annotated[list[str], Field(min_length=1)] = list(QUANTITIES)
     error: ErrorsEntry | None = None
@@ -280,14 +281,28 @@ class Study(Tabular, Section):
     calibration: CalibrationEntry = CalibrationEntry()
     improve: ImproveEntry = ImproveEntry()
 
+    @field_validator("study")
+    @classmethod
+    def _names_a_folder(cls, name: str) -> str:
+        if fault := name_fault(name):
+            raise ValueError(f"{shown(name)} names the folder of the run, too; {fault}")
+        return name
+
     @field_validator("quantities")
     @classmethod
     def _known_quantities(cls, names: list[str]) -> list[str]:
         for name in names:
             if name not in QUANTITIES:
-                raise ValueError(f"there is no quantity {name!r}; allowed are {', '.join(QUANTITIES)}")
-            if names.count(name) > 1:
-                raise ValueError(f"{name} stands twice")
+                raise ValueError(f"there is no quantity {shown(name)}; allowed are {', '.join(QUANTITIES)}")
+        return names
+
+    @field_validator("quantities", "channels")
+    @classmethod
+    def _each_once(cls, names: list[str] | None) -> list[str] | None:
+        given = names or []
+        for name in given:
+            if given.count(name) > 1:
+                raise ValueError(f"{shown(name)} stands twice")
         return names
 
     _folder: Path = PrivateAttr(default=Path())

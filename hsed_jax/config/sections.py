@@ -4,7 +4,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 
-Positive = Annotated[float, Field(gt=0)]
+from hsed_jax.plain import Number
+
+Positive = Annotated[Number, Field(gt=0)]
 
 
 class Section(BaseModel):

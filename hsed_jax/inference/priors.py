@@ -1,7 +1,6 @@
 """Priors: a numpyro distribution by name, and what calibration needs of it."""
 
 import inspect
-import math
 import re
 from collections.abc import Mapping
 from functools import cached_property
@@ -15,6 +14,7 @@ from jaxtyping import Array, Float
 from numpyro.distributions.transforms import AffineTransform, ComposeTransform, biject_to
 
 from hsed_jax.errors import UserError
+from hsed_jax.plain import in_range, shown
 
 _SPELLINGS = {
     "lognormal": "LogNormal",
@@ -97,15 +97,15 @@ def _build(name: str, arguments: Any) -> dist.Distribution:
     given = list(arguments.values() if by_name else arguments if isinstance(arguments, list | tuple) else [arguments])
     expected, required = _signature(kind)
     allowed = f"its arguments are {', '.join(expected)}, as numbers" if expected else "it takes numbers"
-    wrong = UserError(f"{name}: {arguments!r} does not fit this distribution; {allowed}")
+    wrong = UserError(f"{name}: {shown(arguments)} does not fit this distribution; {allowed}")
     if any(isinstance(number, bool) for number in given) or not required <= len(given):
         raise wrong
     try:
         numbers = [float(number) for number in given]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise wrong from None
-    if not all(math.isfinite(number) for number in numbers):
-        raise UserError(f"{name}: {arguments!r} must be finite numbers")
+    if not all(in_range(number) for number in numbers):
+        raise UserError(f"{name}: {shown(arguments)} must be finite numbers of sensible size")
     try:
         if by_name:
             made = kind(**dict(zip(map(str, arguments), numbers, strict=True)), validate_args=True)
@@ -115,7 +115,7 @@ def _build(name: str, arguments: Any) -> dist.Distribution:
         raise wrong from None
     except ValueError as error:
         reason = re.sub(r"\s+", " ", str(error))
-        raise UserError(f"{name}: {arguments!r} does not fit this distribution ({reason})") from None
+        raise UserError(f"{name}: {shown(arguments)} does not fit this distribution ({reason})") from None
     scalar = isinstance(made, dist.Distribution) and not made.batch_shape and not made.event_shape
     if not scalar or made.support is None or made.support.is_discrete:
         raise UserError(f"{name} is not a scalar continuous distribution")

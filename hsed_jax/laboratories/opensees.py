@@ -21,6 +21,7 @@ from hsed_jax.laboratories.base import Measured, noisy
 from hsed_jax.laboratories.command import CommandLaboratory
 from hsed_jax.measurements import Noise, Record
 from hsed_jax.physics.structures import Structure
+from hsed_jax.plain import is_file
 
 INTERPRETER = "OPENSEES_PYTHON"
 """The environment variable that names a Python with openseespy, where this one has none."""
@@ -137,7 +138,7 @@ def own_material(file: Path, parameters: Mapping[str, float]) -> dict[str, Any]:
     Raises:
         UserError: there is no such file, or it is neither.
     """
-    if not file.is_file():
+    if not is_file(file):
         raise UserError(f"material.file: there is no file {file}")
     if file.suffix not in (".py", ".tcl"):
         raise UserError(f"material.file: {file.name} must be a Python file (.py) or a Tcl file (.tcl)")

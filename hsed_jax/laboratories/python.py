@@ -1,6 +1,5 @@
 """A laboratory that is a Python function: of a request, it returns what was measured."""
 
-import importlib.util
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.laboratories.base import ExperimentFailed, Measured
 from hsed_jax.laboratories.request import Programme, Request
 from hsed_jax.laboratories.sensors import Sensors
+from hsed_jax.python_files import executed
 
 
 @dataclass(frozen=True)
@@ -62,17 +62,7 @@ def function_of(path: Path, name: str) -> Callable[[Request], Mapping[str, Any]]
     Raises:
         UserError: there is no such file or function, or the file fails.
     """
-    if not path.is_file():
-        raise UserError(f"there is no file {path}")
-    spec = importlib.util.spec_from_file_location(f"laboratory_{path.stem}", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        raise UserError(f"{path} fails with {type(error).__name__}: {error}") from None
-    function = getattr(module, name, None)
+    function = getattr(executed(path), name, None)
     if not callable(function):
         raise UserError(f"{path} has no function {name!r}")
     return cast("Callable[[Request], Mapping[str, Any]]", function)

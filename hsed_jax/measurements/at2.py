@@ -8,6 +8,7 @@ import numpy as np
 from hsed_jax.errors import UserError
 from hsed_jax.measurements.tables import read_text
 from hsed_jax.measurements.units import parse_unit
+from hsed_jax.plain import MOST, in_range, shown
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][+-]?\d+)?"
 # Fixed-width columns may touch: a number ends at a blank or at the sign of the next one.
@@ -40,9 +41,11 @@ def read_at2(path: str | Path) -> tuple[float, np.ndarray]:
             match = _SAMPLE.match(line, position)
             if match is None:
                 raise UserError(
-                    f"{path}, row {row}: {line[position:].strip()!r} is not a number; only accelerations in g"
+                    f"{path}, row {row}: {shown(line[position:].strip())} is not a number; only accelerations in g"
                 )
             values.append(_float(match[1]))
+            if abs(values[-1]) > MOST:
+                raise UserError(f"{path}, row {row}: {shown(match[1])} g is beyond any sense")
             position = match.end()
     if len(values) != samples or not values:
         raise UserError(
@@ -72,17 +75,21 @@ def _header(path: Path, lines: list[str]) -> tuple[int, int, float]:
     for row, line in enumerate(lines[:20], 1):
         count, step, both = _COUNT.search(line), _STEP.search(line), _COUNT_AND_STEP.match(line)
         if both:
-            samples, dt = int(both[1]), _float(both[2])
+            samples, dt = both[1], _float(both[2])
         elif count and step:
-            samples, dt = int(count[1]), _float(step[1])
+            samples, dt = count[1], _float(step[1])
         else:
             continue
+        if len(samples) > 12:
+            raise UserError(
+                f"{path}, row {row}: NPTS is a number of {len(samples)} digits; it is the number of samples"
+            )
         unit = re.search(r"UNITS?\s+(?:OF|ARE)\s+\(?([\w/^*]+)", " ".join(lines[: row - 1]).upper())
         if unit and unit[1] != "G":
             raise UserError(f"{path}: the header says units of {unit[1]}; an .AT2 file holds accelerations in g")
-        if not dt > 0:
+        if not (dt > 0 and in_range(dt)):
             raise UserError(f"{path}, row {row}: DT is {dt:g}; the time step is positive")
-        return row, samples, dt
+        return row, int(samples), dt
     raise UserError(f"{path}: no line with NPTS= and DT= in the header; a PEER .AT2 file has one before the numbers")
 
 

@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from hsed_jax.errors import UserError
@@ -11,6 +10,7 @@ from hsed_jax.measurements.campaign import Campaign, Protocol
 from hsed_jax.measurements.experiment import Channel, Noise
 from hsed_jax.measurements.tables import read_text
 from hsed_jax.measurements.units import parse_unit
+from hsed_jax.plain import Magnitude, dump_yaml, parse_yaml, shown
 
 
 class _Strict(BaseModel):
@@ -20,8 +20,8 @@ class _Strict(BaseModel):
 class NoiseEntry(_Strict):
     """``noise: 0.5``, a standard deviation in the channel's unit, or ``noise: {relative: 0.02}``, of the RMS."""
 
-    absolute: float | None = Field(default=None, ge=0)
-    relative: float | None = Field(default=None, ge=0)
+    absolute: Magnitude | None = None
+    relative: Magnitude | None = None
 
 
 def _number_is_absolute(value: Any) -> Any:
@@ -56,13 +56,7 @@ def read_declaration(path: Path) -> tuple[Campaign, dict[str, str]]:
     Raises:
         UserError: No YAML, an unknown or missing key, channel or unit; with file, key and what is allowed.
     """
-    try:
-        content = yaml.load(read_text(path), _UniqueKeys)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        row = "" if mark is None else f", row {mark.line + 1}"
-        problem = getattr(error, "problem", None) or "not readable"
-        raise UserError(f"{path}{row}: not valid YAML ({problem}); quote texts that begin with a sign") from None
+    content = parse_yaml(read_text(path), str(path))
     if not isinstance(content, dict):
         raise UserError(f"{path}: expected keys and values; allowed keys: {', '.join(CampaignEntry.model_fields)}")
     content = {
@@ -104,7 +98,7 @@ def write_declaration(campaign: Campaign) -> str:
     content["channels"] = {name: entry(channel) for name, channel in campaign.channels.items()}
     if campaign.quantities:
         content["quantities"] = {name: entry(channel) for name, channel in campaign.quantities.items()}
-    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+    return dump_yaml(content)
 
 
 def declared_channel(where: str, name: str, entry: ChannelEntry) -> Channel:
@@ -130,7 +124,7 @@ def _sentence(error: ValidationError) -> str:
     """Say the first fault that pydantic found: which key, what is wrong, what is allowed."""
     fault = error.errors()[0]
     path = [str(part) for part in fault["loc"]]
-    where = ".".join(path)
+    where, given = ".".join(path), shown(fault["input"])
     model = CampaignEntry
     if path[0] in ("channels", "quantities"):
         model = NoiseEntry if "noise" in path[2:-1] else ChannelEntry
@@ -140,17 +134,5 @@ def _sentence(error: ValidationError) -> str:
     if fault["type"] == "missing":
         return f"key {where!r} is missing; needed or allowed here: {allowed}"
     if fault["type"] in ("model_type", "dict_type"):
-        return f"{where}: {fault['input']!r} is not a mapping; write it as {{{allowed if path[1:] else 'name: ...'}}}"
-    return f"{where}: {fault['input']!r} is not allowed; {fault['msg'][0].lower()}{fault['msg'][1:]}"
-
-
-class _UniqueKeys(yaml.SafeLoader):
-    """YAML lets a second key silently replace the first; a channel must not vanish so."""
-
-    def construct_mapping(self, node, deep=False):
-        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
-        for i, key in enumerate(keys):
-            if key in keys[:i]:
-                mark = node.value[i][0].start_mark
-                raise yaml.MarkedYAMLError(problem=f"key {key!r} appears twice", problem_mark=mark)
-        return super().construct_mapping(node, deep)
+        return f"{where}: {given} is not a mapping; write it as {{{allowed if path[1:] else 'name: ...'}}}"
+    return f"{where}: {given} is not allowed; {fault['msg'][0].lower()}{fault['msg'][1:]}"

@@ -1,13 +1,13 @@
 """One experiment: its inputs, its record, its quantities, all in SI."""
 
 from dataclasses import KW_ONLY, dataclass, field
-from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
 
 from hsed_jax.errors import UserError
 from hsed_jax.measurements.units import parse_unit
+from hsed_jax.plain import MOST, name_fault, shown
 
 Status = Literal["completed", "pending", "failed", "abandoned"]
 Split = Literal["train", "test"]
@@ -58,7 +58,8 @@ class Record:
     """A time history: `time` (n,) [s] and `channels`, each (n,) [SI].  The arrays are made read-only.
 
     Raises:
-        UserError: A channel has another length than the time, or there is no sample.
+        UserError: There are fewer than two samples, a channel has another length than the time, or a number is beyond any
+            sense, such as infinity.
     """
 
     time: np.ndarray
@@ -68,14 +69,21 @@ class Record:
         """Freeze the arrays and check their lengths."""
         object.__setattr__(self, "time", _frozen(self.time))
         object.__setattr__(self, "channels", {name: _frozen(values) for name, values in self.channels.items()})
-        if self.time.ndim != 1 or not self.time.size:
+        if self.time.ndim != 1 or self.time.size < 2:
             raise UserError(
-                f"time has shape {self.time.shape}; a record needs one time per sample and at least one sample"
+                f"time has shape {self.time.shape}; a record needs one time per sample and at least two samples"
             )
         for name, values in self.channels.items():
             if values.shape != self.time.shape:
                 raise UserError(
                     f"channel {name!r} has shape {values.shape}; time has {self.time.shape}, they must agree"
+                )
+        for name, values in {"time": self.time, **self.channels}.items():
+            if (beyond := np.abs(values) > MOST).any():
+                sample = int(np.argmax(beyond))
+                raise UserError(
+                    f"{name} is {values[sample]:g} at sample {sample + 1}, beyond any sense; where a sample is missing, "
+                    "write nan"
                 )
 
     def __len__(self) -> int:
@@ -142,8 +150,8 @@ class Experiment:
             numbers = {str(name): float(value) for name, value in getattr(self, kind).items()}
             object.__setattr__(self, kind, numbers)
             for name, value in numbers.items():
-                if not np.isfinite(value):
-                    raise UserError(f"{where}{name} is {value}; {kind} are finite numbers")
+                if not abs(value) <= MOST:
+                    raise UserError(f"{where}{name} is {value:g}; {kind} are finite numbers of sensible size")
         # A blank cell of a table cannot be told from an absent one, nor blanks around a text from none.
         texts = {str(name): str(text).strip() for name, text in self.metadata.items()}
         object.__setattr__(self, "metadata", {name: text for name, text in texts.items() if text})
@@ -189,16 +197,14 @@ class Experiment:
 def check_id(id: object) -> None:
     """Raise `UserError` unless `id` can name an experiment and its record file."""
     rule = "an id is a short text that can name a file: no / or \\, no line break, not starting with a dot, # or %"
-    if not isinstance(id, str) or not id or id != id.strip() or not id.isprintable() or len(id) > 100:
-        raise UserError(f"{id!r} is not an id; {rule}")
-    if set(id) & set("/\\") or id[0] in ".#%" or Path(id).name != id:
-        raise UserError(f"{id!r} is not an id; {rule}")
+    if not isinstance(id, str) or name_fault(id) or len(id) > 100 or "\\" in id or id[0] in ".#%":
+        raise UserError(f"{shown(id)} is not an id; {rule}")
 
 
 def check_word(word: object, allowed: tuple[str, ...], where: str) -> None:
     """Raise `UserError` unless `word` is one of those allowed."""
     if word not in allowed:
-        raise UserError(f"{where}: {word!r} is not allowed; allowed: {', '.join(allowed)}")
+        raise UserError(f"{where}: {shown(word)} is not allowed; allowed: {', '.join(allowed)}")
 
 
 def _frozen(values) -> np.ndarray:

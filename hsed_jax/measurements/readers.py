@@ -11,6 +11,7 @@ from hsed_jax.measurements.declaration import read_declaration
 from hsed_jax.measurements.experiment import Experiment, Record, Split, Status, check_id, check_word
 from hsed_jax.measurements.records import read_columns, read_motion
 from hsed_jax.measurements.tables import Table, read_experiment_table
+from hsed_jax.plain import MOST, is_file, is_folder, shown
 
 DEFAULT_ENDINGS = ("csv", "parquet", "mat", "h5", "txt")
 
@@ -26,7 +27,7 @@ def read_campaign(path: str | Path) -> Campaign:
             and what is allowed.  Nothing is repaired or left out.
     """
     folder = Path(path)
-    if not folder.is_dir():
+    if not is_folder(folder):
         raise UserError(f"{folder}: no such folder; a campaign is a folder with campaign.yaml and experiments.csv")
     header, columns = read_declaration(folder / "campaign.yaml")
     table = read_experiment_table(folder / "experiments.csv")
@@ -122,8 +123,9 @@ def _number(header: Campaign, table: Table, row: int, column: str, name: str, co
     if not table.rows[row][table.position(column)].strip():
         return None
     value = header.unit(name).to_si(table.number(row, column, comma))
-    if not np.isfinite(value):
-        raise UserError(f"{table.where(row, column)}: {table.text(row, column)!r} is not finite; write a number")
+    if not abs(value) <= MOST:
+        said = shown(table.text(row, column))
+        raise UserError(f"{table.where(row, column)}: {said} is not finite or beyond any sense; write a number")
     return float(value)
 
 
@@ -162,7 +164,7 @@ def _record_file(
         )
     if not header.channels or (status == "pending" and not said):
         return None  # what lies in the folder of a pending experiment may still be growing
-    found = [file for file in files if file.is_file()]
+    found = [file for file in files if is_file(file)]
     if len(found) > 1:
         names = ", ".join(file.name for file in found)
         raise UserError(
@@ -196,4 +198,7 @@ def _record(header: Campaign, columns: dict[str, str], file: Path, motion_will_d
         read = read_columns(file, columns.values(), [columns[name] for name in responses])
         channels = {name: header.unit(name).to_si(read[c]) for name, c in columns.items() if c in read}
     time = channels.pop("time", None)
-    return Record(np.arange(len(next(iter(channels.values())))) if time is None else time, channels)
+    try:
+        return Record(np.arange(len(next(iter(channels.values())))) if time is None else time, channels)
+    except UserError as error:
+        raise UserError(f"{file}: {error}") from None

@@ -9,11 +9,14 @@ import numpy as np
 from hsed_jax.errors import UserError
 from hsed_jax.measurements.at2 import read_at2
 from hsed_jax.measurements.tables import read_record_table, read_text
+from hsed_jax.memory import check_memory
 
 TEXT = ("csv", "txt", "tsv", "dat")
 HDF5 = ("h5", "hdf5", "hdf")
 FORMATS = (*TEXT, "parquet", "mat", *HDF5, "at2")
 """Endings of record files that can be read."""
+# As it is read, as floating-point numbers, in SI, and what a record keeps.
+_COPIES = 4
 
 # What MATLAB calls a column of a matrix, or a row of it.
 _PART = re.compile(r"(.+)\((?::\s*,\s*(\d+)|(\d+)\s*,\s*:)\)")
@@ -88,10 +91,14 @@ def _parquet(path: Path) -> dict[str, Callable]:
     import pyarrow.parquet as pq
 
     try:
-        table = pq.read_table(path)
-    except (OSError, pa.ArrowException) as error:
+        with pq.ParquetFile(path) as file:
+            about = file.metadata
+            what = f"{path}: {about.num_columns} columns of {about.num_rows} rows"
+            check_memory(what, _COPIES * 8 * about.num_rows * about.num_columns)
+            table = file.read()
+    except (OSError, ValueError, pa.ArrowException) as error:
         raise UserError(f"{path}: cannot be read as Parquet ({error})") from None
-    return {name: lambda n=name: table.column(n).to_numpy() for name in table.column_names}
+    return {name: lambda i=i: table.column(i).to_numpy() for i, name in enumerate(table.column_names)}
 
 
 def _matlab(path: Path) -> dict[str, Callable]:
@@ -126,15 +133,22 @@ def _hdf5(path: Path, wanted: list[str]) -> dict[str, Callable]:
 
     found: dict[str, Callable] = {}
 
+    reached = {*wanted, *(name.replace(".", "/") for name in wanted)}
+
     def collect(name, node):
         if isinstance(node, h5py.Dataset):
-            values = node[()]
+            values = None
+            if name in reached:
+                check_memory(f"{path}: {name!r}, declared with shape {node.shape},", _COPIES * node.nbytes)
+                values = node[()]
             found[name] = lambda: values
 
     try:
         with h5py.File(path, "r") as file:
             file.visititems(collect)
-    except OSError as error:
+    except UserError:
+        raise
+    except Exception as error:  # h5py raises whatever the damaged bytes lead to
         raise UserError(f"{path}: cannot be read as HDF5 ({error})") from None
     if path.suffix.lower() == ".mat":  # MATLAB writes a matrix by columns, HDF5 reads it by rows
         found = {name: lambda whole=whole: np.transpose(whole()) for name, whole in found.items()}
@@ -153,7 +167,10 @@ def _part_of(path: Path, part: re.Match, values) -> np.ndarray:
 
 
 def _vector(path: Path, name: str, values) -> np.ndarray:
-    array = np.asarray(values)
+    try:
+        array = np.asarray(values)
+    except ValueError:  # a ragged list, which MATLAB calls a cell
+        array = np.asarray(values, dtype=object)
     if array.ndim > 1 and array.size == max(array.shape):
         array = array.reshape(-1)  # MATLAB has rows and columns, no vectors
     array = np.atleast_1d(array)

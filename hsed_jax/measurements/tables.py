@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hsed_jax.errors import UserError
+from hsed_jax.plain import shown
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
 _SPECIAL = re.compile(r"[+-]?(nan|inf|infinity)", re.IGNORECASE)
@@ -59,7 +60,7 @@ class Table:
             raise UserError(
                 f"{self.path}: the header names column {column!r} {count} times; a column has a name of its own"
             )
-        found = ", ".join(repr(c) for c in self.columns if c)
+        found = ", ".join(shown(c) for c in self.columns if c)
         note = "" if self.has_header else " (the file has no header: say the column's position)"
         blank = "; a header cell is empty (a merged cell?)" if "" in self.columns else ""
         raise UserError(f"{self.path}: column {column!r} is missing; the columns are {found}{note}{blank}")
@@ -111,20 +112,21 @@ class Table:
         raise UserError(f"{self.where(row, column)}: {self._fault(cell, comma)}")
 
     def _fault(self, cell: str, comma: bool) -> str:
+        said = shown(cell)
         if not cell:
             return "the cell is empty; write a number, or nan where a sample is missing"
         if comma and _NUMBER.fullmatch(cell):
-            return f"{cell!r} has a decimal point where other cells have a decimal comma; use one of them throughout"
+            return f"{said} has a decimal point where other cells have a decimal comma; use one of them throughout"
         if _SPREADSHEET_ERROR.fullmatch(cell):
-            return f"{cell!r} is an error of the spreadsheet; mend its formula or write a number"
+            return f"{said} is an error of the spreadsheet; mend its formula or write a number"
         if _COMMA_NUMBER.fullmatch(cell) or _THOUSANDS.fullmatch(cell):
             return (
-                f"{cell!r} has a decimal comma or thousands separators; write a decimal point and no thousands "
+                f"{said} has a decimal comma or thousands separators; write a decimal point and no thousands "
                 "separators (a decimal comma is read where semicolons or tabs separate the columns)"
             )
         if _DATE.fullmatch(cell):
-            return f"{cell!r} is a date or a time of day; format the column as a number"
-        return f"{cell!r} is not a number; write digits, a decimal point and no unit"
+            return f"{said} is a date or a time of day; format the column as a number"
+        return f"{said} is not a number; write digits, a decimal point and no unit"
 
 
 def can_head_record(name: str) -> bool:
@@ -146,7 +148,7 @@ def read_experiment_table(path: Path) -> Table:
     text, skipped = _without_preamble(path, read_text(path))[:2]
     candidates = [_split(path, text, delimiter, skipped) for delimiter in ",;\t" if "id" in _header(text, delimiter)]
     if not candidates:
-        found = ", ".join(repr(c) for c in max((_header(text, d) for d in ",;\t"), key=len))
+        found = ", ".join(shown(c) for c in max((_header(text, d) for d in ",;\t"), key=len))
         raise UserError(f"{path}, row {skipped + 1}: column 'id' is missing; the columns are {found}")
     delimiter, rows, numbers = max(candidates, key=lambda c: len(c[1][0]))
     columns = _trimmed([cell.strip() for cell in rows[0]])
@@ -207,8 +209,9 @@ def read_text(path: Path) -> str:
     """
     try:
         data = path.read_bytes()
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror})") from None
+    except (OSError, ValueError) as error:  # a ValueError for a name with NUL in it
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise UserError(f"{path}: cannot be read ({reason})") from None
     if data.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):
         raise UserError(f"{path}: this is a spreadsheet workbook, not text; save it as CSV")
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
@@ -243,7 +246,12 @@ def _without_preamble(path: Path, text: str) -> tuple[str, int, str]:
 
 
 def _cells(line: str, delimiter: str | None) -> list[str]:
-    return line.split() if delimiter is None else next(csv.reader([line], delimiter=delimiter), [])
+    if delimiter is None:
+        return line.split()
+    try:
+        return next(csv.reader([line], delimiter=delimiter), [])
+    except csv.Error:  # a cell beyond any length; `_split` says in which row
+        return [line]
 
 
 def _header(text: str, delimiter: str | None) -> list[str]:

@@ -2,6 +2,7 @@
 
 import functools
 import re
+import unicodedata
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 from hsed_jax.backend import cache_folder
 from hsed_jax.errors import UserError
 from hsed_jax.physics.outputs import CHANNELS, PER_MASS, QUANTITIES, channel
+from hsed_jax.plain import shown
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,8 @@ ENERGY = Dimension("energy", "J", "J, kJ, kN*mm, N*m, kip*inch")
 
 _BY_UNIT = {dimension.si: dimension for dimension in (TIME, LENGTH, VELOCITY, ACCELERATION, FORCE, ENERGY)}
 _DIMENSIONLESS = {"-", "–", "1"}
+# A long number, or a power of a power: pint would compute it to its last digit, however many those are.
+_ENDLESS = re.compile(r"\d{3}|\d[eE]|\d[\s)]*(\*\*|\^)")
 
 
 def channel_dimension(name: str) -> Dimension:
@@ -135,6 +139,8 @@ def _in_si(text: str) -> tuple[Fraction, str, str]:
     # pint reads g as gram; in this field it is gravity.  A spreadsheet's m/s2 means m/s^2.
     spelled = re.sub(r"(?<![A-Za-z_])g(?![A-Za-z_])", "standard_gravity", text)
     spelled = re.sub(r"(?<=[A-Za-z])(\d)", r"**\1", spelled)
+    if len(text) > 100 or _ENDLESS.search(unicodedata.normalize("NFKC", spelled)):
+        raise ValueError(f"unknown unit {shown(text)}")
     registry = _registry()
     try:
         unit = registry.parse_units(spelled)
@@ -143,7 +149,7 @@ def _in_si(text: str) -> tuple[Fraction, str, str]:
         base = one.to_base_units()
         proportional = two == 2 * base.magnitude
     except Exception:  # pint raises anything from AttributeError to TokenError on what it cannot read
-        raise ValueError(f"unknown unit {text!r}") from None
+        raise ValueError(f"unknown unit {shown(text)}") from None
     if not text.strip():
         raise ValueError("the unit is empty")
     if not proportional:

@@ -14,7 +14,10 @@ from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
+from hsed_jax.memory import check_memory
 
+# A point and its study, as objects [bytes].
+_POINT = 1000
 Point = Mapping[str, Any]
 """Values by dotted path, such as {"design.initial": 4}."""
 Range = Sequence[float] | Mapping[str, Any]
@@ -146,6 +149,7 @@ def _sampled(ranges: Mapping[str, Range], samples: int | None, seed: int) -> lis
         raise UserError("samples need at least one range to be drawn from, such as --range error.relative=0.01,0.1")
     if samples is None or samples < 1:
         raise UserError("ranges are sampled; say how many samples to draw, such as --samples 20")
+    check_memory(f"samples: {samples}", samples * _POINT)
     columns = []
     cube = qmc.LatinHypercube(len(ranges), rng=seed).random(samples)
     for (key, given), shares in zip(ranges.items(), cube.T, strict=True):

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 # A worker that dies is replaced and its study goes on; a study that its worker dies of this often has failed.
 _DEATHS = 3
-_PATIENCE = "30s"
+_PATIENCE = "8s"
 # Equal studies share their programs; those of others stay in memory, 20 MB and more each, until they take this much [bytes].
 _PROGRAMS = 2**30
 _SLURM = {"cores": 1, "processes": 1, "memory": "4GB"}
@@ -154,7 +154,7 @@ def remote_client(address: str) -> "Iterator[Client]":
 
     try:
         client = Client(address, timeout=_PATIENCE)
-    except (OSError, ValueError) as error:
+    except Exception as error:  # also what something else that answers makes of it
         raise UserError(f"no Dask scheduler answers at {address} ({error}); start one with: dask scheduler") from None
     with client:
         yield client

@@ -1,0 +1,29 @@
+"""What would not fit into the memory of this machine is refused before anything is allocated."""
+
+import math
+
+from hsed_jax.errors import UserError
+
+_UNITS = ("bytes", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB", "ZiB", "YiB")
+
+
+def check_memory(what: str, needed: int) -> None:
+    """Refuse what takes more memory than this machine has.
+
+    Arguments:
+        what: subject of the message, such as `design.candidates: 10000000000 candidates`.
+        needed: memory that it takes at least [bytes].
+
+    Raises:
+        UserError: says how much it would take and how much there is.
+    """
+    import psutil
+
+    there = psutil.virtual_memory().total
+    if needed > there:
+        raise UserError(f"{what} would take {_size(needed)} of memory; this machine has {_size(there)}")
+
+
+def _size(count: int) -> str:
+    power = min(int(math.log2(count)) // 10, len(_UNITS) - 1)
+    return f"{count / 2 ** (10 * power):.3g} {_UNITS[power]}"

@@ -1,0 +1,172 @@
+"""What users write, at the border: YAML, numbers, names of files.  A fault is one message, never a traceback."""
+
+import math
+import re
+from collections.abc import Hashable
+from pathlib import Path
+from typing import Annotated, Any
+
+import yaml
+from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic_core import PydanticCustomError
+
+from hsed_jax.errors import UserError
+
+MOST = 1e100
+"""No number of a structure, a specimen or a record is larger, nor closer to zero than its inverse."""
+DEPTH = 50
+"""Lists and mappings within one another, at most."""
+_PARTS = 1_000_000
+_TOO_DEEP = f"lists and mappings lie within one another more than {DEPTH} deep"
+
+_KINDS = {"int": "a whole number", "float": "a number", "bool": "true or false", "timestamp": "a date"}
+_NUMBER = re.compile(r"^[-+]?(\d+\.?\d*([eE][-+]?\d+)?|\.\d+([eE][-+]?\d+)?|\.(inf|nan))$")
+_FLOAT, _DATE = "tag:yaml.org,2002:float", "tag:yaml.org,2002:timestamp"
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML in which 2e5 is a number, as engineers write it, a date is a text, and a key stands once."""
+
+    _within = 0
+
+    def compose_node(self, parent, index):
+        self._within += 1
+        if self._within > DEPTH:
+            raise yaml.MarkedYAMLError(problem=_TOO_DEEP, problem_mark=self.peek_event().start_mark)
+        node = super().compose_node(parent, index)
+        self._within -= 1
+        return node
+
+    def construct_object(self, node, deep=False):
+        try:
+            return super().construct_object(node, deep)
+        except yaml.YAMLError:
+            raise
+        except Exception:  # PyYAML raises whatever Python says to a text such as !!bool abc
+            kind = _KINDS.get(node.tag.rpartition(":")[2], f"what {node.tag} stands for")
+            problem = f"{shown(node.value)} is not {kind} that can be read"
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark) from None
+
+    def construct_mapping(self, node, deep=False):
+        seen = set()
+        for key, _ in node.value:
+            name, mark = self.construct_object(key, deep=True), key.start_mark
+            if not isinstance(name, Hashable):
+                problem = "a key must be a word, not a list or a mapping"
+                raise yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
+            if name in seen:
+                raise yaml.MarkedYAMLError(problem=f"the key {shown(name)} stands twice", problem_mark=mark)
+            seen.add(name)
+        return super().construct_mapping(node, deep=deep)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes the texts that the loader would take for numbers."""
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag not in (_FLOAT, _DATE)]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+for _kind in (_Loader, _Dumper):
+    _kind.add_implicit_resolver(_FLOAT, _NUMBER, list("-+0123456789."))
+
+
+def parse_yaml(text: str, where: str) -> Any:
+    """Parse YAML.
+
+    Raises:
+        UserError: it is none, is nested without end, or has a value that cannot be read; names the place.
+    """
+    fault = f"{where}: not valid YAML"
+    try:
+        content = yaml.load(text, _Loader)
+    except yaml.YAMLError as error:
+        place, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
+        if place is None:
+            raise UserError(f"{fault}: {' '.join(str(error).split())}") from None
+        line = f"line {place.line + 1}, column {place.column + 1}"
+        quote = "; quote a text that begins with a sign" if "cannot start any token" in (problem or "") else ""
+        raise UserError(f"{fault}: {line}: {problem or 'it cannot be read'}{quote}") from None
+    # An alias may hold itself, or a thousand of another.
+    parts, waiting = 0, [(content, 1)]
+    while waiting:
+        node, depth = waiting.pop()
+        parts += 1
+        if depth > DEPTH:
+            raise UserError(f"{fault}: {_TOO_DEEP}")
+        if parts > _PARTS:
+            raise UserError(f"{fault}: there are more than {_PARTS} values")
+        inner = node.values() if isinstance(node, dict) else node if isinstance(node, list | tuple | set) else ()
+        waiting += [(value, depth + 1) for value in inner]
+    return content
+
+
+def dump_yaml(content: Any) -> str:
+    """Write plain values so that `parse_yaml` gives them back."""
+    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True)
+
+
+def shown(value: Any, most: int = 60) -> str:
+    """A value as a message shows it: quoted, and not a page of it."""
+    try:
+        text = repr(value[: most + 1] if isinstance(value, str | bytes) else value)
+    except ValueError:  # Python writes no whole number of thousands of digits
+        text = "a number of thousands of digits"
+    return text if len(text) <= most else f"{text[: most - 1]}…"
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is such a file; of a name that cannot be one (with NUL, too long) there is none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def is_folder(path: Path) -> bool:
+    """Whether there is such a folder; of a name that cannot be one there is none."""
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
+
+
+def name_fault(name: str) -> str | None:
+    """Why a text cannot name a folder or the file of an experiment; None where it can."""
+    if not name or name != name.strip() or not name.isprintable():
+        return "it must be one line of text without blanks around it"
+    if name in (".", "..") or Path(name).name != name:
+        return "it must name a folder, not a path: no slash, and not . or .."
+    # A file system has 255 bytes for a name, and a folder, a sheet or a file add to it.
+    if len(name.encode()) > 200:
+        return "it is too long; at most 200 bytes"
+    return None
+
+
+def in_range(number: float) -> bool:
+    """Whether a number is zero or of a size that can be computed with."""
+    return number == 0 or 1 / MOST <= abs(number) <= MOST
+
+
+def _no_truth(kind: str):
+    def check(value: Any) -> Any:
+        if isinstance(value, bool):
+            raise PydanticCustomError(f"{kind}_type", "a number is wanted")  # pyright: ignore[reportArgumentType]
+        return value
+
+    return BeforeValidator(check)
+
+
+def _sized(value: Any) -> Any:
+    if math.isfinite(value) and not in_range(value):
+        raise ValueError(f"{value:g} is beyond any sense; numbers are 0 or from {1 / MOST:g} to {MOST:g} in size")
+    return value
+
+
+Number = Annotated[float, _no_truth("float"), AfterValidator(_sized)]
+"""A number; true is none."""
+Magnitude = Annotated[float, _no_truth("float"), Field(ge=0, le=MOST)]
+"""How large something is, as near to zero as it may be."""
+Whole = Annotated[int, _no_truth("int"), Field(le=2**63)]
+"""A whole number; true is none."""

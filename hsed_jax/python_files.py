@@ -1,0 +1,29 @@
+"""Python files of a user's own, which a study names: executed, with one message for whatever goes wrong."""
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+from hsed_jax.errors import UserError
+from hsed_jax.plain import is_file
+
+
+def executed(path: Path) -> ModuleType:
+    """The module that a file makes.
+
+    Raises:
+        UserError: there is no such file, it is no Python, or it fails or leaves by an exit.
+    """
+    if not is_file(path):
+        raise UserError(f"there is no such file ({path})")
+    if path.suffix != ".py":
+        raise UserError(f"{path.name} must be a Python file (.py)")
+    spec = importlib.util.spec_from_file_location(f"users_{path.stem}", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
+        raise UserError(f"{path.name} fails with {type(error).__name__}: {error}") from None
+    return module
