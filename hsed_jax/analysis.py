@@ -23,6 +23,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.inference.fit import Fit, fit
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.priors import Prior
+from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Campaign, check_campaign
 from hsed_jax.physics.batch import tiled_map
 from hsed_jax.physics.response import Response
@@ -112,6 +113,7 @@ def calibrate_built(
     campaign: Campaign,
     data: Data | None = None,
     start: Array | None = None,
+    watch: Watch | None = None,
 ) -> Calibration:
     """`calibrate`, with what is built already.
 
@@ -120,6 +122,7 @@ def calibrate_built(
         campaign: the experiments.
         data: the training experiments as data; by default made of the campaign.
         start: parameters of the model (SI) to start one of the searches from.
+        watch: follows it.
     """
     study = built.study
     found = fit(
@@ -131,6 +134,8 @@ def calibrate_built(
         units=built.units,
         correlated=study.observe == "histories" and study.correlated_errors,
         start=start,
+        watch=watch,
+        seconds=study.calibration.seconds,
     )
     return Calibration(built, campaign, found)
 

@@ -3,9 +3,10 @@
 from dataclasses import dataclass
 from functools import cached_property
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from hsed_jax.inference.correlation import reweighted, worths
 from hsed_jax.inference.likelihood import Data, standardised_residual
@@ -13,6 +14,7 @@ from hsed_jax.inference.maximum import Maximum, maximise
 from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.sampling import draw
+from hsed_jax.inference.watch import Watch, arrays_of, fingerprint, tree_like
 from hsed_jax.tables import Table, Tabular, cell
 
 
@@ -49,7 +51,8 @@ class Fit(Tabular):
     @property
     def warning(self) -> str | None:
         """What is wrong with the draws, in one sentence, or None."""
-        return self.convergence.warning(self.names)
+        faults = (self.chains.cut_short, self.convergence.warning(self.names))
+        return "; ".join(fault for fault in faults if fault) or None
 
     def summary(self) -> dict[str, dict[str, float]]:
         """Mean, sd, 5 % and 95 % quantile, bulk ESS and R-hat of each parameter, SI."""
@@ -85,6 +88,8 @@ def fit(
     units: dict[str, str],
     correlated: bool = False,
     start: Array | None = None,
+    watch: Watch | None = None,
+    seconds: float | None = None,
 ) -> Fit:
     """Calibrate: MAP from several starts, then draws of the posterior around it.
 
@@ -98,11 +103,30 @@ def fit(
         correlated: let the samples of an output whose residual at the MAP is correlated count for what they are worth
             (`hsed_jax.inference.correlation`), and fit again.
         start: parameters of the model (SI, without inferred errors) to start one of the searches from.
+        watch: follows the calibration.
+        seconds: budget of NUTS.
     """
+    watch = watch or Watch()
     points = posterior.starts(starts)
     if start is not None:
         middle = posterior.constrain(points[0])
         points = points.at[0].set(posterior.unconstrain(middle.at[: start.size].set(start)))
+    name = f"maximum-{fingerprint(posterior.names, eqx.filter(posterior, eqx.is_array), data, points, correlated)}"
+    if (kept := watch.recall(name)) is not None:
+        split = len(kept) - len(Maximum._fields)
+        data, maximum = tree_like(data, kept[:split]), Maximum(*map(jnp.asarray, kept[split:]))
+    else:
+        watch.report("the most probable parameters")
+        data, maximum = _most_probable(posterior, data, points, correlated)
+        watch.keep(name, arrays_of((data, maximum)))
+    chains = draw(posterior, data, maximum, jnp.asarray(0.8), key, settings, watch, seconds)
+    return Fit(posterior, data, maximum, chains, convergence(chains), units)
+
+
+def _most_probable(
+    posterior: Posterior, data: Data, points: Float[Array, "s p"], correlated: bool
+) -> tuple[Data, Maximum]:
+    """The MAP, and the data with the weights it was found with."""
     maximum = maximise(posterior, data, points)
     if correlated:
         predicted, ok = posterior.predict(posterior.of_model(maximum.theta), data.conditions, data.count)
@@ -111,8 +135,7 @@ def fit(
         if np.any(worth < 1):
             data = reweighted(data, worth, posterior.groups)
             maximum = maximise(posterior, data, points.at[0].set(maximum.u))
-    chains = draw(posterior, data, maximum, jnp.asarray(0.8), key, settings)
-    return Fit(posterior, data, maximum, chains, convergence(chains), units)
+    return data, maximum
 
 
 def summarise(names: tuple[str, ...], chains: Chains, judged: Convergence) -> dict[str, dict[str, float]]:

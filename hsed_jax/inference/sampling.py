@@ -4,26 +4,26 @@ Importance sampling says itself whether it may be believed; where not, NUTS take
 emulator where that is accurate, and from the simulator where not; its draws are exact with either.
 """
 
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from hsed_jax.inference.blocks import follow
 from hsed_jax.inference.emulator import emulate
 from hsed_jax.inference.importance import resampled, weigh
 from hsed_jax.inference.likelihood import LOG_2PI, Data
 from hsed_jax.inference.maximum import Maximum
-from hsed_jax.inference.nuts import Chains, Settings, sample
+from hsed_jax.inference.nuts import Chains, Settings, advance, arrived, begin
 from hsed_jax.inference.posterior import Posterior
+from hsed_jax.inference.watch import Watch, fingerprint
 
 # Error of the emulated log density [nats] that still leaves most proposals accepted.
 _ACCURATE = 0.5
 # Fields of `Chains` that are arrays.
 _ARRAYS = 5
-_compiled: set[Any] = set()
+# Draws of each chain that say anything of a posterior.
+_TELLING = 10
 
 
 def draw(
@@ -33,6 +33,8 @@ def draw(
     step_size: Float[Array, ""],
     key: PRNGKeyArray,
     settings: Settings,
+    watch: Watch | None = None,
+    seconds: float | None = None,
 ) -> Chains:
     """Draws of the posterior (chains, draws, p).
 
@@ -43,6 +45,8 @@ def draw(
         step_size: of NUTS, to begin adaptation from.
         key: of the random numbers.
         settings: sizes, and by which sampler.
+        watch: follows NUTS.
+        seconds: budget of NUTS; what it left undone says `cut_short`.
     """
     first, second = jax.random.split(key)
     number = settings.chains * settings.draws
@@ -61,24 +65,32 @@ def draw(
     # Chains in lockstep wait for the longest trajectory among them; two at a time, on a thread each, wait for less.  Always two,
     # so that the draws do not depend on the machine.
     together = 2 - settings.chains % 2
-
-    def some(first: int) -> Chains:
-        chosen = keys[first : first + together]
-        return jax.block_until_ready(
-            sample(posterior, data, maximum, step_size, chosen, settings, emulator if accurate else None)
-        )
-
-    begins = range(0, settings.chains, together)
-    program = jax.tree.structure((posterior, data, settings, emulator if accurate else None))
-    if program not in _compiled:
-        # One thread traces and compiles, where several would all do the same.
-        parts = [some(begin) for begin in begins]
-        _compiled.add(program)
-    else:
-        with ThreadPoolExecutor() as threads:
-            parts = list(threads.map(some, begins))
-    arrays = [jnp.concatenate(leaves) for leaves in zip(*(part[:_ARRAYS] for part in parts), strict=True)]
-    return Chains(*arrays, sampler="nuts", emulator_error=error if accurate else None)
+    courses = follow(
+        lambda course, most: advance(
+            posterior, data, maximum, settings, emulator if accurate else None, course, jnp.asarray(most)
+        ),
+        [begin(maximum, step_size, keys[i : i + together], settings) for i in range(0, settings.chains, together)],
+        watch or Watch(),
+        f"draws-{fingerprint(posterior.names, data, maximum, step_size, key, settings)}",
+        seconds,
+    )
+    made = min(int(course.done) for course in courses) - settings.warmup
+    budget = f"stopped by the budget of {seconds} s (calibration.seconds)"
+    if made < min(_TELLING, settings.draws):
+        u, height = _gaussian(maximum, first, number)
+        gaussian = _independent(posterior, u, height, step_size, settings._replace(sampler="laplace"), number)
+        instead = f"{budget} before there were draws of the posterior: these are of the Gaussian around the MAP"
+        return gaussian._replace(cut_short=instead)
+    parts = [arrived(posterior, maximum, course, settings) for course in courses]
+    *of_draws, step_sizes = (
+        jnp.concatenate(leaves) for leaves in zip(*(part[:_ARRAYS] for part in parts), strict=True)
+    )
+    return Chains(
+        *(values[:, :made] for values in of_draws),
+        step_size=step_sizes,
+        emulator_error=error if accurate else None,
+        cut_short=f"{budget} after {made} of {settings.draws} draws" if made < settings.draws else None,
+    )
 
 
 @eqx.filter_jit
