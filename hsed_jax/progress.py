@@ -4,7 +4,6 @@ import sys
 import threading
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Self
 
 import numpy as np
 from tqdm import tqdm
@@ -34,7 +33,7 @@ class Progress(Watch):
             # A clock that runs while one compiled call does.
             threading.Thread(target=self._tick, daemon=True).start()
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "Progress":
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None):

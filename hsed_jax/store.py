@@ -110,7 +110,7 @@ class RunFolder:
         """What a calculation has kept; None where that was nothing, or cannot be read any more."""
         path = self._reached / f"{name}.npz"
         try:
-            with np.load(path, allow_pickle=False) as kept:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
                 return list(kept.values())
         except (OSError, ValueError, EOFError, BadZipFile):
             return None

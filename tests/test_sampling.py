@@ -98,15 +98,15 @@ class Notebook(Watch):
 
 def test_chains_stopped_and_taken_up_again_have_the_draws_of_chains_left_alone(monkeypatch):
     posterior, data, maximum = ridge(0.3)
-    settings = Settings(4, 100, 20_000)
+    settings = Settings(4, 100, 4000)
     whole = drawn(posterior, data, maximum, settings)
-    monkeypatch.setattr(blocks, "_BLOCK", 0.02)
-    monkeypatch.setattr(blocks, "_LOOK", 0.01)
-    watch = Notebook(patience=20)
+    monkeypatch.setattr(blocks, "_BLOCK", 0.005)
+    monkeypatch.setattr(blocks, "_LOOK", 0.002)
+    watch = Notebook(patience=3)
     with pytest.raises(KeyboardInterrupt):
         drawn(posterior, data, maximum, settings, watch=watch)
     done, total = watch.counts[-1]
-    assert 0 < done < total == 2 * 20_100  # chains go in pairs
+    assert 0 < done < total == 2 * 4100  # chains go in pairs
     again = drawn(posterior, data, maximum, settings, watch=watch)
     for found, expected in zip(again[:5], whole[:5], strict=True):
         np.testing.assert_array_equal(found, expected)
