@@ -22,6 +22,7 @@ from hsed_jax.criticism.locate import Location
 from hsed_jax.criticism.prediction import Prediction, predict
 from hsed_jax.errors import UserError
 from hsed_jax.inference.fit import Fit, fit
+from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Campaign, stop_at_errors
 from hsed_jax.physics.batch import tiled_map
 from hsed_jax.physics.response import Response
@@ -99,6 +100,7 @@ def calibrate_built(
     campaign: Campaign,
     size: int | None = None,
     start: Array | None = None,
+    watch: Watch | None = None,
 ) -> Calibration:
     """`calibrate`, with what is built already.
 
@@ -107,6 +109,7 @@ def calibrate_built(
         campaign: the experiments.
         size: number of rows to pad the data to.
         start: parameters of the model (SI) to start one of the searches from.
+        watch: follows it.
     """
     study = built.study
     found = fit(
@@ -118,6 +121,8 @@ def calibrate_built(
         units=built.units,
         errors=built.errors,
         start=start,
+        watch=watch,
+        seconds=study.calibration.seconds,
     )
     return Calibration(built, campaign, found)
 

@@ -2,7 +2,7 @@
 
 import os
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,6 +22,7 @@ from hsed_jax.criticism.problem import Problem
 from hsed_jax.design.acquisition import Given
 from hsed_jax.errors import UserError
 from hsed_jax.inference.nested import Target, Task
+from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Campaign
 from hsed_jax.tables import Table, Tabular
 
@@ -29,18 +30,17 @@ from hsed_jax.tables import Table, Tabular
 _DISCRIMINATED = 512
 
 
-def diagnose(
-    calibration: Calibration, campaign: Campaign | None = None, report: Callable[[str], None] | None = None
-) -> Diagnosis:
+def diagnose(calibration: Calibration, campaign: Campaign | None = None, watch: Watch | None = None) -> Diagnosis:
     """Which physical effects of the catalogue the calibrated model lacks.
 
     Arguments:
         calibration: the calibrated model.
         campaign: experiments to look at; by default those it was calibrated on.  Only the training split is fitted.
-        report: called with what is being done.
+        watch: follows the search.
     """
     campaign = calibration.campaign if campaign is None else campaign
-    return diagnosing.diagnose(problem_of(calibration.built, campaign), report or (lambda line: None))
+    watch = watch or Watch()
+    return diagnosing.diagnose(problem_of(calibration.built, campaign, watch=watch), watch.report)
 
 
 def discriminate(built: Built, campaign: Campaign) -> Given:
@@ -123,13 +123,20 @@ class Improvement(Tabular):
         return replace(self.trail._table(), notes=[self.after.verdict, *self.after.warnings, *doubts])
 
 
-def improve(calibration: Calibration, campaign: Campaign | None = None, *, effects: Sequence[str]) -> Improvement:
+def improve(
+    calibration: Calibration,
+    campaign: Campaign | None = None,
+    *,
+    effects: Sequence[str],
+    watch: Watch | None = None,
+) -> Improvement:
     """Add effects to a calibrated model and calibrate it again, MAP and posterior.
 
     Arguments:
         calibration: the model as it is.
         campaign: experiments; by default those it was calibrated on.
         effects: names of effects of the catalogue, in the order to add them.
+        watch: follows the fits and the calibration.
 
     Raises:
         UserError: no effect is given, or one is unknown, there already, or given twice.
@@ -139,14 +146,16 @@ def improve(calibration: Calibration, campaign: Campaign | None = None, *, effec
         raise UserError("there is no effect to add; name at least one (hsed effects lists the catalogue)")
     study = with_effects(calibration.built, effects)
     study = study.model_copy(update={"study": f"{study.study.removesuffix('_improved')}_improved"})
-    problem = problem_of(calibration.built, campaign, effects)
+    watch = watch or Watch()
+    problem = problem_of(calibration.built, campaign, effects, watch=watch)
     before = compare(calibration, campaign)
+    watch.report("the model with the effects")
     thetas = _fits(problem, before, calibration.map, effects)
     steps = [step_of([], before, calibration.map)]
     for count in range(1, len(effects)):
         steps.append(_between(problem, thetas[count - 1], effects[:count]))
     built = Built(study, calibration.built.campaign)
-    better = calibrate_built(built, campaign, start=jnp.asarray(thetas[-1]))
+    better = calibrate_built(built, campaign, start=jnp.asarray(thetas[-1]), watch=watch)
     after = compare(better)
     steps.append(step_of(effects, after, better.map))
     return Improvement(study, calibration, better, before, after, Trail(steps, after.train.noise_floor))

@@ -12,7 +12,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from hsed_jax.errors import UserError
-from hsed_jax.interruptions import heed_interruptions
+from hsed_jax.interruptions import Interrupted, answer, ended_in_time
 from hsed_jax.sweeps import command as sweeping
 
 if TYPE_CHECKING:
@@ -156,7 +156,8 @@ def _guarded(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -
         print(f"error: code that the study names called sys.exit({left.code!r})", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("stopped before there was anything to keep", file=sys.stderr)
+        if words := answer():
+            print(words, file=sys.stderr)
         return 3
 
 
@@ -212,13 +213,12 @@ def _check(options: Any) -> int:
     return 0
 
 
+@ended_in_time()
 def _run(options: Any) -> int:
     if options.check:
         return _check(options)
-    # The run stops between two steps with all it has.
-    heed_interruptions()
     from hsed_jax.config.load import load_study
-    from hsed_jax.workflow import Interrupted, run
+    from hsed_jax.workflow import run
 
     steps = getattr(options, "steps", None)
     only = []
@@ -252,6 +252,7 @@ def _opened(options: Any) -> "AskTell":
     return AskTell(load_study(options.study, options.overrides), options.output)
 
 
+@ended_in_time()
 def _ask(options: Any) -> int:
     with _opened(options) as design:
         for asked in [design.ask_again(options.again)] if options.again else design.ask(options.count):

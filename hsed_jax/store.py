@@ -9,10 +9,12 @@ import json
 import math
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from zipfile import BadZipFile
 
+import numpy as np
 import yaml
 
 from hsed_jax.drafts import write_whole
@@ -113,6 +115,23 @@ class RunFolder:
             f"hsed tell STUDY.yaml --output DIR --campaign {self.campaign}"
         )
 
+    def keep(self, name: str, arrays: Sequence[np.ndarray]) -> None:
+        """Keep what a calculation has reached, in place of what it kept before."""
+        self._reached.mkdir(exist_ok=True)
+        unfinished = self._reached / f"{name}.part"
+        with unfinished.open("wb") as file:
+            np.savez(file, *arrays)
+        unfinished.replace(self._reached / f"{name}.npz")
+
+    def recall(self, name: str) -> list[np.ndarray] | None:
+        """What a calculation has kept; None where that was nothing, or cannot be read any more."""
+        path = self._reached / f"{name}.npz"
+        try:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
+                return list(kept.values())
+        except (OSError, ValueError, EOFError, BadZipFile):
+            return None
+
     def write_summary(self, summary: Mapping[str, Any]) -> None:
         """Write `summary.json`: numbers are numbers, what is not finite is left out."""
         text = json.dumps(_finite(summary), indent=2, ensure_ascii=False, allow_nan=False)
@@ -149,12 +168,17 @@ class RunFolder:
         return self.path / "improved.yaml"
 
     def finish(self) -> None:
-        """Note when the run ended."""
+        """Note when the run ended; what its calculations had reached is in its results now."""
+        shutil.rmtree(self._reached, ignore_errors=True)
         end_session(self._provenance)
 
     @property
     def _provenance(self) -> Path:
         return self.path / "provenance.json"
+
+    @property
+    def _reached(self) -> Path:
+        return self.path / "reached"
 
     @property
     def _journal(self) -> Path:

@@ -18,19 +18,17 @@ from hsed_jax.criticism.findings import Diagnosis
 from hsed_jax.criticism.improve import Trail, step_of
 from hsed_jax.criticism.locate import Location
 from hsed_jax.errors import UserError
+from hsed_jax.interruptions import Interrupted, answered_by
 from hsed_jax.laboratories.base import ExperimentFailed, Measured
 from hsed_jax.laboratories.folder import Awaited
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.measurements import Campaign, stop_at_errors, write_campaign
 from hsed_jax.physics.scales import Scales
+from hsed_jax.progress import Progress
 from hsed_jax.remedy import Improvement, diagnose, improve
 from hsed_jax.reporting.outcome import Outcome, summary
 from hsed_jax.requests import Requests
 from hsed_jax.store import RunFolder, laboratory_folder, read_run
-
-
-class Interrupted(Exception):
-    """The run stopped part-way and can be resumed; the message says where."""
 
 
 class Waiting(Interrupted):
@@ -104,6 +102,7 @@ class Run:
         self.conduct: Conduct | None = None
         self._campaign = self.built.empty_campaign() if self.built.measured is None else self.built.measured
         self.stop_reason = "iterations"
+        self._under_way = ""
         self.calibration: Calibration | None = None
         self.comparison: Comparison | None = None
         self.location: Location | None = None
@@ -129,30 +128,43 @@ class Run:
         from hsed_jax.reporting.run_figures import draw
 
         try:
-            for step in self.study.steps:
-                getattr(self, f"_{step}")()
-                self.tell(self, step)
-            outcome = self.outcome("complete")
-            self.store.write_results(results_tree(outcome))
-            content = summary(outcome)
-            self.store.write_summary(content)
-            if self.figures:
-                draw(outcome, self.store.figures)
-            self.store.finish()
-            if self.figures:
-                self.store.write_report(report_page(read_run(self.store.path)))
-            return content
+            with answered_by(self._stopped):
+                for step in self.study.steps:
+                    self._under_way = step
+                    getattr(self, f"_{step}")()
+                    self.tell(self, step)
+                self._under_way = "report"
+                outcome = self.outcome("complete")
+                self.store.write_results(results_tree(outcome))
+                content = summary(outcome)
+                self.store.write_summary(content)
+                if self.figures:
+                    with self._watch("figures") as watch:
+                        draw(outcome, self.store.figures, watch.report)
+                self.store.finish()
+                if self.figures:
+                    self.store.write_report(report_page(read_run(self.store.path)))
+                return content
         except Waiting:
             self.store.write_summary(summary(self.outcome("waiting")))
             raise
-        except KeyboardInterrupt:
-            self.store.write_summary(summary(self.outcome("interrupted")))
-            raise Interrupted(
-                f"stopped after {len(self.steps)} of {self.study.design.iterations} steps of the design; "
-                "nothing is lost: say --resume to go on"
-            ) from None
         finally:
             self.store.close()
+
+    def _stopped(self) -> str:
+        """Leave behind what the run has come to when it is interrupted, and say where."""
+        self.store.write_summary(summary(self.outcome("interrupted")))
+        steps = self.study.steps
+        if self._under_way == "design":
+            where = f"after {len(self.steps)} of {self.study.design.iterations} steps of the design"
+        elif self._under_way in steps:
+            where = f"while it was at {self._under_way}, {steps.index(self._under_way) + 1} of {len(steps)} steps"
+        else:
+            where = "while the results were written"
+        return f"stopped {where}; nothing is lost: say --resume to go on"
+
+    def _watch(self, step: str) -> Progress:
+        return Progress(step, self.progress, self.store)
 
     def outcome(self, status: str) -> Outcome:
         """What the run has come to."""
@@ -247,15 +259,16 @@ class Run:
 
     def _calibrate(self) -> None:
         if self.conduct is not None:
-            self.tell(self, "data")
             # Padded as the design's own data are, so that its programs serve.
-            self.calibration = calibrate_built(self.built, self.campaign, size=self.conduct.design.size)
-            return
-        if self.built.measured is None:
-            self._campaign = self.built.perform()
-        write_campaign(self.campaign, self.store.campaign)
+            size = self.conduct.design.size
+        else:
+            if self.built.measured is None:
+                self._campaign = self.built.perform()
+            write_campaign(self.campaign, self.store.campaign)
+            size = None
         self.tell(self, "data")
-        self.calibration = calibrate_built(self.built, self.campaign)
+        with self._watch("calibrate") as watch:
+            self.calibration = calibrate_built(self.built, self.campaign, size=size, watch=watch)
 
     def _compare(self) -> None:
         if self.calibration is None:
@@ -267,8 +280,8 @@ class Run:
 
     def _diagnose(self) -> None:
         assert self.calibration is not None
-        with tqdm(disable=not self.progress, bar_format="diagnose: {desc} [{elapsed}]") as bar:
-            self.diagnosis = diagnose(self.calibration, report=bar.set_description_str)
+        with self._watch("diagnose") as watch:
+            self.diagnosis = diagnose(self.calibration, watch=watch)
         if self.diagnosis.effects:
             self.remaining = locating.locate(self.diagnosis.prediction, self.campaign)
 
@@ -279,6 +292,7 @@ class Run:
         if not effects:
             self.trail = Trail([step_of([], self.comparison, self.calibration.map)], self.comparison.train.noise_floor)
             return
-        self.improvement = improve(self.calibration, effects=effects)
+        with self._watch("improve") as watch:
+            self.improvement = improve(self.calibration, effects=effects, watch=watch)
         self.trail = self.improvement.trail
         self.improvement.write(self.store.improved)

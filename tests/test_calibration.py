@@ -42,8 +42,8 @@ def find(posterior, data, starts=4):
     return maximise(posterior, data, posterior.starts(starts))
 
 
-def drawn(posterior, data, maximum, settings, seed=0):
-    return draw(posterior, data, maximum, jnp.asarray(0.8), jax.random.key(seed), settings)
+def drawn(posterior, data, maximum, settings, seed=0, **more):
+    return draw(posterior, data, maximum, jnp.asarray(0.8), jax.random.key(seed), settings, **more)
 
 
 EXACT = pytest.mark.parametrize("sampler", ["nuts", "importance"])

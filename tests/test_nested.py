@@ -1,5 +1,7 @@
 """Coordinates in a box, and fits of nested models side by side: against SciPy's densities and SciPy's bounded least squares."""
 
+from typing import ClassVar
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -9,6 +11,7 @@ from hsed_jax.inference.box import Box
 from hsed_jax.inference.lanes import Lanes
 from hsed_jax.inference.nested import NestedModels, Target, Task
 from hsed_jax.inference.priors import Prior
+from hsed_jax.inference.watch import Watch
 
 LAWS = {
     "uniform": ([2e5, 9e5], stats.uniform(2e5, 7e5)),
@@ -252,6 +255,30 @@ def test_fits_made_side_by_side_are_those_made_alone(decays):
         (alone,) = models.fit(target, [task])
         assert alone.cost == fit.cost
         np.testing.assert_array_equal(alone.x, fit.x)
+
+
+def test_fits_that_were_kept_are_not_made_again_and_are_the_same_to_the_last_bit(decays):
+    class Notebook(Watch):
+        kept: ClassVar[dict[str, list[np.ndarray]]] = {}
+
+        def keep(self, name, arrays):
+            self.kept[name] = list(arrays)
+
+        def recall(self, name):
+            return self.kept.get(name)
+
+    def ends(start):
+        models = models_of(decay, DECAY, [1.0, 1.0])
+        models = NestedModels(models.lanes, models.box, np.array([1.0, 1.0]), Notebook())
+        tasks = [Task(np.arange(2), models.neutral, rivals=0), Task(np.arange(2), models.neutral + start, rivals=0)]
+        fits = models.fit(target_of(decays), [*tasks, Task(np.array([1]), models.neutral)])
+        return fits, sum(len(thetas) for thetas, _ in models.lanes.asked)
+
+    (made, work), (again, little), (_, anew) = ends(0.3), ends(0.3), ends(0.4)
+    for one, other in zip(made, again, strict=True):
+        for name in ("x", "cost", "predicted", "gradient", "hessian"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert little == 3 * 3 and work > 3 * little and anew > 3 * little
 
 
 def test_held_parameters_keep_their_neutral_values_to_the_last_bit(decays):

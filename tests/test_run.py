@@ -4,6 +4,7 @@ import copy
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -20,9 +21,11 @@ from hsed_jax.conduct import Conduct
 from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
+from hsed_jax.interruptions import Interrupted
 from hsed_jax.laboratories.base import ExperimentFailed
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.measurements import Experiment, read_campaign, write_campaign
+from hsed_jax.progress import Progress
 from hsed_jax.run import run_main
 from hsed_jax.store import RunFolder, read_run
 from hsed_jax.workflow import Run, run
@@ -550,3 +553,106 @@ def test_a_finished_run_resumed_is_the_same_run(study, whole, tmp_path):
     assert done.returncode == 0, done.stderr
     assert summary_text(folder) == summary_text(whole)
     assert (folder / "journal.jsonl").read_bytes() == (whole / "journal.jsonl").read_bytes()
+
+
+# --- what takes long is seen, stopped and taken up again ----------------------------------------------------------
+
+
+LONG = ("steps=[calibrate]", "calibration.draws=20000", "calibration.warmup=50")
+
+
+def interrupted(folder, number, *words):
+    """Signal a run while it draws; how long it took to answer [s], and what it said."""
+    process = begin(*words)
+    wait_for(lambda: list((folder / "reached").glob("draws-*.npz")), process)
+    began = time.monotonic()
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=PATIENCE)
+    return process.returncode, time.monotonic() - began, errors
+
+
+@pytest.mark.slow
+def test_draws_are_stopped_within_seconds_and_taken_up_again(study, tmp_path):
+    whole, folder = tmp_path / "whole", tmp_path / "run"
+    done = finish(study, *LONG, "--output", whole)
+    assert done.returncode == 0, done.stderr
+    flags: list[str] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        status, seconds, errors = interrupted(folder, number, study, *LONG, "--output", folder, *flags)
+        assert status == 3 and "Traceback" not in errors, errors
+        assert "while it was at calibrate, 1 of 1 steps" in errors and "design" not in errors
+        assert "draws of the posterior" in errors and "/20050 [" in errors
+        # Two seconds on a machine that has nothing else to do.
+        assert seconds < 10
+        assert json.loads(summary_text(folder))["status"] == "interrupted"
+        flags = ["--resume"]
+    done = finish(study, *LONG, "--output", folder, "--resume")
+    assert done.returncode == 0, done.stderr
+    assert summary_text(folder) == summary_text(whole)
+    assert not (folder / "reached").exists()
+
+
+def test_a_run_says_at_which_step_it_was_stopped(study, tmp_path, monkeypatch):
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("hsed_jax.workflow.calibrate_built", stop)
+    with pytest.raises(Interrupted, match="stopped while it was at calibrate, 1 of 2 steps; nothing is lost"):
+        run(load_study(study, ["steps=[calibrate, compare]"]), tmp_path / "run", progress=False)
+    assert json.loads(summary_text(tmp_path / "run")) == {"study": "small", "status": "interrupted"}
+
+
+@pytest.mark.slow
+def test_a_diagnosis_that_was_stopped_goes_on_where_it_was(study, tmp_path, monkeypatch):
+    from hsed_jax.inference.lanes import Lanes
+
+    simulated = 0
+
+    def counted(self, thetas, experiments, of=Lanes.__call__):
+        nonlocal simulated
+        simulated += len(experiments)
+        if simulated > limit:
+            raise KeyboardInterrupt
+        return of(self, thetas, experiments)
+
+    def go(folder, **flags):
+        nonlocal simulated
+        simulated = 0
+        steps = load_study(study, ["steps=[calibrate, compare, diagnose, improve]", "design.initial=5"])
+        run(steps, folder, progress=False, figures=False, **flags)
+        return simulated, summary_text(folder)
+
+    monkeypatch.setattr(Lanes, "__call__", counted)
+    limit = 10**9
+    work, expected = go(tmp_path / "whole")
+    limit = work * 3 // 4
+    with pytest.raises(Interrupted, match="while it was at"):
+        go(tmp_path / "run")
+    limit = 10**9
+    rest, found = go(tmp_path / "run", resume=True)
+    assert found == expected
+    assert rest < 0.6 * work
+
+
+def test_progress_says_what_is_done_and_how_long_it_will_take(capsys):
+    with Progress("calibrate", True) as watch:
+        watch.report("draws of the posterior")
+        watch.count(10, 40)
+        watch._bar.refresh()
+    with Progress("calibrate", False) as watch:
+        watch.report("nobody hears this")
+        watch.count(1, 2)
+    said = capsys.readouterr().err
+    assert re.search(r"calibrate: draws of the posterior: +25% \|.*\| 10/40 \[00:00<00:\d\d\]", said)
+    assert "nobody" not in said
+
+
+def test_what_a_run_has_reached_is_read_back_and_garbage_is_not(tmp_path):
+    store = RunFolder(tmp_path / "run", {"study": "x", "seed": 0})
+    kept = [np.arange(3.0), np.asarray(7), np.zeros((0, 2))]
+    store.keep("draws-1", kept)
+    for found, expected in zip(store.recall("draws-1") or [], kept, strict=True):
+        np.testing.assert_array_equal(found, expected)
+    (tmp_path / "run" / "reached" / "draws-1.npz").write_bytes(b"PK\x03\x04 cut short")
+    assert store.recall("draws-1") is None and store.recall("draws-2") is None
+    store.close()

@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 from test_calibration import EXACT, drawn, find, measured_at, posterior_of
 
+from hsed_jax.inference import blocks
 from hsed_jax.inference import maximum as search
 from hsed_jax.inference.emulator import emulate
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.importance import Weighted, resampled, weigh
-from hsed_jax.inference.nuts import Chains, Settings, convergence, sample
+from hsed_jax.inference.nuts import Chains, Settings, advance, arrived, begin, convergence
 from hsed_jax.inference.priors import Prior
 from hsed_jax.inference.sampling import _mixed
+from hsed_jax.inference.watch import Watch
 
 # Two parameters whose posterior is a bent ridge: y1 = a, y2 = b + a², so that (a, b + a²) is normal.
 BENT = {"a": Prior("normal", [0.0, 10.0]), "b": Prior("normal", [0.0, 10.0])}
@@ -44,8 +46,14 @@ def test_nuts_is_exact_with_an_emulator_that_is_wrong():
     assert float(emulator.error) < 1e-6  # the response is a quadratic
     keys = jax.random.split(jax.random.key(1), 4)
     wrong = dataclasses.replace(emulator, coefficients=1.5 * emulator.coefficients)
-    chains = sample(posterior, data, maximum, jnp.asarray(0.5), keys, Settings(4, 300, 1500), wrong)
-    exact = sample(posterior, data, maximum, jnp.asarray(0.5), keys, Settings(4, 300, 1500), emulator)
+    settings = Settings(4, 300, 1500)
+
+    def sampled(emulator):
+        course = begin(maximum, jnp.asarray(0.5), keys, settings)
+        course = advance(posterior, data, maximum, settings, emulator, course, jnp.asarray(10**9))
+        return arrived(posterior, maximum, course, settings)
+
+    chains, exact = sampled(wrong), sampled(emulator)
     assert not np.array_equal(chains.theta, exact.theta)
     for found in (chains, exact):
         normal = straight(found, 0.3)
@@ -67,6 +75,70 @@ def test_where_a_quadratic_is_not_enough_nuts_asks_the_simulator():
     mean = np.average(grid, weights=density)
     sd = np.sqrt(np.average((grid - mean) ** 2, weights=density))
     assert np.asarray(chains.theta).mean() == pytest.approx(mean, abs=4 * sd / np.sqrt(convergence(chains).ess_bulk[0]))
+
+
+# --- in blocks ---------------------------------------------------------------------------------------------------
+
+
+class Notebook(Watch):
+    """Keeps in memory, and interrupts when so many counts were heard."""
+
+    def __init__(self, patience=10**9):
+        self.kept, self.counts, self.patience = {}, [], patience
+
+    def keep(self, name, arrays):
+        self.kept[name] = [np.array(x) for x in arrays]
+
+    def recall(self, name):
+        return self.kept.get(name)
+
+    def count(self, done, total):
+        self.counts.append((done, total))
+        if len(self.counts) == self.patience:
+            raise KeyboardInterrupt
+
+
+def test_chains_stopped_and_taken_up_again_have_the_draws_of_chains_left_alone(monkeypatch):
+    posterior, data, maximum = ridge(0.3)
+    settings = Settings(4, 100, 4000)
+    whole = drawn(posterior, data, maximum, settings)
+    monkeypatch.setattr(blocks, "_BLOCK", 0.005)
+    monkeypatch.setattr(blocks, "_LOOK", 0.002)
+    watch = Notebook(patience=3)
+    with pytest.raises(KeyboardInterrupt):
+        drawn(posterior, data, maximum, settings, watch=watch)
+    done, total = watch.counts[-1]
+    assert 0 < done < total == 2 * 4100  # chains go in pairs
+    again = drawn(posterior, data, maximum, settings, watch=watch)
+    for found, expected in zip(again[:5], whole[:5], strict=True):
+        np.testing.assert_array_equal(found, expected)
+    # What is finished is not drawn again, and what was kept of one posterior is not taken for another's.
+    heard = len(watch.counts)
+    np.testing.assert_array_equal(drawn(posterior, data, maximum, settings, watch=watch).theta, whole.theta)
+    assert len(watch.counts) == heard
+    other = data._replace(values=data.values + 1)
+    assert not np.array_equal(drawn(posterior, other, maximum, settings, watch=watch).theta, whole.theta)
+
+
+def test_a_budget_leaves_the_draws_there_are_and_says_so():
+    posterior, data, maximum = ridge(0.3)
+    settings = Settings(2, 50, 100_000)
+    drawn(posterior, data, maximum, settings, seconds=0.1)  # compiles
+    chains = drawn(posterior, data, maximum, settings, seconds=1.0)
+    made = chains.theta.shape[1]
+    assert 10 <= made < 100_000 and chains.theta.shape == (2, made, 2) and chains.steps.shape == (2, made)
+    assert np.ptp(np.asarray(chains.theta[:, -1])) > 0 and np.asarray(chains.steps).min() > 0
+    expected = f"stopped by the budget of 1.0 s (calibration.seconds) after {made} of 100000 draws"
+    assert chains.cut_short == expected
+    found = Fit(posterior, data, maximum, chains, convergence(chains), {})
+    assert found.warning is not None and found.warning.startswith(expected)
+
+
+def test_a_budget_that_ends_in_the_adaptation_leaves_the_gaussian():
+    posterior, data, maximum = ridge(0.3)
+    chains = drawn(posterior, data, maximum, Settings(2, 100, 50), seconds=1e-6)
+    assert chains.sampler == "laplace" and chains.theta.shape == (2, 50, 2)
+    assert chains.cut_short is not None and "Gaussian around the MAP" in chains.cut_short
 
 
 def test_weights_that_cannot_be_relied_on_leave_it_to_nuts():

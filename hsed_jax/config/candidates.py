@@ -19,6 +19,7 @@ from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.nested import NestedModels
 from hsed_jax.inference.observation import conditions_of, stacked
 from hsed_jax.inference.priors import Prior
+from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Campaign, Experiment, Record
 from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.parameters import parameters_of
@@ -61,7 +62,11 @@ def with_effects(built: Built, effects: Sequence[str]) -> Study:
 
 
 def problem_of(
-    built: Built, campaign: Campaign, effects: Sequence[str] | None = None, cube: np.ndarray | None = None
+    built: Built,
+    campaign: Campaign,
+    effects: Sequence[str] | None = None,
+    cube: np.ndarray | None = None,
+    watch: Watch | None = None,
 ) -> Problem:
     """The large model and the measurements.
 
@@ -70,6 +75,7 @@ def problem_of(
         campaign: its experiments.
         effects: candidates; by default all that apply.
         cube: inputs of experiments that could be made, in the unit cube, (c, d); by default some that fill it.
+        watch: follows the fits.
     """
     names = applicable(built, campaign) if effects is None else list(effects)
     large = Built(with_effects(built, names), built.campaign)
@@ -81,7 +87,8 @@ def problem_of(
     conditions = _padded(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts))
     catalogue = built.catalogue.only(names)
     neutral = _neutral(free, catalogue)
-    models = NestedModels(Lanes(large.simulator, large.observation, tuple(free), conditions), Box(free), neutral)
+    lanes = Lanes(large.simulator, large.observation, tuple(free), conditions)
+    models = NestedModels(lanes, Box(free), neutral, watch)
     order = tuple(free)
     own = {
         name: np.asarray([order.index(f"{name}.{p}") for p in parameters_of(effect)])

@@ -213,6 +213,8 @@ class CalibrationEntry(Section):
     step_warmup: Count = 40
     step_draws: Count = 60
     """Of the posterior at each step of the design, which only steers and reports."""
+    seconds: Positive | None = None
+    """Budget of NUTS in a calibration, after which the draws that there are are reported, with a warning."""
     target_acceptance: Annotated[Number, Field(gt=0, lt=1)] = 0.8
 
 

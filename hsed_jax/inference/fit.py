@@ -7,7 +7,7 @@ from functools import cached_property
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from hsed_jax.inference.correlation import SIGNIFICANT, Judged, judge, size_p_value
 from hsed_jax.inference.likelihood import Data, Error
@@ -15,6 +15,7 @@ from hsed_jax.inference.maximum import Maximum, maximise
 from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.sampling import draw
+from hsed_jax.inference.watch import Watch, arrays_of, fingerprint, tree_like
 from hsed_jax.tables import Table, Tabular, cell
 
 # Memory and worth of the samples are told from a residual, which depends on them a little.
@@ -60,7 +61,7 @@ class Fit(Tabular):
     @property
     def warning(self) -> str | None:
         """What is wrong with the draws, or that the posterior has several modes, in one sentence, or None."""
-        found = self.maximum.warning(self.names), self.convergence.warning(self.names)
+        found = self.chains.cut_short, self.maximum.warning(self.names), self.convergence.warning(self.names)
         return "; ".join(filter(None, found)) or None
 
     @property
@@ -136,6 +137,8 @@ def fit(
     units: dict[str, str],
     errors: Sequence[Error] = (),
     start: Array | None = None,
+    watch: Watch | None = None,
+    seconds: float | None = None,
 ) -> Fit:
     """Calibrate: MAP from several starts, then draws of the posterior around it.
 
@@ -149,36 +152,55 @@ def fit(
         errors: of the outputs: what may be inferred of the noise of histories (`hsed_jax.inference.correlation`), and whether
             what the model leaves counts as error.
         start: parameters of the model (SI, without inferred errors) to start one of the searches from.
+        watch: follows the calibration.
+        seconds: budget of NUTS.
     """
+    watch = watch or Watch()
     points = posterior.starts(starts)
     if start is not None:
         middle = posterior.constrain(points[0])
         points = points.at[0].set(posterior.unconstrain(middle.at[: start.size].set(start)))
+    declared, said = posterior, [f"{error.correlated} {error.inflate}" for error in errors]
+    name = f"maximum-{fingerprint(posterior.names, eqx.filter(posterior, eqx.is_array), data, points, said)}"
+    if (kept := watch.recall(name)) is not None:
+        posterior, data, maximum = _read_back(posterior, data, kept)
+    else:
+        watch.report("the most probable parameters")
+        posterior, data, maximum = _most_probable(posterior, data, points, errors)
+        watch.keep(name, arrays_of((posterior.declared, data, maximum)))
+    chains = draw(posterior, data, maximum, jnp.asarray(0.8), key, settings, watch, seconds)
+    standardised = np.asarray(_standardised(declared, data, maximum.theta))
+    chi2, p_value = _left_unexplained(standardised, data, declared, _judged(standardised, data, declared, errors))
+    told = {"chi2_per_datum": chi2, "p_value": p_value, "is_inflated": any(error.inflate for error in errors)}
+    return Fit(posterior, data, maximum, chains, convergence(chains), units, **told)
+
+
+def _read_back(posterior: Posterior, data: Data, kept: Sequence[np.ndarray]) -> tuple[Posterior, Data, Maximum]:
+    """What `_most_probable` found, from the arrays that were kept of it."""
+    split = 1 + len(arrays_of(data))
+    each = len(Maximum._fields) - 1
+    best, *others = (Maximum(*map(jnp.asarray, kept[i : i + each])) for i in range(split, len(kept), each))
+    posterior = posterior.inflated(kept[0] / np.asarray(posterior.declared))
+    return posterior, tree_like(data, kept[1:split]), best._replace(others=tuple(others))
+
+
+def _most_probable(
+    posterior: Posterior, data: Data, points: Float[Array, "s p"], errors: Sequence[Error]
+) -> tuple[Posterior, Data, Maximum]:
+    """The MAP, with what the samples are worth and the errors that it was found with."""
     maximum = maximise(posterior, data, points)
-    declared_sizes = posterior
+    declared = posterior
     for _ in range(_ROUNDS):
-        standardised = np.asarray(_standardised(declared_sizes, data, maximum.theta))
-        judged = _judged(standardised, data, declared_sizes, errors)
-        left = _left(standardised, data, declared_sizes, errors)
-        inflated = declared_sizes.inflated(left)
+        standardised = np.asarray(_standardised(declared, data, maximum.theta))
+        judged = _judged(standardised, data, declared, errors)
+        inflated = declared.inflated(_left(standardised, data, declared, errors))
         weights = jnp.asarray((np.asarray(data.weights) > 0) * judged.worth[posterior.groups])
-        settled = all(
-            np.allclose(old, new, rtol=_SETTLED)
-            for old, new in (
-                (data.weights, weights),
-                (data.memory, judged.memory),
-                (posterior._declared, inflated._declared),
-            )
-        )
-        if settled:
+        found, before = (weights, judged.memory, inflated.declared), (data.weights, data.memory, posterior.declared)
+        if all(np.allclose(old, new, rtol=_SETTLED) for old, new in zip(before, found, strict=True)):
             break
         posterior, data = inflated, data._replace(weights=weights, memory=jnp.asarray(judged.memory))
         maximum = maximise(posterior, data, points.at[0].set(maximum.u))
-    standardised = np.asarray(_standardised(declared_sizes, data, maximum.theta))
-    chains = draw(posterior, data, maximum, jnp.asarray(0.8), key, settings)
-    chi2, p_value = _left_unexplained(standardised, data, declared_sizes, judged)
-    told = {"chi2_per_datum": chi2, "p_value": p_value, "is_inflated": any(error.inflate for error in errors)}
-    return Fit(posterior, data, maximum, chains, convergence(chains), units, **told)
+    return posterior, data, maximum
 
 
 @eqx.filter_jit

@@ -18,6 +18,7 @@ from jaxtyping import Float, Int
 from hsed_jax.inference.box import Box
 from hsed_jax.inference.lanes import Lanes
 from hsed_jax.inference.likelihood import whitened
+from hsed_jax.inference.watch import Watch, fingerprint
 
 # Of a difference, in coordinates of order one: far above the rounding of a simulation, far below a prior's width.
 _DIFFERENCE = 1e-4
@@ -112,10 +113,11 @@ class NestedModels:
         lanes: its predictions.
         box: coordinates of its parameters, in the order of the lanes'.
         neutral: θ at which every effect is absent; law parameters at any value, (P,).
+        watch: hears how many fits have ended, and keeps the ends.
     """
 
-    def __init__(self, lanes: Lanes, box: Box, neutral: Float[np.ndarray, " P"]):
-        self.lanes, self.box = lanes, box
+    def __init__(self, lanes: Lanes, box: Box, neutral: Float[np.ndarray, " P"], watch: Watch | None = None):
+        self.lanes, self.box, self._watch = lanes, box, watch or Watch()
         # Held parameters take their neutral values themselves: to the last bit, an effect that is off is absent.
         self._neutral = neutral
         self.neutral = box.x(neutral)
@@ -134,7 +136,7 @@ class NestedModels:
         return theta
 
     def fit(self, target: Target, tasks: Sequence[Task]) -> list[Descent]:
-        """Make fits, all side by side.
+        """Make fits, all side by side; those that were made and kept before are not made again.
 
         Arguments:
             target: what is fitted.
@@ -143,6 +145,23 @@ class NestedModels:
         Returns:
             The ends, in the order of the tasks.
         """
+        name = f"fits-{fingerprint(self._neutral, target, list(tasks))}"
+        if (kept := self._watch.recall(name)) is not None:
+            return self._again(target, tasks, kept)
+        fits = self._descended(target, tasks)
+        self._watch.keep(name, [np.asarray(x) for f in fits for x in (f.x, f.cost, f.gradient, f.hessian)])
+        return fits
+
+    def _again(self, target: Target, tasks: Sequence[Task], kept: Sequence[np.ndarray]) -> list[Descent]:
+        """Fits from what was kept of their ends; their predictions are made again, which is little beside a fit."""
+        fits = [Descent(task.free, x, task.use) for task, x in zip(tasks, kept[::4], strict=True)]
+        _, tables = self._costs(target, [(f, f.x) for f in fits])
+        for number, (one, predicted) in enumerate(zip(fits, tables, strict=True)):
+            _, cost, one.gradient, one.hessian = kept[4 * number : 4 * number + 4]
+            one.cost, one.predicted = float(cost), predicted
+        return fits
+
+    def _descended(self, target: Target, tasks: Sequence[Task]) -> list[Descent]:
         fits = [Descent(t.free, np.clip(t.start, self.box.low, self.box.high), t.use) for t in tasks]
         for one, cost, predicted in zip(fits, *self._costs(target, [(f, f.x) for f in fits]), strict=True):
             one.cost, one.predicted = cost, predicted
@@ -152,6 +171,7 @@ class NestedModels:
                 if number == stage:
                     _give_up(fits, tasks, left)
             active = [f for f in fits if not f.done]
+            self._watch.count(len(fits) - len(active), len(fits))
             if not active:
                 break
             self._linearise(target, active)

@@ -2,6 +2,8 @@
 
 The posterior of a calibration is nearly Gaussian.  Whitened by the Gauss–Newton curvature at its mode it is nearly standard
 normal, so no mass matrix has to be learnt: only the step size is adapted, from that of the step before.
+
+One program serves blocks of any length, between which it can be seen how far the chains are, and they can be stopped.
 """
 
 from typing import NamedTuple
@@ -11,7 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
-from numpyro.infer.hmc import hmc
+from numpyro.infer.hmc import HMCState, hmc
+from numpyro.infer.util import ParamInfo
 
 from hsed_jax.inference.emulator import Emulator
 from hsed_jax.inference.likelihood import Data
@@ -41,6 +44,7 @@ class Chains(NamedTuple):
         sampler: that drew them: `nuts`, `importance` or `laplace` (of the Gaussian around the mode, not of the posterior).
         worth: number of independent draws that they are worth at most.
         emulator_error: of the log density of the emulator that gave NUTS its gradients [nats]; None where the simulator did.
+        cut_short: how a budget of time ended them, in a sentence; None where it did not.
     """
 
     theta: Float[Array, "chains draws p"]
@@ -51,28 +55,71 @@ class Chains(NamedTuple):
     sampler: str = "nuts"
     worth: float = np.inf
     emulator_error: float | None = None
+    cut_short: str | None = None
+
+
+class Course(NamedTuple):
+    """Chains on their way, in lockstep: all it takes to go on.
+
+    Attributes:
+        state: numpyro's, of each chain.
+        kept: whitened draws, potential, divergence and leapfrog steps of every iteration, adaptation first; zero where there
+            was none yet, (warmup + draws, chains, …).
+        done: iterations that were made.
+        work: leapfrog steps they took, where chains wait for the longest trajectory among them.
+    """
+
+    state: HMCState
+    kept: tuple[Array, ...]
+    done: Int[Array, ""]
+    work: Int[Array, ""]
 
 
 @eqx.filter_jit
-def sample(
+def begin(maximum: Maximum, step_size: Float[Array, ""], keys: Key[Array, " chains"], settings: Settings) -> Course:
+    """Chains before their first iteration.
+
+    Arguments:
+        maximum: the mode to start from and the whitening (`maximise`).
+        step_size: to begin adaptation from.
+        keys: of the random numbers, one for each chain.
+        settings: sizes.
+    """
+
+    def first(key):
+        scattered, key = jax.random.split(key)
+        w = jax.random.normal(scattered, (maximum.start.size,))
+        start, _ = hmc(potential_fn=jnp.sum, algo="NUTS")
+        # Potential and gradient are found with the first iteration, by the program that needs them anyway.
+        return _started(start, ParamInfo(w, jnp.zeros(()), jnp.zeros_like(w)), settings, step_size, key)
+
+    state = jax.vmap(first)(keys)
+    kept = jax.tree.map(
+        lambda values: jnp.zeros((settings.warmup + settings.draws, *values.shape), values.dtype), _worth_keeping(state)
+    )
+    return Course(state, kept, jnp.zeros((), int), jnp.zeros((), int))
+
+
+@eqx.filter_jit
+def advance(
     posterior: Posterior,
     data: Data,
     maximum: Maximum,
-    step_size: Float[Array, ""],
-    keys: Key[Array, " chains"],
     settings: Settings,
-    emulator: Emulator | None = None,
-) -> Chains:
-    """Draw from the posterior.  Pure and traceable.
+    emulator: Emulator | None,
+    course: Course,
+    most: Int[Array, ""],
+) -> Course:
+    """Let chains go on, until their end or until they took so many leapfrog steps.  Where they halt changes no draw.
 
     Arguments:
         posterior: of the study.
         data: measured outputs.
-        maximum: the mode to start from and the whitening (`maximise`).
-        step_size: to begin adaptation from.
-        keys: of the random numbers, one for each chain; these chains move in lockstep.
+        maximum: the mode and the whitening.
         settings: sizes.
         emulator: takes the place of the simulator in gradients; the draws are exact with any, and with a poor one few.
+        course: the chains.
+        most: leapfrog steps after which no iteration is begun.
     """
     place, frame = maximum.start, maximum.whitening
 
@@ -93,35 +140,54 @@ def sample(
         potential.defjvp(lambda at, along: (exact(*at), jax.jvp(emulated, at, along)[1]))
         return potential
 
+    def entered(state):
+        potential, slope = jax.vmap(jax.value_and_grad(potential_of(data)))(state.z)
+        return state._replace(potential_energy=potential, z_grad=slope)
+
     start, draw = hmc(potential_fn_gen=potential_of, algo="NUTS")
-
-    def first(key):
-        scattered, key = jax.random.split(key)
-        return start(
-            jax.random.normal(scattered, (place.size,)),
-            settings.warmup,
-            step_size=step_size,  # pyright: ignore[reportArgumentType]  (annotated as a float, traced all the same)
-            adapt_mass_matrix=False,
-            target_accept_prob=settings.target_acceptance,
-            max_tree_depth=7,
-            model_args=(data,),
-            rng_key=key,
-        )
-
-    state = jax.vmap(first)(keys)
+    # numpyro's kernel learns its settings from its start, whose state is that of no chain here.
+    nowhere = ParamInfo(place, jnp.zeros(()), place)
+    _started(start, nowhere, settings, jnp.ones(()), jax.random.key(0), data)
     move = jax.vmap(lambda state: draw(state, (data,)))
+    before, planned = course.work, settings.warmup + settings.draws
 
-    def keep(state, _):
-        state = move(state)
-        return state, (state.z, state.potential_energy, state.diverging, state.num_steps)
+    def one(course):
+        state = move(course.state)
+        kept = jax.tree.map(lambda all, new: all.at[course.done].set(new), course.kept, _worth_keeping(state))
+        return Course(state, kept, course.done + 1, course.work + jnp.max(state.num_steps))
 
     # Adaptation and draws in one loop: what is traced and compiled twice as often takes twice as long.
-    state, kept = jax.lax.scan(keep, state, None, length=settings.warmup + settings.draws)
-    w, potential, diverging, steps = (x[settings.warmup :] for x in kept)
-    u = place + w @ frame.T
+    state = jax.lax.cond(course.done == 0, entered, lambda state: state, course.state)
+    return jax.lax.while_loop(
+        lambda course: (course.done < planned) & (course.work - before < most), one, course._replace(state=state)
+    )
+
+
+def _worth_keeping(state: HMCState) -> tuple[Array, ...]:
+    return state.z, state.potential_energy, state.diverging, state.num_steps
+
+
+def _started(start, at: ParamInfo, settings: Settings, step_size: Float[Array, ""], key, *data: Data) -> HMCState:
+    return start(
+        at,
+        settings.warmup,
+        step_size=step_size,
+        adapt_mass_matrix=False,
+        target_accept_prob=settings.target_acceptance,
+        max_tree_depth=7,
+        model_args=data,
+        rng_key=key,
+    )
+
+
+@eqx.filter_jit
+def arrived(posterior: Posterior, maximum: Maximum, course: Course, settings: Settings) -> Chains:
+    """The draws of chains, adaptation left out; those that were not made yet mean nothing."""
+    w, potential, diverging, steps = (x[settings.warmup :] for x in course.kept)
+    u = maximum.start + w @ maximum.whitening.T
     theta = jax.vmap(jax.vmap(posterior.constrain))(u)
     theta, potential, diverging, steps = (jnp.swapaxes(x, 0, 1) for x in (theta, potential, diverging, steps))
-    return Chains(theta, -potential, diverging, steps, state.adapt_state.step_size)
+    return Chains(theta, -potential, diverging, steps, course.state.adapt_state.step_size)
 
 
 class Convergence(NamedTuple):

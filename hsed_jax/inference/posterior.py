@@ -59,6 +59,9 @@ class Posterior(eqx.Module):
         errors: per output.
         outputs: names of the outputs, in the order of `errors`.
         groups: the output that each column of the data belongs to, (J,).
+
+    Attributes:
+        declared: sizes of the errors, one where it is inferred, (G,).
     """
 
     predict: Predictor
@@ -69,7 +72,7 @@ class Posterior(eqx.Module):
     _columns: tuple[int, ...] = eqx.field(static=True)
     _relative: tuple[bool, ...] = eqx.field(static=True)
     _inferred: tuple[tuple[int, int], ...] = eqx.field(static=True)
-    _declared: Float[Array, " outputs"]
+    declared: Float[Array, " outputs"]
 
     def __init__(
         self,
@@ -86,7 +89,7 @@ class Posterior(eqx.Module):
         self.names, self._priors = (*priors, *inferred), (*priors.values(), *inferred.values())
         self._columns = tuple(np.asarray(groups).tolist())
         self._relative = tuple(error.is_relative for error in errors)
-        self._declared = jnp.asarray([1.0 if isinstance(s, Prior) else s for s in sizes])
+        self.declared = jnp.asarray([1.0 if isinstance(s, Prior) else s for s in sizes])
         # Number of an output, and where its error stands in θ.
         self._inferred = tuple(
             (i, self.names.index(f"error.{name}")) for i, name in enumerate(self.outputs) if isinstance(sizes[i], Prior)
@@ -109,7 +112,7 @@ class Posterior(eqx.Module):
 
     def inflated(self, factors: np.ndarray) -> "Posterior":
         """The same with the declared errors larger by these factors, one per output."""
-        return eqx.tree_at(lambda p: p._declared, self, self._declared * factors)
+        return eqx.tree_at(lambda p: p.declared, self, self.declared * factors)
 
     @property
     def _members(self) -> np.ndarray:
@@ -140,7 +143,7 @@ class Posterior(eqx.Module):
 
     def errors(self, theta: Float[Array, " p"]) -> Float[Array, " J"]:
         """s of every column: declared or taken from θ."""
-        by_output = self._declared
+        by_output = self.declared
         for output, position in self._inferred:
             by_output = by_output.at[output].set(theta[position])
         return by_output[self.groups]

@@ -7,27 +7,27 @@ No sampler crosses from one mode of a posterior to another.  So each mode is dra
 draws are mixed as the modes share the posterior.
 """
 
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from hsed_jax.inference.blocks import follow
 from hsed_jax.inference.emulator import emulate
 from hsed_jax.inference.importance import resampled, weigh
 from hsed_jax.inference.likelihood import LOG_2PI, Data
 from hsed_jax.inference.maximum import Maximum
-from hsed_jax.inference.nuts import Chains, Settings, convergence, sample
+from hsed_jax.inference.nuts import Chains, Settings, advance, arrived, begin, convergence
 from hsed_jax.inference.posterior import Posterior
+from hsed_jax.inference.watch import Watch, fingerprint
 
 # Error of the emulated log density [nats] that still leaves most proposals accepted.
 _ACCURATE = 0.5
 # Fields of `Chains` that are arrays.
 _ARRAYS = 5
-_compiled: set[Any] = set()
+# Draws of each chain that say anything of a posterior.
+_TELLING = 10
 
 
 def draw(
@@ -37,6 +37,8 @@ def draw(
     step_size: Float[Array, ""],
     key: PRNGKeyArray,
     settings: Settings,
+    watch: Watch | None = None,
+    seconds: float | None = None,
 ) -> Chains:
     """Draws of the posterior (chains, draws, p).
 
@@ -47,12 +49,14 @@ def draw(
         step_size: of NUTS, to begin adaptation from.
         key: of the random numbers.
         settings: sizes, and by which sampler.
+        watch: follows NUTS.
+        seconds: budget of NUTS; what it left undone says `cut_short`.
     """
     if not maximum.others:
-        return _of_one_mode(posterior, data, maximum, step_size, key, settings)
+        return _of_one_mode(posterior, data, maximum, step_size, key, settings, watch, seconds)
     of_order, *keys = jax.random.split(key, 1 + len(maximum.modes))
     found = [
-        _of_one_mode(posterior, data, mode, step_size, of_mode, settings)
+        _of_one_mode(posterior, data, mode, step_size, of_mode, settings, watch, seconds and seconds / len(keys))
         for mode, of_mode in zip(maximum.modes, keys, strict=True)
     ]
     return _mixed(found, maximum.shares, of_order)
@@ -64,7 +68,8 @@ def _mixed(found: list[Chains], shares: Float[np.ndarray, " modes"], key: PRNGKe
     A chain takes its draws from the chains of the same number and in their order, so that one that has not converged in its mode
     still differs from the others.
     """
-    chains, draws = found[0].theta.shape[:2]
+    # A budget leaves some of them fewer.
+    chains, draws = found[0].theta.shape[0], min(c.theta.shape[1] for c in found)
     ends = np.round(np.cumsum(shares) * draws).astype(int)
     counts = np.diff(ends, prepend=0)
     random = np.random.default_rng(np.asarray(jax.random.key_data(key)))
@@ -76,7 +81,8 @@ def _mixed(found: list[Chains], shares: Float[np.ndarray, " modes"], key: PRNGKe
     arrays = [
         jnp.take_along_axis(joined, jnp.asarray(chosen).reshape(chosen.shape + (1,) * (joined.ndim - 2)), axis=1)
         for joined in (
-            jnp.concatenate(leaves, axis=1) for leaves in zip(*(c[: _ARRAYS - 1] for c in found), strict=True)
+            jnp.concatenate([leaf[:, :draws] for leaf in leaves], axis=1)
+            for leaves in zip(*(c[: _ARRAYS - 1] for c in found), strict=True)
         )
     ]
     # Mixing hides that draws of one mode follow one another: they are worth what they were.
@@ -88,6 +94,7 @@ def _mixed(found: list[Chains], shares: Float[np.ndarray, " modes"], key: PRNGKe
         sampler="nuts" if any(c.sampler == "nuts" for c in found) else found[0].sampler,
         worth=float(1 / sum(share**2 / max(worth, 1.0) for share, worth in zip(shares, worths, strict=True))),
         emulator_error=max(errors) if len(errors) == len(found) else None,
+        cut_short="; ".join(dict.fromkeys(c.cut_short for c in found if c.cut_short)) or None,
     )
 
 
@@ -98,6 +105,8 @@ def _of_one_mode(
     step_size: Float[Array, ""],
     key: PRNGKeyArray,
     settings: Settings,
+    watch: Watch | None,
+    seconds: float | None,
 ) -> Chains:
     first, second = jax.random.split(key)
     number = settings.chains * settings.draws
@@ -116,24 +125,32 @@ def _of_one_mode(
     # Chains in lockstep wait for the longest trajectory among them; two at a time, on a thread each, wait for less.  Always two,
     # so that the draws do not depend on the machine.
     together = 2 - settings.chains % 2
-
-    def some(first: int) -> Chains:
-        chosen = keys[first : first + together]
-        return jax.block_until_ready(
-            sample(posterior, data, maximum, step_size, chosen, settings, emulator if accurate else None)
-        )
-
-    begins = range(0, settings.chains, together)
-    program = jax.tree.structure((posterior, data, settings, emulator if accurate else None))
-    if program not in _compiled:
-        # One thread traces and compiles, where several would all do the same.
-        parts = [some(begin) for begin in begins]
-        _compiled.add(program)
-    else:
-        with ThreadPoolExecutor() as threads:
-            parts = list(threads.map(some, begins))
-    arrays = [jnp.concatenate(leaves) for leaves in zip(*(part[:_ARRAYS] for part in parts), strict=True)]
-    return Chains(*arrays, sampler="nuts", emulator_error=error if accurate else None)
+    courses = follow(
+        lambda course, most: advance(
+            posterior, data, maximum, settings, emulator if accurate else None, course, jnp.asarray(most)
+        ),
+        [begin(maximum, step_size, keys[i : i + together], settings) for i in range(0, settings.chains, together)],
+        watch or Watch(),
+        f"draws-{fingerprint(posterior.names, data, maximum, step_size, key, settings)}",
+        seconds,
+    )
+    made = min(int(course.done) for course in courses) - settings.warmup
+    budget = f"stopped by the budget of {seconds} s (calibration.seconds)"
+    if made < min(_TELLING, settings.draws):
+        u, height = _gaussian(maximum, first, number)
+        gaussian = _independent(posterior, u, height, step_size, settings._replace(sampler="laplace"), number)
+        instead = f"{budget} before there were draws of the posterior: these are of the Gaussian around the MAP"
+        return gaussian._replace(cut_short=instead)
+    parts = [arrived(posterior, maximum, course, settings) for course in courses]
+    *of_draws, step_sizes = (
+        jnp.concatenate(leaves) for leaves in zip(*(part[:_ARRAYS] for part in parts), strict=True)
+    )
+    return Chains(
+        *(values[:, :made] for values in of_draws),
+        step_size=step_sizes,
+        emulator_error=error if accurate else None,
+        cut_short=f"{budget} after {made} of {settings.draws} draws" if made < settings.draws else None,
+    )
 
 
 @eqx.filter_jit

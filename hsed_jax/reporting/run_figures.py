@@ -1,6 +1,6 @@
 """The figures of a run, drawn from its outcome into its folder."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import chain
 from pathlib import Path
 
@@ -14,11 +14,12 @@ from hsed_jax.reporting.posterior_figures import posterior
 from hsed_jax.reporting.style import Picture
 
 
-def draw(outcome: Outcome, folder: Path) -> None:
-    """Write every figure that the outcome has the material for, as PNG and SVG."""
+def draw(outcome: Outcome, folder: Path, report: Callable[[str], None] = lambda name: None) -> None:
+    """Write every figure that the outcome has the material for, as PNG and SVG; `report` hears the name of each."""
     for name, picture in chain(
         design_pictures(outcome), _misfit_pictures(outcome), diagnosis_pictures(outcome), _posterior_pictures(outcome)
     ):
+        report(name)
         save(picture, folder, name)
 
 

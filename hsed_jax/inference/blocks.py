@@ -1,0 +1,86 @@
+"""Chains of NUTS in blocks, side by side: seen while they run, stopped within a block, and taken up again where they were.
+
+The state of the chains carries their random numbers, so that no draw depends on where a block ended.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from threading import Event
+
+import jax
+import numpy as np
+
+from hsed_jax.inference.nuts import Course
+from hsed_jax.inference.watch import Watch, arrays_of, tree_like
+
+# Length of a block [s], and leapfrog steps of the first one, when nobody knows yet what a step takes.
+_BLOCK, _FIRST = 0.4, 4
+# How often one looks at the chains, and how often they are kept [s].
+_LOOK, _KEEP = 0.2, 5.0
+
+
+def follow(
+    advance: Callable[[Course, int], Course],
+    courses: Sequence[Course],
+    watch: Watch,
+    name: str,
+    seconds: float | None = None,
+) -> list[Course]:
+    """Let chains go to their end, each course on a thread of its own.
+
+    Arguments:
+        advance: lets a course go on for so many leapfrog steps.
+        courses: where they begin.
+        watch: hears how far they are and keeps them.
+        name: to keep them under; what was kept under it is where they go on.
+        seconds: budget, what was kept included, after which they halt where they are.
+
+    Returns:
+        The courses at their end, or where the budget left them.
+    """
+    spent, reached = 0.0, list(courses)
+    if (kept := watch.recall(name)) is not None:
+        spent, reached = float(kept[0]), tree_like(reached, kept[1:])
+    began, halt = time.perf_counter() - spent, Event()
+    planned = [len(course.kept[0]) for course in reached]
+
+    def is_unfinished(which: int) -> bool:
+        return int(reached[which].done) < planned[which]
+
+    def is_spent() -> bool:
+        return seconds is not None and time.perf_counter() - began >= seconds
+
+    def go(which: int) -> None:
+        most = _FIRST
+        while is_unfinished(which) and not halt.is_set():
+            before, start = int(reached[which].work), time.perf_counter()
+            reached[which] = jax.block_until_ready(advance(reached[which], most))
+            pace = (int(reached[which].work) - before) / (time.perf_counter() - start)
+            most = max(1, min(int(_BLOCK * pace), 8 * most))
+
+    def keep() -> None:
+        watch.keep(name, [np.asarray(time.perf_counter() - began), *arrays_of(list(reached))])
+
+    if is_spent() or not any(map(is_unfinished, range(len(reached)))):
+        return reached
+    watch.report("draws of the posterior")
+    # One thread traces and compiles, where several would all do the same.
+    reached[0] = advance(reached[0], 1)
+    try:
+        with ThreadPoolExecutor(len(reached)) as threads:
+            running = [threads.submit(go, which) for which in range(len(reached))]
+            try:
+                looked = time.perf_counter()
+                while wait(running, _LOOK).not_done and not is_spent():
+                    watch.count(sum(int(course.done) for course in reached), sum(planned))
+                    if time.perf_counter() - looked > _KEEP:
+                        looked = time.perf_counter()
+                        keep()
+            finally:
+                halt.set()
+        for one in running:
+            one.result()
+    finally:
+        keep()
+    return reached

@@ -1,0 +1,61 @@
+"""How a long calculation is followed from outside: what it says of itself, and what it keeps to go on from.
+
+A calculation is handed a `Watch` and knows of no bars and no files.
+"""
+
+import hashlib
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import PyTree
+
+
+class Watch:
+    """Follows a calculation; this one neither shows nor keeps anything."""
+
+    def report(self, what: str) -> None:
+        """Hear what is being done."""
+
+    def count(self, done: int, total: int) -> None:
+        """Hear how much of it is done."""
+
+    def keep(self, name: str, arrays: Sequence[np.ndarray]) -> None:
+        """Keep what was reached under a name, in place of what was kept before."""
+
+    def recall(self, name: str) -> list[np.ndarray] | None:
+        """What was kept under a name; None where nothing was."""
+        return None
+
+
+def fingerprint(*parts: PyTree) -> str:
+    """A short name of what a calculation starts from: of all numbers and words in it, to the last bit."""
+    digest = hashlib.blake2b(digest_size=10)
+    for leaf in jax.tree.leaves(parts):
+        if isinstance(leaf, str):
+            digest.update(leaf.encode())
+        elif eqx.is_array_like(leaf):
+            values = np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)
+            digest.update(f"{values.dtype}{values.shape}".encode() + values.tobytes())
+    return digest.hexdigest()
+
+
+def arrays_of(tree: PyTree) -> list[np.ndarray]:
+    """The leaves of a tree of arrays, keys of random numbers as their data."""
+    return [np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf) for leaf in jax.tree.leaves(tree)]
+
+
+def tree_like(template: PyTree, arrays: Sequence[np.ndarray]) -> PyTree:
+    """The tree of the leaves that `arrays_of` gave, in the shape of another one."""
+    leaves, structure = jax.tree.flatten(template)
+    found = [
+        jax.random.wrap_key_data(jnp.asarray(values)) if _is_key(leaf) else jnp.asarray(values)
+        for leaf, values in zip(leaves, arrays, strict=True)
+    ]
+    return jax.tree.unflatten(structure, found)
+
+
+def _is_key(leaf: object) -> bool:
+    return isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)

@@ -1,0 +1,46 @@
+"""Ctrl-C and terminations: answered in time, once, whatever the process is busy with."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from hsed_jax.interruptions import Interrupted, answered_by, ended_in_time
+
+# A call that holds the main thread for minutes and returns to no signal, as a compiled one does.
+BUSY = """
+import hashlib
+from hsed_jax.interruptions import answered_by, ended_in_time
+with ended_in_time(), answered_by(lambda: "stopped at the sum"):
+    print("busy", flush=True)
+    hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_process_that_is_busy_with_one_call_answers_in_time(number):
+    process = subprocess.Popen([sys.executable, "-c", BUSY], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stdout.readline() == "busy\n"
+    began = time.monotonic()
+    for _ in range(9):
+        process.send_signal(number)
+    _, errors = process.communicate(timeout=60)
+    assert (process.returncode, errors) == (3, "stopped at the sum\n")
+    # Two seconds on a machine that has nothing else to do.
+    assert time.monotonic() - began < 10
+
+
+def test_an_interruption_that_can_be_heeded_is_answered_where_it_comes():
+    began = time.monotonic()
+    with pytest.raises(Interrupted, match="as far as here"), answered_by(lambda: "as far as here"):
+        raise KeyboardInterrupt
+    assert time.monotonic() - began < 1
+
+
+def test_what_was_not_interrupted_leaves_the_signals_as_they_were():
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    with ended_in_time():
+        assert signal.getsignal(signal.SIGINT) is not before[0]
+    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
