@@ -179,7 +179,7 @@ def _read_back(posterior: Posterior, data: Data, kept: Sequence[np.ndarray]) -> 
     """What `_most_probable` found, from the arrays that were kept of it."""
     split = 1 + len(arrays_of(data))
     each = len(Maximum._fields) - 1
-    best, *others = (Maximum(*map(jnp.asarray, kept[i : i + each])) for i in range(split, len(kept), each))
+    best, *others = (Maximum._make([*map(jnp.asarray, kept[i : i + each]), ()]) for i in range(split, len(kept), each))
     posterior = posterior.inflated(kept[0] / np.asarray(posterior.declared))
     return posterior, tree_like(data, kept[1:split]), best._replace(others=tuple(others))
 
