@@ -169,6 +169,7 @@ class Built:
             )
             yielding = self.characteristics.force / self.characteristics.stiffness
             needed = longest / (STEP_PER_YIELD * yielding) if math.isfinite(yielding) else 1.0
+            needed = max(needed, longest / parts.longest_increment(self.parameters))
         else:
             longest = max(float(np.max(np.diff(record.time), initial=0.0)) for record in records)
             needed = longest / parts.longest_step(self.structure, self.parameters, self.study.excitation, self.space)
