@@ -256,6 +256,7 @@ class Run:
         if not effects:
             self.trail = Trail([step_of([], self.comparison, self.calibration.map)], self.comparison.train.noise_floor)
             return
-        self.improvement = improve(self.calibration, effects=effects)
+        start = None if self.diagnosis is None else self.diagnosis.optimum
+        self.improvement = improve(self.calibration, effects=effects, start=start)
         self.trail = self.improvement.trail
         self.improvement.write(self.store.improved)

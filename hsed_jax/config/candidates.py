@@ -1,6 +1,6 @@
 """From a study and a campaign to the large model that a diagnosis works on: the study's model with every candidate in it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -61,7 +61,11 @@ def with_effects(built: Built, effects: Sequence[str]) -> Study:
 
 
 def problem_of(
-    built: Built, campaign: Campaign, effects: Sequence[str] | None = None, cube: np.ndarray | None = None
+    built: Built,
+    campaign: Campaign,
+    effects: Sequence[str] | None = None,
+    cube: np.ndarray | None = None,
+    known: Mapping[str, float] | None = None,
 ) -> Problem:
     """The large model and the measurements.
 
@@ -70,6 +74,7 @@ def problem_of(
         campaign: its experiments.
         effects: candidates; by default all that apply.
         cube: inputs of experiments that could be made, in the unit cube, (c, d); by default some that fill it.
+        known: parameters of the model as it is, by name, SI, as a calibration found them.
     """
     names = applicable(built, campaign) if effects is None else list(effects)
     large = Built(with_effects(built, names), built.campaign)
@@ -82,6 +87,7 @@ def problem_of(
     conditions = _padded(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts))
     neutral = _neutral(free, names)
     models = NestedModels(Lanes(large.simulator, large.observation, tuple(free), conditions), Box(free), neutral)
+    start = None if known is None else models.point({name: known[name] for name in free if name in known})
     order = tuple(free)
     own = {name: np.asarray([order.index(f"{name}.{p}") for p in parameters_of(EFFECTS[name])]) for name in names}
     of_effects = {int(k) for columns in own.values() for k in columns}
@@ -106,6 +112,7 @@ def problem_of(
         outputs=large.outputs,
         candidates=inputs,
         seed=built.study.seed,
+        start=start,
     )
 
 

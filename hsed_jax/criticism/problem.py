@@ -26,6 +26,7 @@ class Problem(NamedTuple):
         outputs: names of the outputs.
         candidates: inputs of experiments that could be made, in declared units; the rows after those measured.
         seed: of random numbers.
+        start: the model as it is, as a calibration left it, (P,); None where there was none.
     """
 
     models: NestedModels
@@ -40,6 +41,7 @@ class Problem(NamedTuple):
     outputs: tuple[str, ...]
     candidates: Sequence[dict[str, float]]
     seed: int
+    start: np.ndarray | None = None
 
     @property
     def rows(self) -> int:
