@@ -21,8 +21,6 @@ from hsed_jax.criticism.locate import Location
 from hsed_jax.criticism.prediction import Prediction, predict
 from hsed_jax.errors import UserError
 from hsed_jax.inference.fit import Fit, fit
-from hsed_jax.inference.likelihood import Data
-from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, check_campaign
 from hsed_jax.physics.batch import tiled_map
 from hsed_jax.physics.response import Response
@@ -110,7 +108,7 @@ def stop_at_errors(campaign: Campaign) -> None:
 def calibrate_built(
     built: Built,
     campaign: Campaign,
-    data: Data | None = None,
+    size: int | None = None,
     start: Array | None = None,
 ) -> Calibration:
     """`calibrate`, with what is built already.
@@ -118,18 +116,18 @@ def calibrate_built(
     Arguments:
         built: the study.
         campaign: the experiments.
-        data: the training experiments as data; by default made of the campaign.
+        size: number of rows to pad the data to.
         start: parameters of the model (SI) to start one of the searches from.
     """
     study = built.study
     found = fit(
         built.posterior,
-        built.data(campaign, campaign.train.experiments) if data is None else data,
+        built.data(campaign, campaign.train.experiments, size),
         starts=study.calibration.starts,
         settings=built.settings,
         key=jax.random.fold_in(jax.random.key(study.seed), _CALIBRATION_KEY),
         units=built.units,
-        correlated=study.observe == "histories" and study.correlated_errors,
+        errors=built.errors,
         start=start,
     )
     return Calibration(built, campaign, found)
@@ -145,9 +143,9 @@ def compare(calibration: Calibration, campaign: Campaign | None = None) -> Compa
     campaign = calibration.campaign if campaign is None else campaign
     if campaign is not calibration.campaign:
         calibration = replace(calibration, campaign=campaign)
-    declared = np.asarray([not isinstance(error, Prior) for error in calibration.built.errors[0]])
+    declared = calibration.fit.posterior.is_declared
     parameters = len(calibration.fit.posterior.model_names)
-    notes = comparing.correlation_notes(calibration.train) if calibration.built.study.observe == "histories" else []
+    notes = calibration.fit.correlation_notes()
     if calibration.built.component_test and not campaign.has_time:
         notes.append(
             "the records have no time: the row number stands for it, which a rate-independent law does not notice"

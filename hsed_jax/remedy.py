@@ -145,10 +145,11 @@ def improve(
 
 
 def _target(problem: Problem, before: Comparison) -> Target:
-    """What the calibration fits."""
-    train = problem.train
-    errors = np.where(np.isnan(train.declared), train.left(before.train_prediction.predicted), train.declared)
-    return Target(train.values, train.sigma(errors), train.used[None].astype(float))
+    """What the calibration fits, as it judges what it leaves."""
+    train, predicted = problem.train, before.train_prediction.predicted
+    errors, judged = np.fmax(train.declared, train.left(predicted)), train.judged(predicted)
+    weights = train.used * judged.worth[train.groups]
+    return Target(train.values, train.sigma(errors, predicted), weights[None], judged.memory)
 
 
 def _best(

@@ -226,8 +226,8 @@ class Run:
 
     def _calibrate(self) -> None:
         if self.conduct is not None:
-            design, state = self.conduct.design, self.conduct.state
-            self.calibration = calibrate_built(self.built, self.campaign, design.data(state))
+            # Padded as the design's own data are, so that its programs serve.
+            self.calibration = calibrate_built(self.built, self.campaign, size=self.conduct.design.size)
             return
         if self.built.measured is None:
             self._campaign = self.built.perform()

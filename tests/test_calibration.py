@@ -11,7 +11,8 @@ from scipy.optimize import minimize
 from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
-from hsed_jax.inference.likelihood import Data, log_likelihood
+from hsed_jax.inference.correlation import memory_of
+from hsed_jax.inference.likelihood import Data, Error, data_of, log_likelihood
 from hsed_jax.inference.maximum import maximise
 from hsed_jax.inference.nuts import Chains, Settings, convergence
 from hsed_jax.inference.posterior import Posterior
@@ -26,19 +27,14 @@ EXPERIMENTS = 8
 def posterior_of(respond, priors, errors) -> Posterior:
     """The posterior of a toy: `respond` gives one output per error."""
     outputs = [f"y{j}" for j in range(len(errors))]
-    return Posterior(Predictor(respond), priors, errors, outputs, np.arange(len(errors)))
+    return Posterior(Predictor(respond), priors, [Error(e) for e in errors], outputs, np.arange(len(errors)))
 
 
-def data_of(x, values, scales=1.0) -> Data:
+def measured_at(x, values) -> Data:
     """Measured outputs (n, J) at the inputs x (n,)."""
     values = np.asarray(values, float)
-    return Data(
-        Conditions({"x": jnp.asarray(x, float)}),
-        jnp.asarray(values),
-        jnp.asarray(np.broadcast_to(scales, values.shape), float),
-        jnp.ones(values.shape),
-        jnp.asarray(len(values)),
-    )
+    conditions = Conditions({"x": jnp.asarray(x, float)})
+    return data_of(conditions, values, np.isfinite(values), np.full(values.shape, np.inf), len(values))
 
 
 def find(posterior, data, starts=4):
@@ -177,25 +173,69 @@ def test_gauss_newton_covariance_of_the_papers_case_is_near_the_grids(paper_maxi
 def random_data(n, J, seed=0):
     rng = np.random.default_rng(seed)
     values, predicted = rng.normal(size=(n, J)), rng.normal(size=(n, J))
-    weights = (rng.uniform(size=(n, J)) < 0.7).astype(float)
-    scales = rng.uniform(0.5, 2.0, (n, J))
-    data = Data(Conditions({}), *(jnp.asarray(v) for v in (values, scales, weights)), jnp.asarray(n))
-    return data, predicted, rng.uniform(0.1, 1.0, J)
+    used, sigma = rng.uniform(size=(n, J)) < 0.7, rng.uniform(0.05, 2.0, (n, J))
+    data = data_of(Conditions({}), values, used, np.full((n, J), np.inf), n)
+    return data, values, used, predicted, sigma
 
 
 def test_log_likelihood_is_the_sum_of_normal_log_densities_over_what_was_measured():
-    data, predicted, errors = random_data(7, 3)
-    expected = stats.norm.logpdf(np.asarray(data.values), predicted, errors * np.asarray(data.scales))
-    expected = (expected * np.asarray(data.weights)).sum()
-    found = log_likelihood(jnp.asarray(predicted), jnp.ones(7), jnp.asarray(errors), data)
+    data, values, used, predicted, sigma = random_data(7, 3)
+    expected = stats.norm.logpdf(values, predicted, sigma)[used].sum()
+    found = log_likelihood(jnp.asarray(predicted), jnp.ones(7), jnp.asarray(np.where(used, sigma, 1.0)), data)
     assert float(found) == pytest.approx(expected, rel=1e-13)
 
 
+def test_log_likelihood_of_noise_with_a_memory_is_the_joint_normal_density():
+    # Two outputs of 12 samples at uneven times; one sample was not measured, and the memory begins anew after it.
+    rng, m = np.random.default_rng(3), 12
+    time = np.cumsum(rng.uniform(0.5, 1.5, m))
+    gaps = np.tile(np.concatenate([[np.inf], np.diff(time)]), 2)[None]
+    groups, times, sigma = np.repeat([0, 1], m), np.asarray([2.0, 0.0]), np.repeat([0.3, 0.7], m)
+    values, predicted, used = rng.normal(size=(1, 2 * m)), rng.normal(size=(1, 2 * m)), np.ones((1, 2 * m), bool)
+    used[0, 5] = False
+    data = data_of(Conditions({}), values, used, gaps, 1)
+    data = data._replace(memory=jnp.asarray(memory_of(np.asarray(data.gaps), times, groups)))
+    correlation = np.eye(2 * m)
+    for part in (slice(0, 5), slice(6, m)):
+        correlation[part, part] = np.exp(-np.abs(time[part, None] - time[part]) / times[0])
+    keep = used[0]
+    covariance = (correlation * sigma[:, None] * sigma)[np.ix_(keep, keep)]
+    expected = stats.multivariate_normal(predicted[0, keep], covariance).logpdf(values[0, keep])
+    found = log_likelihood(jnp.asarray(predicted), jnp.ones(1), jnp.asarray(np.where(used, sigma, 1.0)), data)
+    assert float(found) == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_relative_error_belongs_to_the_prediction():
+    # y ~ N(θ x, (s θ x)²): the density and its mode in closed form; anchored on the data the mode would be another.
+    x, y, s = np.array([1.0, 2.0, 3.0]), np.array([1.3, 1.7, 4.1]), 0.3
+    data = measured_at(x, y[:, None])
+    posterior = Posterior(
+        Predictor(lambda theta, c: (theta[0] * c.inputs["x"][None], True)),
+        {"t": Prior("uniform", [0.1, 10.0])},
+        [Error(s, is_relative=True)],
+        ["y"],
+        np.arange(1),
+    )
+    for theta in (0.8, 1.2, 2.0):
+        u = posterior.unconstrain(jnp.asarray([theta]))
+        expected = stats.norm.logpdf(y, theta * x, s * theta * x).sum() - np.log(9.9)
+        assert float(posterior.log_posterior(u, data)) == pytest.approx(expected, rel=1e-9)
+    # d/dθ: n s² θ² + θ Σ r − Σ r² = 0 with r = y/x.
+    r = y / x
+    mode = (-r.sum() + np.sqrt(r.sum() ** 2 + 4 * 3 * s**2 * (r**2).sum())) / (2 * 3 * s**2)
+    found = find(posterior, data)
+    assert float(found.theta[0]) == pytest.approx(mode, rel=1e-4)
+    # The expected information of N(θx, (sθx)²) is n (1/s² + 2)/θ².
+    information = 3 * (1 / s**2 + 2) / mode**2
+    assert float(found.covariance[0, 0]) == pytest.approx(1 / information, rel=1e-2)
+
+
 def test_missing_values_may_hold_anything():
-    data, predicted, errors = random_data(7, 3)
+    data, _, used, predicted, sigma = random_data(7, 3)
     junk = data._replace(values=jnp.where(data.weights > 0, data.values, 1e30))
     one, other = (
-        float(log_likelihood(jnp.asarray(predicted), jnp.ones(7), jnp.asarray(errors), d)) for d in (data, junk)
+        float(log_likelihood(jnp.asarray(predicted), jnp.ones(7), jnp.asarray(np.where(used, sigma, 1.0)), d))
+        for d in (data, junk)
     )
     assert one == other
 
@@ -224,7 +264,7 @@ def test_a_diverged_simulation_is_a_very_unlikely_one_and_not_a_number_that_is_m
         {"t": Prior("uniform", [0, 1])},
         [1.0],
     )
-    data = data_of(np.ones(3), np.full((3, 1), 0.4))
+    data = measured_at(np.ones(3), np.full((3, 1), 0.4))
     good, bad = (float(posterior.log_density(posterior.unconstrain(jnp.array([t])), data)) for t in (0.4, 0.6))
     assert np.isfinite(bad) and bad < good - 1e5
     assert float(find(posterior, data).theta[0]) == pytest.approx(0.4, abs=1e-4)
@@ -243,7 +283,7 @@ def line(theta, conditions):
 
 def line_data(seed=1):
     truth = np.stack([np.ones_like(X), 1e5 * X], axis=1) @ [4.2e5, 0.8]
-    return data_of(X, (truth + SIGMA * np.random.default_rng(seed).standard_normal(X.size))[:, None])
+    return measured_at(X, (truth + SIGMA * np.random.default_rng(seed).standard_normal(X.size))[:, None])
 
 
 @pytest.mark.parametrize("noise", [SIGMA, 40 * SIGMA], ids=["data rule", "prior rules"])
@@ -305,7 +345,7 @@ def test_posterior_of_an_unknown_error_is_the_closed_form(sampler):
         lambda t, c: ((t[0] * c.inputs["x"])[None], True), {"t": Prior("uniform", [-50, 50])}, [prior]
     )
     assert posterior.names == ("t", "error.y0")
-    data = data_of(x, y[:, None])
+    data = measured_at(x, y[:, None])
     found = find(posterior, data)
     chains = drawn(posterior, data, found, Settings(4, 200, 1000, sampler=sampler))
     judged = convergence(chains)
@@ -353,7 +393,7 @@ def test_a_map_beyond_the_prior_lies_on_its_bound_and_the_draws_do_not_care(samp
     posterior = posterior_of(
         lambda t, c: (t[0] * c.inputs["x"][None], True), {"t": Prior("uniform", [0.0, 1.0])}, [0.3]
     )
-    data = data_of(np.ones(4), np.full((4, 1), 1.2))
+    data = measured_at(np.ones(4), np.full((4, 1), 1.2))
     found = find(posterior, data)
     # The logistic flattens towards the bound; the descent stops 1.2e-3 before it, where the density is down by 1 %.
     assert 1.0 - 2e-3 < float(found.theta[0]) <= 1.0
@@ -374,7 +414,7 @@ def test_several_starts_find_the_better_of_two_modes():
         return jnp.stack([theta[0] ** 2, 0.3 * theta[0]]) * conditions.inputs["x"], True
 
     posterior = posterior_of(respond, {"t": Prior("uniform", [-2.0, 3.0])}, [0.1, 0.2])
-    data = data_of(np.ones(3), np.tile([[1.0, -0.3]], (3, 1)))
+    data = measured_at(np.ones(3), np.tile([[1.0, -0.3]], (3, 1)))
     assert float(find(posterior, data, starts=1).theta[0]) > 0.5  # the worse mode: one start is not enough
     assert float(find(posterior, data, starts=8).theta[0]) == pytest.approx(-1.0, abs=1e-3)
 

@@ -13,6 +13,7 @@ from hsed_jax.design.discrepancy import discrepancy, variance_over
 from hsed_jax.design.sequential import SequentialDesign
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
+from hsed_jax.inference.likelihood import Error
 from hsed_jax.inference.nuts import Settings
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.predict import Predictor
@@ -99,7 +100,7 @@ def toy_posterior():
         return jnp.stack([theta[0] + theta[1] * x["a"] + 0.5 * x["b"]]), True
 
     priors = {"offset": Prior("uniform", [0.0, 5.0]), "slope": Prior("uniform", [0.0, 3.0])}
-    return Posterior(Predictor(respond), priors, [0.05], ["y"], np.arange(1))
+    return Posterior(Predictor(respond), priors, [Error(0.05, is_relative=True)], ["y"], np.arange(1))
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +111,7 @@ def toy():
 
     def make(**changes) -> SequentialDesign:
         options = {
-            "posterior": posterior, "space": space, "size": 16, "relative": np.array([True]),
+            "posterior": posterior, "space": space, "size": 16, "gaps": np.array([np.inf]),
             "settings": Settings(2, 10, 20), "starts": 2, "candidates": 512, "acquisition": "expected_improvement",
             "kriging": {"starts": 4}, "variance_over_parameters": False, "seed": 0,
         }  # fmt: skip
@@ -239,12 +240,13 @@ def test_a_missing_quantity_counts_for_nothing_and_the_others_still_count():
     def respond(theta, conditions):
         return jnp.stack([theta[0] * conditions.inputs["a"], theta[0] + conditions.inputs["a"]]), True
 
-    posterior = Posterior(Predictor(respond), {"t": Prior("uniform", [0, 5])}, [0.05, 0.1], ["y", "z"], np.arange(2))
+    errors = [Error(0.05, is_relative=True), Error(0.1)]
+    posterior = Posterior(Predictor(respond), {"t": Prior("uniform", [0, 5])}, errors, ["y", "z"], np.arange(2))
     space = InputSpace({"a": Prior("uniform", [0, 1])}, {"a": "1"}, {"a": 1.0})
-    design = SequentialDesign(posterior, space, 3, np.array([True, False]), Settings(), 2, 16, "random", {}, False, 0)
+    design = SequentialDesign(posterior, space, 3, np.full(2, np.inf), Settings(), 2, 16, "random", {}, False, 0)
     data = design.data(design.tell(design.init(), [0.5], [np.nan, 3.0]))
     np.testing.assert_array_equal(data.weights, [[0, 1], [0, 0], [0, 0]])
-    assert float(data.scales[0, 1]) == 1.0 and float(data.values[0, 1]) == 3.0
+    assert float(data.values[0, 1]) == 3.0
 
 
 def test_a_model_that_diverges_at_a_tested_point_has_no_discrepancy_there(toy):
@@ -254,7 +256,8 @@ def test_a_model_that_diverges_at_a_tested_point_has_no_discrepancy_there(toy):
         return jnp.stack([jnp.where((x["a"] == 0.75), jnp.nan, y)]), True
 
     priors = {"offset": Prior("uniform", [0.0, 5.0]), "slope": Prior("uniform", [0.0, 3.0])}
-    design = toy(posterior=Posterior(Predictor(respond), priors, [0.05], ["y"], np.arange(1)))
+    errors = [Error(0.05, is_relative=True)]
+    design = toy(posterior=Posterior(Predictor(respond), priors, errors, ["y"], np.arange(1)))
     state = begun(design)
     _, _, info = design.ask(state, jax.random.key(0))
     assert state.cube[1, 0] == 0.75

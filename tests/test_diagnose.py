@@ -18,6 +18,7 @@ from hsed_jax.criticism.scores import score_p_value
 from hsed_jax.criticism.search import Measured, Search
 from hsed_jax.inference.box import Box
 from hsed_jax.inference.lanes import Lanes
+from hsed_jax.inference.likelihood import Error
 from hsed_jax.inference.nested import NestedModels
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Channel, Experiment, Noise, Record
@@ -56,7 +57,8 @@ def measured_of(values, used=None, declared=SIGMA):
     used = np.ones(values.shape, dtype=bool) if used is None else used
     noise = 0.0 if math.isnan(declared) else declared / float(np.std(values[used]))
     groups = np.zeros(values.shape[1], dtype=int)
-    return Measured(values, np.ones(values.shape), used, groups, np.array([declared]), noise)
+    error = Error(Prior("half_normal", 1.0) if math.isnan(declared) else declared, correlated=False)
+    return Measured(values, used, np.full(values.shape, np.inf), groups, (error,), noise)
 
 
 def search_of(values, is_explained=lambda fit: False, functions=FUNCTIONS, **more):

@@ -53,7 +53,7 @@ def wave(theta):
 
 def fitted(formula, priors, data=DATA, sigma=SIGMA, start=None):
     models = NestedModels(Analytic(formula), Box(priors), np.array([float(p.quantile(0.5)) for p in priors.values()]))
-    target = Target(data[None], np.full((1, data.size), sigma), np.ones((1, 1, data.size)))
+    target = Target(data[None], np.full((1, data.size), sigma), np.ones((1, 1, data.size)), np.zeros((1, data.size)))
     start = models.neutral if start is None else models.box.x(np.asarray(start, dtype=float))
     (fit,) = models.fit(target, [Task(np.arange(len(priors)), start)])
     return models, target, fit

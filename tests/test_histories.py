@@ -211,14 +211,18 @@ def test_the_row_number_stands_for_a_time_that_is_absent():
 def test_declared_noise_is_used_and_not_inferred():
     absolute = Built(study_of(), component_campaign(noise=Noise(absolute=NOISE)))
     assert absolute.posterior.names == ("A", "beta")
-    data = absolute.data(absolute.measured, absolute.measured.train.experiments)
-    np.testing.assert_allclose(np.asarray(absolute.posterior.errors(jnp.ones(2)) * data.scales), NOISE)
+    np.testing.assert_allclose(np.asarray(absolute.posterior.errors(jnp.ones(2))), NOISE)
     relative = Built(study_of(), component_campaign(noise=Noise(relative=0.03)))
     data = relative.data(relative.measured, relative.measured.train.experiments)
-    sigma = np.asarray(relative.posterior.errors(jnp.ones(2)) * data.scales)
+    theta = jnp.asarray([A, BETA])
+    predicted, ok = eqx.filter_jit(relative.posterior.predict)(theta, data.conditions, data.count)
+    sigma = np.asarray(relative.posterior.sigma(theta, predicted, ok, data))
     for row, e in enumerate(relative.measured.train):
-        rms = np.sqrt(np.mean(e.record["force"][e.in_window] ** 2))
-        np.testing.assert_allclose(sigma[row], 0.03 * rms)
+        # Of the prediction, which has no noise.
+        used = np.asarray(data.weights[row]) > 0
+        rms = np.sqrt(np.mean(np.asarray(predicted)[row, used] ** 2))
+        assert rms == pytest.approx(np.sqrt(np.mean(e.record["force"][e.in_window] ** 2)), rel=0.02)
+        np.testing.assert_allclose(sigma[row, used], 0.03 * rms)
 
 
 def test_quantities_are_taken_from_records():
@@ -251,7 +255,8 @@ def test_a_relative_error_of_a_quantity_of_zero_is_refused():
     observed = Quantities(("peak_force",))
     with pytest.raises(UserError, match="'E01': peak_force is 0, and a relative error of that is none"):
         assemble(observed, campaign, campaign.experiments, np.asarray([True]))
-    assert assemble(observed, campaign, campaign.experiments, np.asarray([False])).scales.tolist() == [[1.0], [1.0]]
+    data = assemble(observed, campaign, campaign.experiments, np.asarray([False]))
+    assert data.values.tolist() == [[0.0], [3e3]] and data.weights.tolist() == [[1.0], [1.0]]
 
 
 # --- shaken structures -----------------------------------------------------------------------------------------------

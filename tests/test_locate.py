@@ -126,7 +126,7 @@ class Plain:
         data = self.built.data(campaign, experiments)
         theta = self._find(data).theta
         predicted, ok = (np.asarray(x) for x in self._predict(theta, data))
-        sigma = np.broadcast_to(np.asarray(posterior.errors(theta)) * np.asarray(data.scales), predicted.shape)
+        sigma = np.asarray(posterior.sigma(theta, predicted, ok, data))
         used, measured = np.asarray(data.weights) > 0, np.asarray(data.values)
         groups = posterior.groups
         return Prediction(

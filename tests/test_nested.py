@@ -145,7 +145,7 @@ SIGMA = 0.05
 def target_of(values, weights=None, sigma=SIGMA):
     values = np.asarray(values, dtype=float)
     weights = np.ones((1, *values.shape)) if weights is None else np.asarray(weights, dtype=float)
-    return Target(values, np.full(values.shape, sigma), weights)
+    return Target(values, np.full(values.shape, sigma), weights, np.zeros(values.shape))
 
 
 def noisy(clean, seed=0):

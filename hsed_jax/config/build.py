@@ -20,7 +20,7 @@ from hsed_jax.config.sections import ErrorEntry
 from hsed_jax.design.feasible import Limits
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
-from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.likelihood import Data, Error
 from hsed_jax.inference.observation import Grid, Histories, Observation, Outputs, Quantities, assemble
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.predict import Predictor
@@ -271,29 +271,30 @@ class Built:
         return Histories(self.outputs, samples, self.grid, self.excitation)
 
     @cached_property
-    def errors(self) -> tuple[list[float | Prior], np.ndarray]:
-        """Per output: the error s, a number or a prior; and whether it is relative."""
+    def errors(self) -> tuple[Error, ...]:
+        """Of each output."""
         given = parts.per_output("error", self.study.error, list(self.outputs))
-        errors: list[float | Prior] = []
-        relative = []
+        errors = []
         for name in self.outputs:
-            entry = given.get(name) or self._declared_error(name)
+            entry = given.get(name) or ErrorEntry(inflate=False)
+            size = entry if entry.is_told else self._declared_error(name)
             # Of a history the model may miss as much as there is; a quantity off by half is already a poor model.
             unknown = Prior("half_normal", 0.3 if self.study.observe == "quantities" else 1.0)
-            errors.append(unknown if entry.unknown else float(entry.relative or entry.absolute or 0.0))
-            relative.append(entry.absolute is None)
-        return errors, np.asarray(relative)
+            told = unknown if size.unknown else float(size.relative or size.absolute or 0.0)
+            errors.append(Error(told, size.absolute is None, entry.correlated, entry.inflate))
+        return tuple(errors)
 
     @cached_property
     def posterior(self) -> Posterior:
         """The posterior of the study."""
         free, _ = self.parameters
         respond = Outputs(self.simulator, self.observation, tuple(free))
-        return Posterior(Predictor(respond), free, self.errors[0], self.outputs, self.observation.groups)
+        return Posterior(Predictor(respond), free, self.errors, self.outputs, self.observation.groups)
 
-    def data(self, campaign: Campaign, experiments: Sequence[Experiment]) -> Data:
-        """Experiments of a campaign as data."""
-        return assemble(self.observation, campaign, experiments, self.errors[1])
+    def data(self, campaign: Campaign, experiments: Sequence[Experiment], size: int | None = None) -> Data:
+        """Experiments of a campaign as data, padded to `size` rows."""
+        relative = np.asarray([error.is_relative for error in self.errors])
+        return assemble(self.observation, campaign, experiments, relative, size)
 
     @property
     def settings(self) -> "Settings":
@@ -314,7 +315,7 @@ class Built:
             posterior=self.posterior,
             space=self.space,
             size=entry.initial + entry.iterations,
-            relative=self.errors[1][self.observation.groups],
+            gaps=self.observation.gaps(None),
             settings=Settings(
                 sizes.chains, sizes.step_warmup, sizes.step_draws, sizes.target_acceptance, sizes.sampler
             ),

@@ -91,11 +91,9 @@ def problem_of(
     order = tuple(free)
     own = {name: np.asarray([order.index(f"{name}.{p}") for p in parameters_of(EFFECTS[name])]) for name in names}
     of_effects = {int(k) for columns in own.values() for k in columns}
-    errors = large.errors[0]
-    declared = np.asarray([float("nan") if isinstance(e, Prior) else float(e) for e in errors])
     size = len(train)
     measured = [
-        _measured(large, data, part, rows, declared)
+        _measured(large, data, part, rows)
         for part, rows in ((train, slice(0, size)), (test, slice(size, None)))
         if part
     ]
@@ -129,13 +127,13 @@ def _neutral(free: dict[str, Prior], effects: Sequence[str]) -> np.ndarray:
     return np.asarray(values)
 
 
-def _measured(
-    large: Built, data: Data, experiments: Sequence[Experiment], rows: slice, declared: np.ndarray
-) -> Measured:
-    values, scales, used = (np.asarray(table)[rows] for table in (data.values, data.scales, data.weights))
+def _measured(large: Built, data: Data, experiments: Sequence[Experiment], rows: slice) -> Measured:
+    values, used, gaps = (np.asarray(table)[rows] for table in (data.values, data.weights, data.gaps))
     groups = np.asarray(large.observation.groups)
+    measured = Measured(values, used > 0, gaps, groups, large.errors, 0.0)
     # What is not declared is no noise, but for a division by it.
-    sigma = np.where(np.isnan(declared), 1e-12, declared)[groups] * scales
+    declared = ~np.isnan(measured.declared)
+    sigma = measured.sigma(np.where(declared, measured.declared, 1e-12), values)
     itself = Prediction(
         large.outputs,
         groups,
@@ -148,8 +146,7 @@ def _measured(
         sigma,
         np.ones(len(values), bool),
     )
-    noise = compare(itself, None, ~np.isnan(declared), 0, []).train.noise_floor
-    return Measured(values, scales, used > 0, groups, declared, noise)
+    return measured._replace(noise=compare(itself, None, declared, 0, []).train.noise_floor)
 
 
 def _candidates(

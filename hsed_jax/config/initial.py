@@ -80,12 +80,11 @@ def initial_study(campaign: Campaign, folder: Path, output: Path) -> str:
         lines.append(f"quantities: [{', '.join(campaign.quantities)}]")
     declared = [c for c in (campaign.channels if histories else campaign.quantities).values() if c.noise is not None]
     if declared:
-        lines.append(
-            f"# error: as the campaign declares it for {', '.join(c.name for c in declared)}; inferred otherwise"
-        )
+        lines.append(f"# as the campaign declares it for {', '.join(c.name for c in declared)}; inferred otherwise")
     else:
-        lines.append("# error: the campaign declares no noise, so it is inferred from the residual, per output")
+        lines.append("# the campaign declares no noise, so it is inferred from the residual, per output")
     lines += [
+        "error: {inflate: true}                      # what the model leaves beyond it counts as error, too",
         "",
         "steps: [calibrate, compare, diagnose, improve]   # how wrong, where, which effect is missing; add it",
         "",

@@ -244,8 +244,6 @@ class Study(Tabular, Section):
     """Channels to fit and compare when histories are observed; by default all that were measured."""
     quantities: Annotated[list[str], Field(min_length=1)] = list(QUANTITIES)
     error: ErrorsEntry | None = None
-    correlated_errors: bool = True
-    """Let the samples of a history whose residual is correlated in time count for as many as they are worth."""
     scales: ScalesEntry | None = None
     steps: Annotated[list[Step], Field(min_length=1)] = ["design", "calibrate"]
     design: DesignEntry = DesignEntry()

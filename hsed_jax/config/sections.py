@@ -14,15 +14,29 @@ class Section(BaseModel):
 
 
 class ErrorEntry(Section):
-    """Error of an output: relative to what was measured, absolute (SI), or unknown and inferred (relative)."""
+    """Error of an output: relative to what is predicted, absolute (SI), or unknown and inferred (relative); none of them: as the
+    campaign declares it.
+
+    `correlated` says whether the noise of a history has a memory, which is then inferred; by default one is where the size of the
+    noise is declared, and false takes every sample for news.  `inflate` counts as error what the model leaves beyond the
+    declared one.
+    """
 
     relative: Positive | None = None
     absolute: Positive | None = None
     unknown: Literal[True] | None = None
+    correlated: bool | None = None
+    inflate: bool = False
+
+    @property
+    def is_told(self) -> bool:
+        """Whether the entry says how large the error is."""
+        return any(kind is not None for kind in (self.relative, self.absolute, self.unknown))
 
     @model_validator(mode="after")
     def _one_kind(self) -> "ErrorEntry":
-        if sum(kind is not None for kind in (self.relative, self.absolute, self.unknown)) != 1:
+        told = sum(kind is not None for kind in (self.relative, self.absolute, self.unknown))
+        if told > 1 or not self.model_fields_set:
             raise ValueError("give exactly one of relative, absolute, unknown")
         return self
 

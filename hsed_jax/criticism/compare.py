@@ -14,11 +14,13 @@ from scipy.special import chdtrc
 from hsed_jax.criticism.cycles import absorbed_energy, cycle_numbers, energy_per_cycle
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.errors import UserError
-from hsed_jax.inference.correlation import autocorrelation_time
+from hsed_jax.inference.correlation import SIGNIFICANT, judge, size_p_value
+from hsed_jax.inference.likelihood import whitened
 from hsed_jax.measurements import noise_estimate
 from hsed_jax.tables import Table, Tabular, cell
 
-_SIGNIFICANT = 0.01
+# Errors up to this multiple of the noise are the noise, whatever their significance: nobody knows a noise better.
+_MATERIAL = 1.05
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,8 @@ class Comparison(Tabular):
     Attributes:
         train, test: errors over the experiments that were fitted and over those that were not.
         p_value: probability of a residual like this from the noise; None where nothing tells the noise.
-        adequate: whether the noise explains the residual (p_value at least 0.01).
+        adequate: whether the noise explains the residual: p_value at least 0.01, or an error that exceeds the noise by less than
+            matters.
         worst: experiment, output and error of the largest errors.
         notes: sentences on how the comparison was made.
         train_prediction, test_prediction: what the errors are of.
@@ -129,39 +132,46 @@ def compare(
         key=lambda entry: -entry["error"],
     )[:5]
     p_value = discrepancy_p_value(train, declared, parameters)
-    adequate = p_value is not None and p_value >= _SIGNIFICANT
+    adequate = p_value is not None and (
+        p_value >= SIGNIFICANT or not is_material(splits[0].error, splits[0].noise_floor)
+    )
     return Comparison(splits[0], splits[1], p_value, adequate, worst, notes, train, test)
 
 
-def discrepancy_p_value(prediction: Prediction, declared: np.ndarray, parameters: int) -> float | None:
-    r"""Probability that the noise alone leaves such a residual.
+def is_material(error: float, noise_floor: float) -> bool:
+    """Whether an error exceeds the noise by something that matters: with enough samples anything is significant."""
+    return error > _MATERIAL * noise_floor
 
-    Two kinds of tests: the size of the residual against declared noise, $\sum (r/\sigma)^2 \sim \chi^2_{N-p}$; and, for
-    each output that is a history, its whiteness (Ljung & Box 1978 over ten lags).  Of k such tests, which are nearly
-    independent of one another, the smallest p counts: $1-(1-p)^k$ (Šidák 1967), uniform where the noise is as declared.
+
+def discrepancy_p_value(prediction: Prediction, declared: np.ndarray, parameters: int) -> float | None:
+    r"""Probability that the noise alone leaves such a residual; None where nothing tells the noise.
+
+    Where the noise is declared its *size* is tested, $\sum (r/\sigma)^2$ with the variance that memory and kurtosis of the noise
+    give it (`hsed_jax.inference.correlation.size_p_value`): a sensor may well have a memory, and that is no fault of the model.
+    Of histories whose noise nobody declares the size says nothing, and what is left is tested for being noise of any memory:
+    for whiteness (Ljung & Box 1978 over ten lags) after a first-order autoregression has been taken out.  Of k such tests, which
+    are nearly independent of one another, the smallest p counts: $1-(1-p)^k$ (Šidák 1967).
     """
-    values = []
     z = prediction.residual / np.where(prediction.used, prediction.sigma, 1.0)
-    total = int(prediction.used[:, declared[prediction.groups]].sum())
-    if total > parameters:
-        size = float((z[:, declared[prediction.groups]] ** 2).sum())
-        values.append(float(chdtrc(total - parameters, size)))
-    for group in range(len(prediction.outputs)):
+    correlated = [None if known else True for known in declared]
+    judged = judge(z, prediction.gaps, prediction.used, prediction.groups, declared, correlated)
+    noises = {g: noise for g, noise in enumerate(judged.noises) if declared[g]}
+    values = [size_p_value(z, prediction.used, judged.memory, noises, prediction.groups, parameters)]
+    new = whitened(z, judged.memory)
+    for group in np.flatnonzero(~declared):
         columns = prediction.groups == group
-        if columns.sum() < 30:
-            continue
         statistic, lags = 0.0, 0
-        for row, used in zip(z[:, columns], prediction.used[:, columns], strict=True):
+        for row, used in zip(new[:, columns], prediction.used[:, columns], strict=True):
             residual = row[used]
             if residual.size >= 30 and np.ptp(residual) > 0:
                 statistic += _ljung_box(residual)
                 lags += 10
         if lags:
-            values.append(float(chdtrc(lags, statistic)))
-    if not values:
+            values.append(float(chdtrc(lags - 1, statistic)))
+    known = [value for value in values if value is not None]
+    if not known:
         return None
-    smallest = min(values)
-    return 1.0 if smallest >= 1 else float(-np.expm1(len(values) * np.log1p(-smallest)))
+    return 1.0 if min(known) >= 1 else float(-np.expm1(len(known) * np.log1p(-min(known))))
 
 
 def _ljung_box(residual: np.ndarray) -> float:
@@ -280,25 +290,3 @@ def _plain(split: Split) -> dict[str, Any]:
         "per_output": split.per_output,
         "per_experiment": split.per_experiment,
     }
-
-
-def correlation_notes(prediction: Prediction) -> list[str]:
-    """Sentences on outputs whose residual is correlated in time: how many samples count as how many."""
-    notes = []
-    for output in prediction.outputs:
-        columns = prediction.columns(output)
-        rows = [
-            (r[u], u.sum())
-            for r, u in zip(prediction.residual[:, columns], prediction.used[:, columns], strict=True)
-            if u.sum() >= 8
-        ]
-        if not rows:
-            continue
-        tau = float(np.median([autocorrelation_time(residual) for residual, _ in rows]))
-        if tau > 1:
-            samples = int(sum(count for _, count in rows))
-            notes.append(
-                f"the residual of {output} is correlated over {tau:.2g} samples: its {samples} samples count as "
-                f"{max(1, round(samples / tau))}"
-            )
-    return notes

@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from hsed_jax.criticism.compare import discrepancy_p_value
-from hsed_jax.criticism.findings import SIGNIFICANT, Candidate, Diagnosis
+from hsed_jax.criticism.compare import discrepancy_p_value, is_material
+from hsed_jax.criticism.findings import Candidate, Diagnosis
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.criticism.problem import Problem
 from hsed_jax.criticism.rivals import difference, joined, look_alikes_of, next_experiment, rivals_of, separation
 from hsed_jax.criticism.scores import score_p_value
 from hsed_jax.criticism.search import Model, Search, Set
+from hsed_jax.inference.correlation import SIGNIFICANT
 from hsed_jax.inference.evidence import Sampled, gaussian, importance
 from hsed_jax.inference.nested import Descent
 from hsed_jax.physics.effects import EFFECTS
@@ -46,7 +47,9 @@ def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None
 
     def is_explained(fit: Descent) -> bool:
         probability = _p_value(problem, fit)
-        return probability is not None and probability >= SIGNIFICANT
+        if probability is None:
+            return False
+        return probability >= SIGNIFICANT or not is_material(problem.train.error(fit.predicted), problem.train.noise)
 
     search = Search(
         problem.models, problem.train, problem.law, problem.effects, is_explained, report, problem.test, problem.start
@@ -244,5 +247,5 @@ def _p_value(problem: Problem, fit: Descent) -> float | None:
     """Probability of the residual from the noise alone: the declared one, or else the residual's own size."""
     train = problem.train
     is_declared = ~np.isnan(train.declared)
-    errors = np.where(is_declared, train.declared, 1.0)[train.groups] * train.scales
-    return discrepancy_p_value(_prediction(problem, fit, errors), is_declared, len(fit.free))
+    sigma = train.sigma(np.where(is_declared, train.declared, 1.0), fit.predicted)
+    return discrepancy_p_value(_prediction(problem, fit, sigma), is_declared, len(fit.free))

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.inference.correlation import SIGNIFICANT
 from hsed_jax.tables import Table, Tabular, cell
 
-SIGNIFICANT = 0.01
 # Of so many likely effects it is said why they are not named.
 _SHOWN = 3
 

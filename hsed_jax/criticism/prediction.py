@@ -51,6 +51,18 @@ class Prediction:
         """Predicted less measured, SI, (n, J); zero where there is no measurement."""
         return np.where(self.used, self.predicted - self.measured, 0.0)
 
+    @cached_property
+    def gaps(self) -> np.ndarray:
+        """Time since the sample before of the same history [s], infinite where there is none, (n, J)."""
+        gaps = np.full(self.used.shape, np.inf)
+        for row, experiment in enumerate(self.experiments):
+            for output in range(len(self.outputs)):
+                (columns,) = np.nonzero(self.groups == output)
+                if experiment.record is not None and len(columns) > 1:
+                    steps = np.diff(experiment.record.time)[: len(columns) - 1]
+                    gaps[row, columns[1 : len(steps) + 1]] = steps
+        return np.where(self.used & np.pad(self.used[:, :-1], ((0, 0), (1, 0))), gaps, np.inf)
+
     def columns(self, output: str) -> np.ndarray:
         """Which columns belong to an output, (J,) bool."""
         return self.groups == self.outputs.index(output)
@@ -84,7 +96,7 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
         predicted,
         mean,
         sd,
-        np.broadcast_to(sigma, predicted.shape),
+        sigma,
         ok > 0,
     )
 
@@ -93,7 +105,7 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
 def _predicted(posterior, thetas, data):
     """Predictions at the first parameters, whether they converged and their σ; mean and sd over the other parameters."""
     predicted, ok = jax.vmap(lambda t: posterior.predict(posterior.of_model(t), data.conditions, data.count))(thetas)
-    sigma = jax.vmap(posterior.errors)(thetas)[:, None] * data.scales[None]
+    sigma = jax.vmap(lambda t, f, good: posterior.sigma(t, f, good, data))(thetas, predicted, ok)
     good = ok[1:, :, None] / jnp.maximum(ok[1:].sum(axis=0), 1.0)[None, :, None]
     mean = jnp.sum(good * predicted[1:], axis=0)
     variance = jnp.sum(good * ((predicted[1:] - mean) ** 2 + sigma[1:] ** 2), axis=0)

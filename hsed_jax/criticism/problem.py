@@ -50,11 +50,4 @@ class Problem(NamedTuple):
 
     def sigma(self, errors: Float[np.ndarray, " G"], predicted: Float[np.ndarray, "r J"]) -> Float[np.ndarray, "r J"]:
         """Errors of experiments that were not made, from predictions: relative ones need a magnitude."""
-        groups, train = self.train.groups, self.train
-        sigma = np.empty_like(predicted)
-        for g in np.unique(groups):
-            own = groups == g
-            scale = np.sqrt(np.mean(predicted[:, own] ** 2, axis=1, keepdims=True))
-            is_absolute = bool(np.all(train.scales[:, own] == 1.0))
-            sigma[:, own] = errors[g] * (1.0 if is_absolute else np.maximum(scale, 1e-300))
-        return sigma
+        return errors[self.train.groups] * self.train.scales(predicted, np.ones(predicted.shape))

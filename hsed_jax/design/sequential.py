@@ -25,7 +25,7 @@ from hsed_jax.design.feasible import near_failures
 from hsed_jax.design.kriging import Kriging, condition, fit_kriging
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
-from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.likelihood import Data, data_of
 from hsed_jax.inference.maximum import Maximum, maximise
 from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence
 from hsed_jax.inference.posterior import Posterior
@@ -91,7 +91,7 @@ class SequentialDesign:
         posterior: of the study.
         space: of the inputs.
         size: planned number of experiments, initial ones included.
-        relative, absolute: per output, the scale of the error: |measured| or 1 (`relative` is a (J,) mask).
+        gaps: of the columns, time since the sample before of the same history [s], (J,).
         settings: of the sample at each step.
         starts: of the MAP.
         candidates: size of the candidate set.
@@ -105,7 +105,7 @@ class SequentialDesign:
     posterior: Posterior
     space: InputSpace
     size: int
-    relative: np.ndarray
+    gaps: np.ndarray
     settings: Settings
     starts: int
     candidates: int
@@ -117,7 +117,7 @@ class SequentialDesign:
 
     def init(self) -> DesignState:
         """No experiment yet."""
-        n, d, j = self.size, len(self.space.names), len(self.relative)
+        n, d, j = self.size, len(self.space.names), len(self.gaps)
         # Padding repeats a valid input, so that padded simulations are harmless.
         middle = self.space.declared(np.full((n, d), 0.5))
         return DesignState(
@@ -164,13 +164,9 @@ class SequentialDesign:
 
     def data(self, state: DesignState) -> Data:
         """The measured experiments, padded to the planned size."""
-        measured = np.isfinite(state.outputs)
-        values = np.where(measured, state.outputs, 1.0)
-        scales = np.where(self.relative[None] & measured, np.abs(values), 1.0)
         conditions = Conditions({name: jnp.asarray(x) for name, x in state.conditions.items()})
-        return Data(
-            conditions, jnp.asarray(values), jnp.asarray(scales), jnp.asarray(measured, float), jnp.asarray(state.count)
-        )
+        gaps = np.broadcast_to(self.gaps, state.outputs.shape)
+        return data_of(conditions, state.outputs, np.isfinite(state.outputs), gaps, state.count)
 
     def ask(
         self, state: DesignState, key: PRNGKeyArray, acquisition: Acquisition | None = None

@@ -1,14 +1,164 @@
-r"""How much the samples of a correlated residual are worth.
+r"""How much the samples of a history are worth, whose noise has a memory or whose model is wrong.
 
-A model that is wrong leaves a residual that is correlated in time.  Counted as independent, a thousand such samples make the
-posterior absurdly sure.  The integrated autocorrelation time τ of the residual says that n samples are worth n/τ of them
+Two things correlate the residual of a history.  **Noise with a memory** (every filtered sensor makes it) is a property of the
+sensor: it is in the likelihood, as a first-order autoregression $\rho_k = e^{-\Delta t_k/\ell}$ with a memory time ℓ per output.
+It is told from how much the residual changes from sample to sample, $\tfrac12\mathrm E(z_k-z_{k-1})^2 = 1-\rho_k$ with z in units
+of the declared noise: what a wrong model leaves is smooth and adds little to that.  Where no noise is declared nothing separates
+the two, and a memory is inferred only where the study says that there is one.
+
+**A model that is wrong** leaves a residual that is correlated beyond that.  Counted as independent, a thousand such samples make
+the posterior absurdly sure.  The integrated autocorrelation time τ of what is left says that n samples are worth n/τ of them
 (Sokal 1997), so each counts with weight 1/τ in the likelihood: a power likelihood, whose maximum stays where it was for one
 output, and whose width is right.
 """
 
-import numpy as np
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
-from hsed_jax.inference.likelihood import Data
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import chdtrc
+
+from hsed_jax.inference.likelihood import whitened
+
+# A residual of which the noise alone leaves as much less often than this is not the noise's.
+SIGNIFICANT = 0.01
+# A memory is believed where the change from sample to sample is so many standard errors below that of white noise.
+_SURE = 3.0
+_LEAST_SAMPLES = 30
+
+
+class Noise(NamedTuple):
+    """What the residual of one output tells of its noise.
+
+    Attributes:
+        time: memory time ℓ [s]; zero for white noise.
+        excess: excess kurtosis; zero for a Gaussian.
+    """
+
+    time: float
+    excess: float
+
+
+class Judged(NamedTuple):
+    """What the samples of some experiments are worth.
+
+    Attributes:
+        memory: ρ of every sample with the one before, (n, J).
+        worth: by output, how many independent samples each counts for, (G,).
+        noises: by output.
+    """
+
+    memory: np.ndarray
+    worth: np.ndarray
+    noises: tuple[Noise, ...]
+
+
+def judge(
+    standardised: np.ndarray,
+    gaps: np.ndarray,
+    used: np.ndarray,
+    groups: np.ndarray,
+    declared: np.ndarray,
+    correlated: Sequence[bool | None],
+) -> Judged:
+    """Tell the memory of the noise, and what is left of correlation beyond it.
+
+    Arguments:
+        standardised: residuals in units of the noise, (n, J).
+        gaps: time since the sample before [s], infinite where there is none, (n, J).
+        used: where there is a measurement, (n, J) bool.
+        groups: output of each column, (J,).
+        declared: by output, whether the size of its noise is declared, (G,).
+        correlated: by output, what is said of its noise (`Error.correlated`).
+    """
+    noises = []
+    for output, said in enumerate(correlated):
+        own = groups == output
+        asked = said if said is not None or declared[output] else False
+        noises.append(noise_of(standardised[:, own], gaps[:, own], used[:, own], asked))
+    memory = memory_of(gaps, np.asarray([noise.time for noise in noises]), groups)
+    worth = worths(whitened(standardised, memory), used, groups)
+    return Judged(memory, np.where([said is False for said in correlated], 1.0, worth), tuple(noises))
+
+
+def noise_of(standardised: np.ndarray, gaps: np.ndarray, used: np.ndarray, correlated: bool | None) -> Noise:
+    """Memory and kurtosis of the noise of one output.
+
+    Arguments:
+        standardised: residuals of the output in units of its noise, (n, m).
+        gaps: time since the sample before [s], infinite where there is none, (n, m).
+        used: where there is a measurement, (n, m) bool.
+        correlated: whether there is a memory; None: where the residual tells one.
+    """
+    pairs = np.isfinite(gaps) & used
+    if pairs.sum() < _LEAST_SAMPLES:
+        return Noise(0.0, 0.0)
+    before = np.roll(standardised, 1, axis=1)
+    changes, gap = 0.5 * (standardised - before)[pairs] ** 2, gaps[pairs]
+    excess = _excess(standardised, pairs)
+    if correlated is False:
+        return Noise(0.0, excess)
+    change = float(changes.mean())
+    # Neighbouring changes share a sample: of white noise their squares are correlated by a quarter.
+    uncertain = float(np.sqrt(1.5 * changes.var() / changes.size))
+    lag_one = float((standardised * before)[pairs].mean() / (standardised[used] ** 2).mean())
+    if lag_one + _SURE * np.sqrt(max(1 - lag_one**2, 0.0) / changes.size) < 1 - change:
+        # The noise is smaller than declared, and less correlated than its size alone would say.
+        change = 1 - lag_one
+    if change >= 1 - _SURE * uncertain or lag_one < _SURE / np.sqrt(changes.size):
+        return Noise(0.0, excess)
+    typical = float(np.median(gap))
+
+    def beyond(log_time: float) -> float:
+        return float(np.mean(-np.expm1(-gap / np.exp(log_time)))) - change
+
+    low, high = np.log(1e-3 * typical), np.log(1e9 * typical)
+    root: Any = brentq(beyond, low, high) if beyond(high) < 0 else high
+    return Noise(float(np.exp(root)), excess)
+
+
+def _excess(standardised: np.ndarray, pairs: np.ndarray) -> float:
+    """Excess kurtosis of the noise from second differences, in which a smooth error of the model cancels: of independent noise
+    theirs is half of it (Σc⁴/(Σc²)² = 18/36 for 1, −2, 1)."""
+    triples = pairs & np.roll(pairs, 1, axis=1)
+    triples[:, :2] = False
+    second = (standardised - 2 * np.roll(standardised, 1, axis=1) + np.roll(standardised, 2, axis=1))[triples]
+    power = float(np.mean(second**2)) if second.size else 0.0
+    return 2 * max(float(np.mean(second**4)) / power**2 - 3, 0.0) if power > 0 else 0.0
+
+
+def memory_of(gaps: np.ndarray, times: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    """ρ of every sample with the one before, (n, J), from the gaps [s] and the memory times of the outputs, (G,)."""
+    time = times[groups]
+    return np.where(time > 0, np.exp(-gaps / np.where(time > 0, time, 1.0)), 0.0)
+
+
+def size_p_value(standardised: np.ndarray, used: np.ndarray, memory: np.ndarray, noises: dict[int, Noise], groups: np.ndarray,
+                 parameters: int) -> float | None:  # fmt: skip
+    r"""Probability that noise of the declared size leaves so large a residual; None where nothing more was measured than fitted.
+
+    $\sum z^2$ has the mean N − p.  Its variance is 2N for independent Gaussian noise; kurtosis and memory make it
+    $2N\,(1+\kappa/2)\,\overline{(1+\rho^2)/(1-\rho^2)}$.  A scaled χ² with these moments (Satterthwaite 1946) is exact for
+    white Gaussian noise.
+
+    Arguments:
+        standardised: residuals in units of the declared noise, (n, J).
+        used: where there is a measurement to judge, (n, J) bool.
+        memory: ρ, (n, J).
+        noises: by output, what is judged.
+        groups: output of each column, (J,).
+        parameters: how many were fitted.
+    """
+    used = used & np.isin(groups, list(noises))
+    total = int(used.sum())
+    if total <= parameters:
+        return None
+    worse = sum(
+        float(((1 + memory**2) / (1 - memory**2))[used & (groups == output)].sum()) * (1 + noise.excess / 2)
+        for output, noise in noises.items()
+    ) / total  # fmt: skip
+    return float(chdtrc((total - parameters) / worse, float((standardised[used] ** 2).sum()) / worse))
 
 
 def autocorrelation_time(residual: np.ndarray) -> float:
@@ -33,20 +183,15 @@ def autocorrelation_time(residual: np.ndarray) -> float:
     return float(np.clip(taus[enough[0]] if enough.size else m, 1.0, m))
 
 
-def worths(residual: np.ndarray, weights: np.ndarray, groups: np.ndarray) -> np.ndarray:
-    """1/τ per output, (G,): from standardised residuals (n, J), the median τ over the experiments that measured it."""
+def worths(residual: np.ndarray, used: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    """1/τ per output, (G,): from whitened residuals (n, J), the median τ over the experiments that measured it."""
     found = []
     for group in range(int(groups.max()) + 1):
         columns = groups == group
         taus = [
-            autocorrelation_time(r[w > 0])
-            for r, w in zip(residual[:, columns], weights[:, columns], strict=True)
-            if w.any()
+            autocorrelation_time(r[u > 0])
+            for r, u in zip(residual[:, columns], used[:, columns], strict=True)
+            if u.any()
         ]
         found.append(1.0 / float(np.median(taus)) if taus else 1.0)
     return np.asarray(found)
-
-
-def reweighted(data: Data, worth: np.ndarray, groups: np.ndarray) -> Data:
-    """The data with each output's samples counted for what they are worth."""
-    return data._replace(weights=(data.weights > 0) * worth[groups][None])

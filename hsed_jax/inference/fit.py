@@ -1,19 +1,24 @@
 """A calibrated model: MAP, posterior draws and whether to believe them, as one object that shows itself."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PRNGKeyArray
 
-from hsed_jax.inference.correlation import reweighted, worths
-from hsed_jax.inference.likelihood import Data, standardised_residual
+from hsed_jax.inference.correlation import SIGNIFICANT, Judged, judge, size_p_value
+from hsed_jax.inference.likelihood import Data, Error
 from hsed_jax.inference.maximum import Maximum, maximise
 from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.sampling import draw
 from hsed_jax.tables import Table, Tabular, cell
+
+# Memory and worth of the samples are told from a residual, which depends on them a little.
+_ROUNDS, _SETTLED = 3, 0.02
 
 
 @dataclass(frozen=True, repr=False)
@@ -27,6 +32,9 @@ class Fit(Tabular):
         chains: draws of the posterior.
         convergence: R-hat, bulk ESS, divergences.
         units: SI unit of each parameter, by name.
+        chi2_per_datum: mean square of what the model leaves, in units of the declared noise; None where none is declared.
+        p_value: probability that the declared noise alone leaves so much.
+        is_inflated: whether what the model leaves beyond the declared noise was counted as error.
     """
 
     posterior: Posterior
@@ -35,6 +43,9 @@ class Fit(Tabular):
     chains: Chains
     convergence: Convergence
     units: dict[str, str]
+    chi2_per_datum: float | None = None
+    p_value: float | None = None
+    is_inflated: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -50,6 +61,44 @@ class Fit(Tabular):
     def warning(self) -> str | None:
         """What is wrong with the draws, in one sentence, or None."""
         return self.convergence.warning(self.names)
+
+    @property
+    def doubt(self) -> str | None:
+        """What to think of the intervals where the model does not explain the data, in one sentence; else None."""
+        if (
+            self.chi2_per_datum is None
+            or self.p_value is None
+            or self.p_value >= SIGNIFICANT
+            or self.chi2_per_datum < 1
+        ):
+            return None
+        return (
+            f"the model does not explain the data (chi2 per datum {self.chi2_per_datum:.3g}, which should be about 1): "
+            + (
+                "the intervals count what is left as error, and hold for the best this model can do"
+                if self.is_inflated
+                else "the intervals are those of the parameters if the model were right, and too narrow "
+                "(error: {inflate: true} widens them by what is left)"
+            )
+        )
+
+    def correlation_notes(self) -> list[str]:
+        """Sentences on outputs whose noise has a memory, or whose residual is correlated beyond it."""
+        notes, groups = [], self.posterior.groups
+        weights, memory = np.asarray(self.data.weights), np.asarray(self.data.memory)
+        for output, name in enumerate(self.posterior.outputs):
+            own = (weights > 0) & (groups == output)
+            if not own.any():
+                continue
+            if (rho := float(np.median(memory[own]))) > 0:
+                notes.append(f"the noise of {name} has a memory: neighbouring samples share {rho:.0%} of it")
+            if (worth := float(weights[own].min())) < 1:
+                samples = int(own.sum())
+                notes.append(
+                    f"the residual of {name} is correlated over {1 / worth:.2g} samples{' beyond that' if rho > 0 else ''}: "
+                    f"its {samples} samples count as {max(1, round(samples * worth))}"
+                )
+        return notes
 
     def summary(self) -> dict[str, dict[str, float]]:
         """Mean, sd, 5 % and 95 % quantile, bulk ESS and R-hat of each parameter, SI."""
@@ -71,8 +120,9 @@ class Fit(Tabular):
             "laplace": "draws of the Gaussian around the MAP, not of the posterior",
         }[self.chains.sampler]
         state = f"warning: {self.warning}" if self.warning else found
+        notes = [] if self.doubt is None else [self.doubt]
         heads = ("parameter", "MAP", "mean", "sd", "5 %", "95 %", "ESS", "R-hat")
-        return Table(f"calibrated on {int(self.data.count)} experiments; {state}", heads, rows)
+        return Table(f"calibrated on {int(self.data.count)} experiments; {state}", heads, rows, notes)
 
 
 def fit(
@@ -83,7 +133,7 @@ def fit(
     settings: Settings,
     key: PRNGKeyArray,
     units: dict[str, str],
-    correlated: bool = False,
+    errors: Sequence[Error] = (),
     start: Array | None = None,
 ) -> Fit:
     """Calibrate: MAP from several starts, then draws of the posterior around it.
@@ -95,8 +145,8 @@ def fit(
         settings: sizes of the sample, and by which sampler.
         key: of the random numbers.
         units: SI units of the parameters, for reports.
-        correlated: let the samples of an output whose residual at the MAP is correlated count for what they are worth
-            (`hsed_jax.inference.correlation`), and fit again.
+        errors: of the outputs: what may be inferred of the noise of histories (`hsed_jax.inference.correlation`), and whether
+            what the model leaves counts as error.
         start: parameters of the model (SI, without inferred errors) to start one of the searches from.
     """
     points = posterior.starts(starts)
@@ -104,15 +154,64 @@ def fit(
         middle = posterior.constrain(points[0])
         points = points.at[0].set(posterior.unconstrain(middle.at[: start.size].set(start)))
     maximum = maximise(posterior, data, points)
-    if correlated:
-        predicted, ok = posterior.predict(posterior.of_model(maximum.theta), data.conditions, data.count)
-        residual = standardised_residual(predicted, ok, posterior.errors(maximum.theta), data)
-        worth = worths(np.asarray(residual), np.asarray(data.weights), posterior.groups)
-        if np.any(worth < 1):
-            data = reweighted(data, worth, posterior.groups)
-            maximum = maximise(posterior, data, points.at[0].set(maximum.u))
+    declared_sizes = posterior
+    for _ in range(_ROUNDS):
+        standardised = np.asarray(_standardised(declared_sizes, data, maximum.theta))
+        judged = _judged(standardised, data, declared_sizes, errors)
+        left = _left(standardised, data, declared_sizes, errors)
+        inflated = declared_sizes.inflated(left)
+        weights = jnp.asarray((np.asarray(data.weights) > 0) * judged.worth[posterior.groups])
+        settled = all(
+            np.allclose(old, new, rtol=_SETTLED)
+            for old, new in (
+                (data.weights, weights),
+                (data.memory, judged.memory),
+                (posterior._declared, inflated._declared),
+            )
+        )
+        if settled:
+            break
+        posterior, data = inflated, data._replace(weights=weights, memory=jnp.asarray(judged.memory))
+        maximum = maximise(posterior, data, points.at[0].set(maximum.u))
+    standardised = np.asarray(_standardised(declared_sizes, data, maximum.theta))
     chains = draw(posterior, data, maximum, jnp.asarray(0.8), key, settings)
-    return Fit(posterior, data, maximum, chains, convergence(chains), units)
+    chi2, p_value = _left_unexplained(standardised, data, declared_sizes, judged)
+    told = {"chi2_per_datum": chi2, "p_value": p_value, "is_inflated": any(error.inflate for error in errors)}
+    return Fit(posterior, data, maximum, chains, convergence(chains), units, **told)
+
+
+@eqx.filter_jit
+def _standardised(posterior: Posterior, data: Data, theta: Array) -> Array:
+    return posterior.standardised(theta, data)
+
+
+def _judged(standardised: np.ndarray, data: Data, posterior: Posterior, errors: Sequence[Error]) -> Judged:
+    used, gaps = np.asarray(data.weights) > 0, np.asarray(data.gaps)
+    said = [error.correlated for error in errors] or [False] * len(posterior.outputs)
+    return judge(standardised, gaps, used, posterior.groups, posterior.is_declared, said)
+
+
+def _left(standardised: np.ndarray, data: Data, posterior: Posterior, errors: Sequence[Error]) -> np.ndarray:
+    """By what factor each declared error grows, (G,): the RMS of what is left, where that is to count and is more than one."""
+    factors = np.ones(len(posterior.outputs))
+    for output, error in enumerate(errors):
+        own = (np.asarray(data.weights) > 0) & (posterior.groups == output)
+        if error.inflate and error.is_declared and own.any():
+            factors[output] = max(1.0, float(np.sqrt(np.mean(standardised[own] ** 2))))
+    return factors
+
+
+def _left_unexplained(
+    standardised: np.ndarray, data: Data, posterior: Posterior, judged: Judged
+) -> tuple[float | None, float | None]:
+    """χ² per datum and the probability of as much from the declared noise; None where none is declared."""
+    used = (np.asarray(data.weights) > 0) & posterior.is_declared[posterior.groups]
+    if not used.any():
+        return None, None
+    noises = {g: noise for g, noise in enumerate(judged.noises) if posterior.is_declared[g]}
+    parameters = len(posterior.model_names)
+    p_value = size_p_value(standardised, used, judged.memory, noises, posterior.groups, parameters)
+    return float(np.mean(standardised[used] ** 2)), p_value
 
 
 def summarise(names: tuple[str, ...], chains: Chains, judged: Convergence) -> dict[str, dict[str, float]]:

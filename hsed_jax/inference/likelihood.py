@@ -1,17 +1,50 @@
-r"""The likelihood: independent Gaussian errors whose standard deviation is declared or inferred, per output.
+r"""The likelihood: Gaussian errors whose standard deviation is declared or inferred, per output, and which may have a memory.
 
-$$\log L = -\tfrac12\sum_{ij}\Big[\Big(\frac{y_{ij}-f_{ij}(\theta)}{\sigma_{ij}}\Big)^2+\log 2\pi\sigma_{ij}^2\Big]$$
+$$\log L = -\tfrac12\sum_{ij}\Big[w_{ij}^2+\log 2\pi\sigma_{ij}^2(1-\rho_{ij}^2)\Big],\qquad
+  w_{ij} = \frac{z_{ij}-\rho_{ij}z_{i,j-1}}{\sqrt{1-\rho_{ij}^2}},\qquad z_{ij} = \frac{f_{ij}(\theta)-y_{ij}}{\sigma_{ij}}$$
 
-(Abbiati & Marelli, Eqs. 3–4, with σ a standard deviation), $\sigma_{ij} = s_j\,c_{ij}$: the scale c is 1 for an absolute error
-and the magnitude of the measured value for a relative one; s is a declared number or a parameter.
+(Abbiati & Marelli, Eqs. 3–4, with σ a standard deviation.)  $\sigma_{ij} = s_j\,c_{ij}$, s a declared number or a parameter; c is
+1 for an absolute error.  A relative one belongs to what the model predicts, $c = |f_{ij}(\theta)|$ for a quantity and the RMS of
+the predicted history for a channel: anchored on the noisy datum, errors that happen to be small would count for more than
+those that happen to be large, which biases every estimate.  ρ is the correlation of the noise of a sample with that of the
+sample before (a first-order autoregression; Box & Jenkins 1976); of white noise and of quantities it is zero.
 """
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Union
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PyTree
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, PyTree
+
+if TYPE_CHECKING:
+    # Reports read what was fitted and load no distribution.
+    from hsed_jax.inference.priors import Prior
 
 LOG_2PI = 1.8378770664093453
+# A prediction that is smaller than this share of what was measured has no magnitude that an error could be relative to.
+_LEAST = 1e-9
+
+
+class Error(NamedTuple):
+    """The error of one output: s in σ = s·c.
+
+    Attributes:
+        size: s, declared (a number) or inferred (its prior).
+        is_relative: whether c is the magnitude of the prediction; else 1, and s is in SI.
+        correlated: whether the noise of a history has a memory; None: where its declared size lets one tell.
+        inflate: where the model leaves more than the declared error, that counts as error, too.
+    """
+
+    size: Union[float, "Prior"]
+    is_relative: bool = False
+    correlated: bool | None = None
+    inflate: bool = False
+
+    @property
+    def is_declared(self) -> bool:
+        """Whether the size is known."""
+        return isinstance(self.size, int | float)
 
 
 class Data(NamedTuple):
@@ -20,35 +53,102 @@ class Data(NamedTuple):
     Attributes:
         conditions: conditions of the experiments, leading axis n.
         values: measured outputs, SI, shape (n, J).
-        scales: c in σ = s·c, shape (n, J).
         weights: 1 where measured and used, 0 where missing or padding, shape (n, J); between them where samples repeat
             one another, so that they count for as many as they are worth.
+        gaps: time since the sample before of the same history [s], infinite where there is none, shape (n, J).
+        memory: ρ, correlation of the noise with that of the sample before, shape (n, J).
         count: how many experiments there are; rows beyond are padding.
     """
 
     conditions: PyTree
     values: Float[Array, "n J"]
-    scales: Float[Array, "n J"]
     weights: Float[Array, "n J"]
+    gaps: Float[Array, "n J"]
+    memory: Float[Array, "n J"]
     count: Int[Array, ""]
 
 
-def standardised_residual(
-    predicted: Float[Array, "n J"], ok: Float[Array, " n"], errors: Float[Array, " J"], data: Data
+def data_of(conditions: PyTree, measured: np.ndarray, used: np.ndarray, gaps: np.ndarray, count: int) -> Data:
+    """The one place where measured numbers become data; the noise is white until more is known.
+
+    Arguments:
+        conditions: of the experiments, leading axis n.
+        measured: SI, (n, J); anything where not used.
+        used: where there is a measurement to use, (n, J) bool.
+        gaps: time since the sample before of the same history [s], (n, J); infinite where there is none.
+        count: how many experiments there are; rows beyond are padding.
+    """
+    used = used & (np.arange(len(measured)) < count)[:, None]
+    before = np.pad(used[:, :-1], ((0, 0), (1, 0)))
+    return Data(
+        conditions,
+        jnp.asarray(np.where(used, measured, 1.0)),
+        jnp.asarray(used, float),
+        jnp.asarray(np.where(used & before, gaps, np.inf)),
+        jnp.zeros(measured.shape),
+        jnp.asarray(count),
+    )
+
+
+def magnitudes(
+    values: Float[Array, "n J"], used: Float[Array, "n J"], members: Float[np.ndarray, "J G"]
 ) -> Float[Array, "n J"]:
-    """√w (f − y)/σ, zero where there are no data; a diverged experiment counts as a thousand standard deviations."""
-    residual = (predicted - data.values) / _sigma(errors, data)
-    return jnp.sqrt(data.weights) * jnp.where(ok[:, None] > 0, residual, 1e3)
+    """What a relative error is relative to: the size of a quantity, the RMS of a history over what is used of it.
+
+    Arguments:
+        values: predicted or measured outputs.
+        used: 1 where they count, else 0.
+        members: 1 where a column belongs to an output.
+    """
+    if members.shape[0] == members.shape[1]:
+        return jnp.abs(values)
+    squares = (used * values**2) @ members / jnp.maximum(used @ members, 1.0)
+    positive = squares > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, squares, 1.0)), 0.0) @ members.T
+
+
+def sigma_of(
+    errors: Float[Array, " J"],
+    is_relative: Bool[np.ndarray, " J"],
+    members: Float[np.ndarray, "J G"],
+    predicted: Float[Array, "n J"],
+    ok: Float[Array, " n"],
+    data: Data,
+) -> Float[Array, "n J"]:
+    """σ = s·c of every column, SI; one where nothing is used or the simulation diverged."""
+    used = (data.weights > 0).astype(float)
+    counts = (used > 0) & (ok[:, None] > 0)
+    if not is_relative.any():
+        return jnp.where(counts, errors, 1.0)
+    least = _LEAST * magnitudes(data.values, used, members)
+    size = jnp.maximum(magnitudes(predicted, used, members), least)
+    return jnp.where(counts, errors * jnp.where(is_relative, size, 1.0), 1.0)
+
+
+def whitened(standardised: Any, memory: Any) -> Any:
+    """What is new in every sample, (z_k − ρ z_{k−1})/√(1 − ρ²): white where the noise is as remembered.
+
+    Arguments:
+        standardised: residuals, (…, n, J), an array of NumPy or of JAX.
+        memory: ρ, (n, J).
+    """
+    # The first column of all has none before it: its memory is zero, whatever the roll brings there.
+    before = (jnp if isinstance(standardised, jax.Array) else np).roll(standardised, 1, axis=-1)
+    return (standardised - memory * before) / (1 - memory**2) ** 0.5
+
+
+def standardised_residual(
+    predicted: Float[Array, "n J"], ok: Float[Array, " n"], sigma: Float[Array, "n J"], data: Data
+) -> Float[Array, "n J"]:
+    """√w times what is new in (f − y)/σ, zero where there are no data; a diverged experiment counts as a thousand σ."""
+    residual = (data.weights > 0) * (predicted - data.values) / sigma
+    return jnp.sqrt(data.weights) * jnp.where(ok[:, None] > 0, whitened(residual, data.memory), 1e3)
 
 
 def log_likelihood(
-    predicted: Float[Array, "n J"], ok: Float[Array, " n"], errors: Float[Array, " J"], data: Data
+    predicted: Float[Array, "n J"], ok: Float[Array, " n"], sigma: Float[Array, "n J"], data: Data
 ) -> Float[Array, ""]:
     """Log of Eq. 4, the normalising constant included."""
-    residual = standardised_residual(predicted, ok, errors, data)
-    constants = data.weights * (0.5 * LOG_2PI + jnp.log(_sigma(errors, data)))
+    residual = standardised_residual(predicted, ok, sigma, data)
+    constants = data.weights * (0.5 * LOG_2PI + jnp.log(sigma) + 0.5 * jnp.log1p(-(data.memory**2)))
     return -0.5 * jnp.sum(residual**2) - jnp.sum(constants)
-
-
-def _sigma(errors: Float[Array, " J"], data: Data) -> Float[Array, "n J"]:
-    return jnp.where(data.weights > 0, errors * data.scales, 1.0)

@@ -17,6 +17,7 @@ from jaxtyping import Float, Int
 
 from hsed_jax.inference.box import Box
 from hsed_jax.inference.lanes import Lanes
+from hsed_jax.inference.likelihood import whitened
 
 # Of a difference, in coordinates of order one: far above the rounding of a simulation, far below a prior's width.
 _DIFFERENCE = 1e-4
@@ -36,11 +37,13 @@ class Target(NamedTuple):
     Attributes:
         values, sigma: (n, J).
         weights: (M, n, J); a task says which of the M it fits.
+        memory: correlation of the noise with that of the sample before, (n, J).
     """
 
     values: Float[np.ndarray, "n J"]
     sigma: Float[np.ndarray, "n J"]
     weights: Float[np.ndarray, "M n J"]
+    memory: Float[np.ndarray, "n J"]
 
     def rows(self, use: int) -> Int[np.ndarray, " r"]:
         """The experiments that a use has weights for."""
@@ -49,14 +52,15 @@ class Target(NamedTuple):
     def misfit(self, use: int, outputs: Float[np.ndarray, "... r J"]) -> Float[np.ndarray, "..."]:
         """Half the weighted sum of squares of outputs of those experiments, SI."""
         rows = self.rows(use)
-        residual = (outputs - self.values[rows]) / self.sigma[rows]
-        return np.asarray(0.5 * np.sum(self.weights[use][rows] * residual**2, axis=(-2, -1)))
+        residual = self.standardised(use, rows, outputs - self.values[rows])
+        return np.asarray(0.5 * np.sum(residual**2, axis=(-2, -1)))
 
     def standardised(
         self, use: int, rows: Int[np.ndarray, " r"], difference: Float[np.ndarray, "... r J"]
     ) -> Float[np.ndarray, "... r J"]:
-        """√w times differences of outputs of some experiments, SI, in units of their errors."""
-        return np.sqrt(self.weights[use][rows]) * difference / self.sigma[rows]
+        """√w times what is new in differences of outputs, SI, in units of their errors."""
+        used = self.weights[use][rows]
+        return np.sqrt(used) * whitened((used > 0) * difference / self.sigma[rows], self.memory[rows])
 
 
 class Task(NamedTuple):
@@ -163,7 +167,7 @@ class NestedModels:
 
     def standardised(self, target: Target, fit: Descent) -> Float[np.ndarray, "n J"]:
         """√w (f − y)/σ of a fit."""
-        return np.sqrt(target.weights[fit.use]) * (fit.predicted - target.values) / target.sigma
+        return target.standardised(fit.use, np.arange(len(target.values)), fit.predicted - target.values)
 
     def _advance(self, target: Target, active: list[Descent]) -> None:
         """Move each fit by one accepted step, or end it."""
@@ -243,12 +247,11 @@ class NestedModels:
         place = 0
         for one, steps in zip(fits, sizes, strict=True):
             rows = target.rows(one.use)
-            root = np.sqrt(target.weights[one.use][rows]) / target.sigma[rows]
             residual = self.standardised(target, one)[rows].ravel()
             jacobian = np.empty((len(one.free), residual.size))
             for i, size in enumerate(steps):
-                column = root * (outputs[place] - one.predicted[rows]) / size
-                jacobian[i] = np.where(ok[place][:, None] > 0, column, 0.0).ravel()
+                difference = np.where(ok[place][:, None] > 0, outputs[place] - one.predicted[rows], 0.0)
+                jacobian[i] = target.standardised(one.use, rows, difference).ravel() / size
                 place += 1
             terms = self.box.terms(one.x, one.free)
             one.gradient = jacobian @ residual - terms.slope

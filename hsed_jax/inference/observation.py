@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hsed_jax.errors import UserError
-from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.likelihood import Data, data_of
 from hsed_jax.measurements import Campaign, Experiment, Record
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.excitations import AbstractExcitation, Imposed, Tabulated
@@ -68,9 +68,9 @@ class Quantities:
         """1 where there is a measurement to use, (J,)."""
         return np.isfinite(self.measured(experiment)).astype(float)
 
-    def magnitudes(self, experiment: Experiment) -> np.ndarray:
-        """What a relative error is relative to, per column, (J,): the measured value."""
-        return np.abs(np.nan_to_num(self.measured(experiment), nan=1.0))
+    def gaps(self, time: np.ndarray | None) -> np.ndarray:
+        """Time since the sample before [s], (J,): none, a quantity has no sample before it."""
+        return np.full(len(self.names), np.inf)
 
 
 @dataclass(frozen=True)
@@ -119,13 +119,16 @@ class Histories:
         inside[: len(_record(experiment))] = experiment.in_window
         return np.isfinite(self.measured(experiment)) * np.tile(inside, len(self.names))
 
-    def magnitudes(self, experiment: Experiment) -> np.ndarray:
-        """What a relative error is relative to, per column, (J,): the channel's RMS in the window."""
-        weights, measured = self.weights(experiment), np.nan_to_num(self.measured(experiment))
-        squares = (weights * measured**2).reshape(len(self.names), -1).sum(axis=1)
-        counts = np.maximum(weights.reshape(len(self.names), -1).sum(axis=1), 1.0)
-        rms = np.sqrt(squares / counts)
-        return np.repeat(np.where(rms > 0, rms, 1.0), self.samples)
+    def gaps(self, time: np.ndarray | None) -> np.ndarray:
+        """Time since the sample before of the same channel [s], (J,), infinite for the first and beyond the record.
+
+        Arguments:
+            time: of the record's samples; None where all have the timeline's own.
+        """
+        gaps = np.full((len(self.names), self.samples), np.inf)
+        steps = np.ones(self.samples - 1) if time is None else np.diff(time)
+        gaps[:, 1 : len(steps) + 1] = steps
+        return gaps.ravel()
 
 
 Observation = Quantities | Histories
@@ -175,41 +178,33 @@ def assemble(
         observation: what is observed.
         campaign: where the experiments come from (its protocol and units).
         experiments: which of them, in order.
-        relative: per group, whether its error is relative to the magnitude of what was measured (else absolute, SI).
+        relative: per output, whether its error is relative.
         size: number of rows to pad to; by default as many as there are experiments.
 
     Raises:
-        UserError: there is nothing to fit, or an experiment lacks what its excitation needs.
+        UserError: there is nothing to fit, an experiment lacks what its excitation needs, or a relative error is one of zero.
     """
     if not experiments:
         raise UserError(f"the campaign {campaign.name!r} has no completed experiment to use here")
-    size = size or len(experiments)
-    rows = [*experiments, *[experiments[-1]] * (size - len(experiments))]
+    rows = [*experiments, *[experiments[-1]] * ((size or len(experiments)) - len(experiments))]
     conditions = [conditions_of(e, campaign, observation.grid, observation.excitation) for e in rows]
     measured = np.stack([observation.measured(e) for e in rows])
-    weights = np.stack([observation.weights(e) for e in rows])
-    weights[len(experiments) :] = 0.0
-    if not weights.any():
+    used = np.stack([observation.weights(e) > 0 for e in rows])
+    if not used[: len(experiments)].any():
         raise UserError(
             f"the campaign {campaign.name!r}: none of {', '.join(observation.names)} was measured in "
             f"{', '.join(e.id for e in experiments)}"
         )
-    magnitudes = np.stack([observation.magnitudes(e) for e in rows])
-    by_magnitude = np.asarray(relative)[observation.groups][None]
-    for row, column in zip(*np.nonzero(by_magnitude & (weights > 0) & (magnitudes == 0)), strict=True):
-        name = observation.names[observation.groups[column]]
-        raise UserError(
-            f"experiment {experiments[row].id!r}: {name} is 0, and a relative error of that is none; "
-            f"give {name} an absolute error"
-        )
-    scales = np.where(by_magnitude, magnitudes, 1.0)
-    return Data(
-        stacked(conditions),
-        jnp.asarray(np.where(weights > 0, measured, 1.0)),
-        jnp.asarray(scales),
-        jnp.asarray(weights),
-        jnp.asarray(len(experiments)),
-    )
+    of_relative = np.asarray(relative)[observation.groups]
+    for e, row, own in zip(experiments, measured, used, strict=False):
+        for output in np.unique(observation.groups[own & of_relative]):
+            if not row[own & (observation.groups == output)].any():
+                name = observation.names[output]
+                raise UserError(
+                    f"experiment {e.id!r}: {name} is 0, and a relative error of that is none; give {name} an absolute error"
+                )
+    gaps = np.stack([observation.gaps(None if e.record is None else e.record.time) for e in rows])
+    return data_of(stacked(conditions), measured, used, gaps, len(experiments))
 
 
 def conditions_of(experiment: Experiment, campaign: Campaign, grid: Grid | None, excitation: Excite) -> Conditions:

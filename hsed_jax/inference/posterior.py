@@ -13,12 +13,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hsed_jax.inference.likelihood import Data, log_likelihood, standardised_residual
+from hsed_jax.inference.likelihood import (
+    Data,
+    Error,
+    log_likelihood,
+    magnitudes,
+    sigma_of,
+    standardised_residual,
+    whitened,
+)
 from hsed_jax.inference.predict import Predictor
 from hsed_jax.inference.priors import Prior
 
 # Beyond this the logistic and the exponential are at their bounds to double precision.
 _FAR = 30.0
+# log(σ/σ_min) of an error that is as large as what was measured.
+_ROOM = 12.0
 
 
 class Expansion(NamedTuple):
@@ -46,7 +56,7 @@ class Posterior(eqx.Module):
     Arguments:
         predict: predictions of all experiments.
         priors: of the model's free parameters, by name, in the order `predict` takes them.
-        errors: per output either a declared error (a number) or a `Prior` for an inferred one.
+        errors: per output.
         outputs: names of the outputs, in the order of `errors`.
         groups: the output that each column of the data belongs to, (J,).
     """
@@ -57,6 +67,7 @@ class Posterior(eqx.Module):
     outputs: tuple[str, ...] = eqx.field(static=True)
     _priors: tuple[Prior, ...] = eqx.field(static=True)
     _columns: tuple[int, ...] = eqx.field(static=True)
+    _relative: tuple[bool, ...] = eqx.field(static=True)
     _inferred: tuple[tuple[int, int], ...] = eqx.field(static=True)
     _declared: Float[Array, " outputs"]
 
@@ -64,21 +75,21 @@ class Posterior(eqx.Module):
         self,
         predict: Predictor,
         priors: Mapping[str, Prior],
-        errors: Sequence[float | Prior],
+        errors: Sequence[Error],
         outputs: Sequence[str],
         groups: np.ndarray,
     ):
-        inferred = {f"error.{output}": e for output, e in zip(outputs, errors, strict=True) if isinstance(e, Prior)}
+        sizes = [error.size for error in errors]
+        inferred = {f"error.{output}": s for output, s in zip(outputs, sizes, strict=True) if isinstance(s, Prior)}
         self.predict = predict
         self.model_names, self.outputs = tuple(priors), tuple(outputs)
         self.names, self._priors = (*priors, *inferred), (*priors.values(), *inferred.values())
         self._columns = tuple(np.asarray(groups).tolist())
-        self._declared = jnp.asarray([1.0 if isinstance(e, Prior) else e for e in errors])
+        self._relative = tuple(error.is_relative for error in errors)
+        self._declared = jnp.asarray([1.0 if isinstance(s, Prior) else s for s in sizes])
         # Number of an output, and where its error stands in θ.
         self._inferred = tuple(
-            (i, self.names.index(f"error.{name}"))
-            for i, name in enumerate(self.outputs)
-            if isinstance(errors[i], Prior)
+            (i, self.names.index(f"error.{name}")) for i, name in enumerate(self.outputs) if isinstance(sizes[i], Prior)
         )
 
     @property
@@ -90,6 +101,20 @@ class Posterior(eqx.Module):
     def groups(self) -> np.ndarray:
         """The output that each column of the data belongs to, (J,)."""
         return np.asarray(self._columns)
+
+    @property
+    def is_declared(self) -> np.ndarray:
+        """Of each output, whether the size of its error is declared."""
+        return ~np.isin(np.arange(len(self.outputs)), [output for output, _ in self._inferred])
+
+    def inflated(self, factors: np.ndarray) -> "Posterior":
+        """The same with the declared errors larger by these factors, one per output."""
+        return eqx.tree_at(lambda p: p._declared, self, self._declared * factors)
+
+    @property
+    def _members(self) -> np.ndarray:
+        """1 where a column belongs to an output, (J, G)."""
+        return (self.groups[:, None] == np.arange(len(self.outputs))).astype(float)
 
     def constrain(self, u: Float[Array, " p"]) -> Float[Array, " p"]:
         """θ(u)."""
@@ -120,6 +145,18 @@ class Posterior(eqx.Module):
             by_output = by_output.at[output].set(theta[position])
         return by_output[self.groups]
 
+    def sigma(
+        self, theta: Float[Array, " p"], predicted: Float[Array, "n J"], ok: Float[Array, " n"], data: Data
+    ) -> Float[Array, "n J"]:
+        """σ of every datum, SI; one where nothing is used or the simulation diverged."""
+        relative = np.asarray(self._relative, dtype=bool)[self.groups]
+        return sigma_of(self.errors(theta), relative, self._members, predicted, ok, data)
+
+    def standardised(self, theta: Float[Array, " p"], data: Data) -> Float[Array, "n J"]:
+        """(f − y)/σ at parameters, neither weighed nor whitened; zero where there are no data."""
+        predicted, ok = self.predict(self.of_model(theta), data.conditions, data.count)
+        return (data.weights > 0) * (predicted - data.values) / self.sigma(theta, predicted, ok, data)
+
     def log_density(self, u: Float[Array, " p"], data: Data) -> Float[Array, ""]:
         """Log posterior density *in u*, unnormalised: what a sampler of u needs."""
         return self.log_density_of(u, *self.predictions(u, data), data)
@@ -133,13 +170,14 @@ class Posterior(eqx.Module):
     ) -> Float[Array, ""]:
         """`log_density` where the predictions are known."""
         theta = self.constrain(u)
-        likelihood = log_likelihood(predicted, ok, self.errors(theta), data)
+        likelihood = log_likelihood(predicted, ok, self.sigma(theta, predicted, ok, data), data)
         return likelihood + self.log_prior(theta) + self._log_jacobian(u)
 
     def log_posterior(self, u: Float[Array, " p"], data: Data) -> Float[Array, ""]:
         """Log posterior density *in θ*, unnormalised (Eq. 5): what the MAP maximises."""
         theta = self.constrain(u)
-        return log_likelihood(*self.predictions(u, data), self.errors(theta), data) + self.log_prior(theta)
+        predicted, ok = self.predictions(u, data)
+        return log_likelihood(predicted, ok, self.sigma(theta, predicted, ok, data), data) + self.log_prior(theta)
 
     def log_prior(self, theta: Float[Array, " p"]) -> Float[Array, ""]:
         """Log density of the prior."""
@@ -151,18 +189,24 @@ class Posterior(eqx.Module):
         r"""ρ with ½ρᵀρ = −log posterior + constant, for a least-squares solver.
 
         Besides the standardised residuals there is one for each prior, $\pm\sqrt{2(\log p_{max}-\log p)}$ with the sign of
-        θ − mode, and one for each inferred error, $\sqrt{2N\log(s/s_{min})}$.
+        θ − mode, and one for each σ that depends on θ, of one output of one experiment: $\sqrt{2N\log(\sigma/\sigma_{min})}$.
         """
         theta = self.constrain(u)
-        errors = self.errors(theta)
         predicted, ok = self.predictions(u, data)
-        parts = [standardised_residual(predicted, ok, errors, data).ravel()]
+        sigma = self.sigma(theta, predicted, ok, data)
+        parts = [standardised_residual(predicted, ok, sigma, data).ravel()]
         for prior, x in zip(self.priors.values(), theta, strict=True):
             mode, highest = prior.mode
             parts.append(jnp.sign(x - mode)[None] * _root(2 * (highest - prior.log_density(x)))[None])
-        for output, position in self._inferred:
-            number = jnp.sum(data.weights[:, self.groups == output])
-            parts.append(_root(2 * number * (jnp.log(theta[position]) + 12))[None])
+        relative, members = np.asarray(self._relative, dtype=bool), self._members
+        depends = relative | ~self.is_declared
+        if depends.any():
+            used = (data.weights > 0).astype(float)
+            # What it is measured against only has to be fixed and of its order.
+            size = jnp.where(relative[self.groups], magnitudes(data.values, used, members), 1.0)
+            size = jnp.where(used > 0, size, 1.0)
+            excess = (data.weights * (jnp.log(sigma / size) + _ROOM)) @ members[:, depends]
+            parts.append(_root(2 * excess).ravel())
         return jnp.concatenate(parts)
 
     def expand(self, u: Float[Array, " p"], data: Data) -> Expansion:
@@ -181,19 +225,24 @@ class Posterior(eqx.Module):
             return self.log_prior(theta) + self._log_jacobian(u), self.log_prior(theta)
 
         predicted, along, ok = _value_and_jacobian(outputs, u)
-        errors, of_errors, _ = _value_and_jacobian(lambda u: (self.errors(self.constrain(u)), None), u)
+
+        def of_sigma(u, predicted):
+            return jnp.log(self.sigma(self.constrain(u), predicted, ok, data))
+
+        def error_along(direction, of_outputs):
+            return jax.jvp(of_sigma, (u, predicted), (direction, of_outputs))[1]
+
+        along_error = jax.vmap(error_along, in_axes=(0, -1), out_axes=-1)(jnp.eye(u.size), along)
+        log_sigma = of_sigma(u, predicted)
         likelihood, (by_mean, by_error) = jax.value_and_grad(
-            lambda predicted, errors: log_likelihood(predicted, ok, errors, data), argnums=(0, 1)
-        )(predicted, errors)
+            lambda predicted, log_sigma: log_likelihood(predicted, ok, jnp.exp(log_sigma), data), argnums=(0, 1)
+        )(predicted, log_sigma)
         density, slope, prior = _value_and_jacobian(known, u)
-        gradient = jnp.einsum("nj,njp->p", by_mean, along) + by_error @ of_errors + slope
-        sigma = jnp.where(data.weights > 0, errors * data.scales, 1.0)
-        g = (jnp.sqrt(data.weights) / sigma)[..., None] * along
-        by_log_error = of_errors / errors[:, None]
-        number = jnp.sum(data.weights, axis=0)
-        information = jnp.einsum("njp,njq->pq", g, g) + 2 * jnp.einsum(
-            "j,jp,jq->pq", number, by_log_error, by_log_error
-        )
+        gradient = jnp.einsum("nj,njp->p", by_mean, along) + jnp.einsum("nj,njp->p", by_error, along_error) + slope
+        standardised = (data.weights > 0)[..., None] * along / jnp.exp(log_sigma)[..., None]
+        g = jnp.sqrt(data.weights) * whitened(jnp.moveaxis(standardised, -1, 0), data.memory)
+        h = jnp.sqrt(2 * data.weights) * jnp.moveaxis(along_error, -1, 0)
+        information = jnp.einsum("pnj,qnj->pq", g, g) + jnp.einsum("pnj,qnj->pq", h, h)
         of_prior = -jnp.diag(jax.hessian(lambda u: known(u)[0])(u))
         curvature = information + jnp.diag(jnp.maximum(of_prior, 1e-3))
         return Expansion(likelihood + prior, likelihood + density, gradient, curvature)
@@ -220,6 +269,6 @@ def _value_and_jacobian(function: Callable, u: Float[Array, " p"]) -> tuple[Any,
     return value, derivative, more
 
 
-def _root(value: Float[Array, ""]) -> Float[Array, ""]:
+def _root(value: Float[Array, "..."]) -> Float[Array, "..."]:
     positive = value > 1e-12
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, value, 1.0)), 0.0)

@@ -84,7 +84,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             "posterior": fit.summary(),
             "divergences": fit.convergence.divergences,
             "log_evidence": float(fit.maximum.log_evidence),
-        } | _warning(fit)
+        } | _doubts(fit)
     if outcome.comparison is not None:
         content["comparison"] = outcome.comparison.summary()
     if outcome.location is not None and "comparison" in content:
@@ -101,7 +101,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
                 "posterior": outcome.improved.summary(),
                 "divergences": outcome.improved.convergence.divergences,
                 "comparison": outcome.improved_comparison.summary(),
-            } | _warning(outcome.improved)
+            } | _doubts(outcome.improved)
     if state is not None:
         assert outcome.design is not None
         estimates = outcome.estimates.T.tolist()
@@ -114,6 +114,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
     return content
 
 
-def _warning(fit: Fit) -> dict[str, str]:
-    """What is wrong with the draws, where something is."""
-    return {} if fit.warning is None else {"warning": fit.warning}
+def _doubts(fit: Fit) -> dict[str, Any]:
+    """What is wrong with the draws, and whether the model explains the data, as far as either can be said."""
+    said = {"warning": fit.warning, "chi2_per_datum": fit.chi2_per_datum, "doubt": fit.doubt}
+    return {key: value for key, value in said.items() if value is not None}
