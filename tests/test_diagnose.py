@@ -588,3 +588,20 @@ def test_the_dashpot_is_found_among_the_whole_catalogue():
     alike = {name for group in found.look_alikes for name in group}
     assert found.effects == ["viscous_damping"] or "viscous_damping" in alike
     assert found.error_after[0] < 1.1 * found.noise_floor
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("eta", "least"), [(0.0, 0), (4e-7, 2), (1e-6, 3)])
+def test_power_against_the_size_of_the_degradation(eta, least):
+    # At 4e-7 the residual is that of the noise (p = 0.07 to 0.6), and A is eight of its standard deviations off.
+    changes = [f"experiments.virtual.effects.stiffness_degradation.eta={eta}", "design.initial=4", "excitation.duration=6.0"]
+    found = []
+    for seed in range(3):
+        study = hx.load_study("configs/hidden_effect.yaml", [*changes, f"seed={seed}"])
+        built = Built(study)
+        campaign = built.perform()
+        found.append(diagnose(problem_of(Built(study, campaign), campaign)))
+    seen = [d for d in found if "stiffness_degradation" in {*d.effects, *(n for g in d.look_alikes for n in g)}]
+    assert len(seen) >= least
+    if eta == 0.0:
+        assert [d.verdict for d in found] == ["adequate"] * 3

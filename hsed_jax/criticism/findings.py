@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from hsed_jax.criticism.compare import is_material
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.inference.correlation import SIGNIFICANT
 from hsed_jax.tables import Table, Tabular, cell
@@ -124,7 +125,8 @@ class Diagnosis(Tabular):
         if self.verdict == "unexplained":
             return f"the model is wrong, and nothing in the catalogue mends it ({errors})"
         left = ""
-        if self.p_value_after is not None and self.p_value_after < SIGNIFICANT:
+        is_left = self.p_value_after is not None and self.p_value_after < SIGNIFICANT
+        if is_left and is_material(self.error_after[0], self.noise_floor):
             left = (
                 f"; what remains ({self.error_after[0]:.3f} against a noise of {self.noise_floor:.3f}) is not noise yet"
             )
