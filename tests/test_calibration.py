@@ -12,6 +12,7 @@ from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
 from hsed_jax.inference.correlation import memory_of
+from hsed_jax.inference.fit import fit
 from hsed_jax.inference.likelihood import Data, Error, data_of, log_likelihood
 from hsed_jax.inference.maximum import maximise
 from hsed_jax.inference.nuts import Chains, Settings, convergence
@@ -377,7 +378,7 @@ def test_an_unknown_relative_error_is_recovered(paper):
     study = built.study.model_copy(update={"error": None})
     posterior = Built(study).posterior
     assert posterior.names[2:] == tuple(f"error.{q}" for q in names)
-    found = find(posterior, data._replace(values=jnp.asarray(noisy), scales=jnp.asarray(np.abs(noisy))))
+    found = find(posterior, data._replace(values=jnp.asarray(noisy)))
     # Eight values each: 0.1 within a quarter in standard deviation; 0.04 to 0.2 is three of them.
     assert ((np.asarray(found.theta[2:]) > 0.04) & (np.asarray(found.theta[2:]) < 0.2)).all()
     sd = np.sqrt(np.diag(found.covariance))
@@ -538,3 +539,45 @@ def test_unconstrained_coordinates_are_of_order_one_finite_at_the_bounds_and_inv
 def test_a_wrong_prior_is_refused_with_what_is_allowed(name, arguments, words):
     with pytest.raises(UserError, match=words):
         Prior(name, arguments)
+
+
+# --- a model that does not explain the data ----------------------------------------------------------------------
+
+
+def bent(curvature, inflate):
+    """A straight line calibrated on a bent one, noise as declared."""
+    x = np.linspace(-1, 1, 60)
+    noise = 0.1 * np.random.default_rng(1).standard_normal(x.size)
+    data = measured_at(x, (1 + 2 * x + curvature * x**2 + noise)[:, None])
+    errors = [Error(0.1, inflate=inflate)]
+    posterior = Posterior(
+        Predictor(lambda theta, c: ((theta[0] + theta[1] * c.inputs["x"])[None], True)),
+        {"a": Prior("normal", [0.0, 10.0]), "b": Prior("normal", [0.0, 10.0])},
+        errors,
+        ["y"],
+        np.arange(1),
+    )
+    settings = Settings(2, 1, 200, sampler="laplace")
+    found = fit(posterior, data, starts=2, settings=settings, key=jax.random.key(0), units={}, errors=errors)
+    design = np.stack([np.ones_like(x), x], axis=1)
+    residual = np.asarray(data.values)[:, 0] - design @ np.asarray(found.maximum.theta)
+    return found, float(np.sqrt(np.mean(residual**2)) / 0.1), np.linalg.inv(design.T @ design / 0.1**2)
+
+
+def test_what_the_model_leaves_is_said_beside_the_intervals():
+    right, left, _ = bent(0.0, False)
+    assert right.doubt is None and right.chi2_per_datum == pytest.approx(left**2) and right.p_value > 0.01
+    wrong, left, covariance = bent(2.0, False)
+    assert wrong.chi2_per_datum == pytest.approx(left**2) and left > 5 and wrong.p_value < 1e-10
+    assert "does not explain the data" in wrong.doubt and "inflate" in wrong.doubt and wrong.doubt in repr(wrong)
+    np.testing.assert_allclose(wrong.maximum.covariance, covariance, rtol=1e-2)
+
+
+def test_inflated_errors_are_as_large_as_what_is_left_and_the_chi_square_stays_that_of_the_declared():
+    wrong, left, covariance = bent(2.0, True)
+    assert wrong.chi2_per_datum == pytest.approx(left**2)
+    np.testing.assert_allclose(wrong.maximum.covariance, left**2 * covariance, rtol=2e-2)
+    assert "count what is left as error" in wrong.doubt
+    # Where the noise is all there is, nothing is widened by much.
+    _, left, covariance = bent(0.0, True)
+    np.testing.assert_allclose(bent(0.0, True)[0].maximum.covariance, max(left, 1) ** 2 * covariance, rtol=2e-2)

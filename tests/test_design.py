@@ -67,11 +67,30 @@ def test_bounds_are_those_of_the_distribution_whatever_the_unit(low, high):
 
 def test_discrepancy_is_equation_12_by_hand():
     measured, predicted = jnp.array([[10.0, 2.0], [20.0, 3.0]]), jnp.array([[13.0, 2.5], [20.0, 5.0]])
-    # (10 − 13)²/9 + (2 − 2.5)²/0.25 = 2, and 0 + (3 − 5)²/0.25 = 16; without the second quantity 1 and 0
+    # (10 − 13)²/9 + (2 − 2.5)²/0.25 = 2, and 0 + (3 − 5)²/0.25 = 16
     variance = jnp.array([9.0, 0.25])
-    np.testing.assert_allclose(discrepancy(measured, predicted, variance, jnp.ones((2, 2))), [2.0, 16.0])
-    weights = jnp.array([[1.0, 0.0], [1.0, 0.0]])
-    np.testing.assert_allclose(discrepancy(measured, predicted, variance, weights), [1.0, 0.0])
+    found = discrepancy(measured, predicted, variance, jnp.ones((2, 2)), np.arange(2))
+    np.testing.assert_array_equal(found, [2.0, 16.0])
+
+
+def test_the_same_misfit_counts_the_same_whatever_else_is_missing():
+    # Two quantities and a history of four samples, every one a standard deviation off: three outputs, the norm is 3.
+    groups, variance = np.array([0, 1, 2, 2, 2, 2]), jnp.array([4.0, 0.25, *[4 * 9.0] * 4])
+    off = jnp.array([2.0, 0.5, 3.0, 3.0, 3.0, 3.0])
+    weights = jnp.array(
+        [[1, 1, 1, 1, 1, 1], [0, 1, 1, 1, 1, 1], [1, 0, 1, 0, 0, 1], [0, 0, 0, 1, 0, 0], [0, 0, 0, 0, 0, 0]], float
+    )
+    found = discrepancy(jnp.tile(off, (5, 1)), jnp.zeros((5, 6)), variance, weights, groups)
+    np.testing.assert_allclose(found, [3.0, 3.0, 3.0, 3.0, np.nan])
+
+
+def test_of_an_incomplete_experiment_the_norm_is_the_mean_of_what_was_measured():
+    # By hand: outputs of 1 and 0.25 of their variances, the third missing: 3/2·1.25.  A history of which half is there, alone.
+    groups, variance = np.array([0, 1, 2, 2]), jnp.array([9.0, 0.25, 2.0, 2.0])
+    measured = jnp.array([[3.0, 0.25, 7.0, 7.0], [1e30, 1e30, 2.0, 1e30]])
+    weights = jnp.array([[1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
+    found = discrepancy(measured, jnp.zeros((2, 4)), variance, weights, groups)
+    np.testing.assert_allclose(found, [1.5 * 1.25, 3.0 * 2**2])
 
 
 def test_variance_over_inputs_passes_over_diverged_simulations():

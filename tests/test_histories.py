@@ -1,6 +1,7 @@
 """Measured histories: component tests and shaken structures against closed forms and SciPy; windows, splits, errors."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -463,3 +464,25 @@ def test_a_record_longer_than_the_model_was_built_for_is_refused(calibration):
     campaign = replace(calibration.campaign, experiments=(Experiment("L01", record=longer),))
     with pytest.raises(UserError, match="'L01': its record has 500 samples, more than the 400"):
         calibration.predict(campaign)
+
+
+# --- a design that observes histories ----------------------------------------------------------------------------
+
+
+def test_a_design_that_observes_histories_calibrates_as_a_calibration_alone(tmp_path):
+    told = [
+        "observe=histories",
+        "excitation.duration=4",
+        "experiments.virtual.effects={}",
+        "calibration.sampler=laplace",
+    ]
+    sizes = ["design.initial=3", "design.iterations=1", "design.candidates=64", "calibration.draws=100"]
+    noise = ["experiments.virtual.noise={relative: 0.05}", "steps=[design, calibrate]"]
+    study = hx.load_study(Path(__file__).parents[1] / "configs" / "paper.yaml", [*told, *sizes, *noise])
+    run = hx.run(study, tmp_path / "run", figures=False, progress=False)
+    alone = hx.calibrate(study, run.campaign)
+    for name, truth in (("A", 5e5), ("beta", 1.0)):
+        found, again = run.calibration.fit.summary()[name], alone.fit.summary()[name]
+        assert abs(found["mean"] - truth) < 4 * found["sd"]
+        assert found["sd"] == pytest.approx(again["sd"], rel=0.3)
+        assert run.calibration.map[name] == pytest.approx(alone.map[name], abs=0.1 * found["sd"])

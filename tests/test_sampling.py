@@ -6,12 +6,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_calibration import data_of, drawn, find, posterior_of
+from test_calibration import EXACT, drawn, find, measured_at, posterior_of
 
+from hsed_jax.inference import maximum as search
 from hsed_jax.inference.emulator import emulate
+from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.importance import Weighted, resampled, weigh
-from hsed_jax.inference.nuts import Settings, convergence, sample
+from hsed_jax.inference.nuts import Chains, Settings, convergence, sample
 from hsed_jax.inference.priors import Prior
+from hsed_jax.inference.sampling import _mixed
 
 # Two parameters whose posterior is a bent ridge: y1 = a, y2 = b + a², so that (a, b + a²) is normal.
 BENT = {"a": Prior("normal", [0.0, 10.0]), "b": Prior("normal", [0.0, 10.0])}
@@ -22,10 +25,10 @@ def bent(theta, conditions):
     return jnp.stack([a, b + conditions.inputs["x"] * a**2]), True
 
 
-def ridge(bend, width=1.0):
-    """Posterior, data and mode; in (a, b + bend·a²) standard normal times `width`, as good as."""
-    posterior = posterior_of(bent, BENT, [width, width])
-    data = data_of(np.full(1, bend), np.zeros((1, 2)))
+def ridge(bend, width=1.0, thin=1.0):
+    """Posterior, data and mode; in (a, b + bend·a²) standard normal times `width` and `width · thin`, as good as."""
+    posterior = posterior_of(bent, BENT, [width, width * thin])
+    data = measured_at(np.full(1, bend), np.zeros((1, 2)))
     return posterior, data, find(posterior, data, starts=1)
 
 
@@ -56,7 +59,7 @@ def test_where_a_quadratic_is_not_enough_nuts_asks_the_simulator():
     posterior = posterior_of(
         lambda t, c: (jnp.tanh(t) * c.inputs["x"], True), {"a": Prior("normal", [0.0, 10.0])}, [0.1]
     )
-    data = data_of(np.ones(1), np.full((1, 1), 0.99))
+    data = measured_at(np.ones(1), np.full((1, 1), 0.99))
     chains = drawn(posterior, data, find(posterior, data), Settings(4, 300, 1000))
     assert chains.sampler == "nuts" and chains.emulator_error is None
     grid = np.linspace(0, 60, 20001)
@@ -68,9 +71,7 @@ def test_where_a_quadratic_is_not_enough_nuts_asks_the_simulator():
 
 def test_weights_that_cannot_be_relied_on_leave_it_to_nuts():
     # A long thin crescent: no Student t covers it.
-    posterior, data, maximum = ridge(3.0, width=3.0)
-    data = data._replace(scales=jnp.asarray([[1.0, 0.002]]))
-    maximum = find(posterior, data, starts=1)
+    posterior, data, maximum = ridge(3.0, width=3.0, thin=0.002)
     weighted = weigh(posterior, data, maximum, jax.random.key(0), 1000)
     assert not weighted.reliable
     chains = drawn(posterior, data, maximum, Settings(2, 100, 500, sampler="importance"))
@@ -111,7 +112,7 @@ def test_ten_parameters_by_importance_sampling_have_the_closed_form():
     )
     truth = np.linspace(-1, 1, 10)
     y = mixing @ truth + 0.5 * np.random.default_rng(1).standard_normal(30)
-    data = data_of(mixing, y[:, None])
+    data = measured_at(mixing, y[:, None])
     covariance = np.linalg.inv(mixing.T @ mixing / 0.25 + np.eye(10))
     mean, sd = covariance @ (mixing.T @ y / 0.25), np.sqrt(np.diag(covariance))
     chains = drawn(posterior, data, find(posterior, data, starts=1), Settings(4, 100, 500, sampler="importance"))
@@ -138,8 +139,118 @@ def test_one_program_serves_all_equal_posteriors(monkeypatch):
     found = []
     for gain in (1.0, 2.0):
         posterior = posterior_of(Counting(jnp.asarray(gain)), {"a": Prior("normal", [0.0, 10.0])}, [0.1])
-        found.append(float(find(posterior, data_of(np.ones(3), np.ones((3, 1)))).theta[0]))
+        found.append(float(find(posterior, measured_at(np.ones(3), np.ones((3, 1)))).theta[0]))
         if gain == 1.0:
             traced = calls
     assert found == pytest.approx([1.0, 0.5], rel=1e-3)
     assert 0 < traced == calls
+
+
+# --- several modes ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def pair():
+    """Posterior, data and modes of y = t² with a prior that prefers t > 0."""
+    posterior = posterior_of(lambda t, c: (t**2 * c.inputs["x"], True), {"t": Prior("normal", [0.4, 2.0])}, [0.5])
+    data = measured_at(np.ones(2), np.full((2, 1), 4.0))
+    return posterior, data, find(posterior, data, starts=8)
+
+
+@pytest.fixture(scope="module")
+def pair_grid():
+    """The same by integration: t, and its density, normalised."""
+    t = np.linspace(-6, 6, 24001)
+    density = np.exp(-0.5 * ((t - 0.4) / 2) ** 2 - ((t**2 - 4) / 0.5) ** 2)
+    return t, density / density.sum()
+
+
+def test_both_modes_are_found_and_hold_what_the_grid_says(pair, pair_grid):
+    posterior, _, maximum = pair
+    t, density = pair_grid
+    assert [float(mode.theta[0]) for mode in maximum.modes] == pytest.approx(
+        [t[(density * (t > 0)).argmax()], t[(density * (t < 0)).argmax()]], abs=1e-3
+    )
+    np.testing.assert_allclose(maximum.shares, [density[t > 0].sum(), density[t < 0].sum()], atol=0.01)
+    assert maximum.warning(posterior.names) == "the posterior has 2 modes: t = 1.997 (60%); t = -1.995 (40%)"
+
+
+@EXACT
+def test_draws_hold_both_modes_in_proportion(pair, pair_grid, sampler):
+    posterior, data, maximum = pair
+    t, density = pair_grid
+    chains = drawn(posterior, data, maximum, Settings(4, 100, 500, sampler=sampler))
+    judged = convergence(chains)
+    assert chains.sampler == sampler and judged.warning(posterior.names) is None
+    draws = np.asarray(chains.theta)[..., 0]
+    # Every chain holds both, and as much of each; the mean and the spread are those of the whole posterior.
+    np.testing.assert_allclose((draws > 0).mean(axis=1), density[t > 0].sum(), atol=0.01)
+    mean = t @ density
+    assert draws.mean() == pytest.approx(mean, abs=0.05)
+    assert draws.std() == pytest.approx(np.sqrt((t - mean) ** 2 @ density), rel=0.01)
+    above, upper = t > 0, draws[draws > 0]
+    one = t[above] @ density[above] / density[above].sum()
+    assert upper.mean() == pytest.approx(one, abs=4 * upper.std() / np.sqrt(0.6 * judged.ess_bulk[0]))
+    fit = Fit(posterior, data, maximum, chains, judged, {"t": "1"})
+    assert fit.warning == maximum.warning(posterior.names) and "2 modes" in str(fit)
+
+
+def test_mixing_the_modes_hides_no_chain_that_has_not_converged():
+    rng = np.random.default_rng(0)
+
+    def chains_at(mode, off=0.0, worth=np.inf):
+        theta = mode + rng.standard_normal((4, 500, 1))
+        theta[2] += off
+        none = jnp.zeros((4, 500), dtype=int)
+        return Chains(jnp.asarray(theta), jnp.asarray(theta[..., 0]), none > 0, none, jnp.full(4, 0.5), worth=worth)
+
+    shares, key = np.asarray([0.7, 0.3]), jax.random.key(0)
+    good = _mixed([chains_at(0.0), chains_at(50.0, worth=60.0)], shares, key)
+    assert good.theta.shape == (4, 500, 1) and convergence(good).rhat[0] < 1.01
+    np.testing.assert_array_equal(good.theta[..., 0], good.log_density)
+    np.testing.assert_allclose((np.asarray(good.theta[..., 0]) > 25).mean(axis=1), 0.3)
+    # The variance of a mixed mean: Σ share²/worth.
+    assert good.worth == pytest.approx(1 / (0.7**2 / 1400 + 0.3**2 / 60), rel=0.1)
+    bad = _mixed([chains_at(0.0, off=40.0), chains_at(50.0)], shares, key)
+    assert convergence(bad).rhat[0] > 1.01
+
+
+def test_one_mode_is_searched_once_and_a_crescent_is_one_mode(monkeypatch):
+    descents = []
+    monkeypatch.setattr(search, "_descend", lambda *a, descend=search._descend: descents.append(0) or descend(*a))
+    posterior, data, _ = ridge(0.2)
+    descents.clear()
+    assert find(posterior, data).others == () and len(descents) == 1
+    posterior, data, _ = ridge(3.0, width=3.0, thin=0.002)
+    assert find(posterior, data, starts=8).others == ()
+
+
+@pytest.mark.slow
+def test_two_stiffnesses_that_give_one_peak_force_are_both_found(paper_simulator, pulse_conditions):
+    # Towards resonance the force rises with the stiffness and then falls: 117 kN at 5.8e5 and 8.2e5 N/m.
+    simulator = paper_simulator()
+
+    def respond(theta, conditions):
+        return simulator.quantities({"A": theta[0], "beta": 1.0}, conditions, ("peak_force",))
+
+    posterior = posterior_of(respond, {"A": Prior("uniform", [2e5, 9e5])}, [1.0])
+    conditions = pulse_conditions([1.5], [0.6])
+    A = np.linspace(2e5, 9e5, 2801)
+    force = np.asarray(
+        jax.lax.map(lambda a: respond(a[None], pulse_conditions(1.5, 0.6))[0][0], jnp.asarray(A), batch_size=64)
+    )
+    data = measured_at([0.0], [[1.17e5]], 350.0)._replace(conditions=conditions)
+    density = np.exp(-0.5 * ((force - 1.17e5) / 350.0) ** 2)
+    density /= density.sum()
+    valley = A[force.argmax()]
+    below = np.arange(A.size) < force.argmax()
+    maximum = find(posterior, data, starts=6)
+    chains = drawn(posterior, data, maximum, Settings(4, 200, 500))
+    draws = np.asarray(chains.theta).ravel()
+    print(maximum.warning(posterior.names), "by integration", density[below].sum(), "drawn", (draws < valley).mean())
+    assert sorted(float(mode.theta[0]) > valley for mode in maximum.modes) == [False, True]
+    assert (draws < valley).mean() == pytest.approx(density[below].sum(), abs=0.05)
+    assert convergence(chains).warning(posterior.names) is None
+    np.testing.assert_allclose(
+        np.quantile(draws, [0.05, 0.95]), np.interp([0.05, 0.95], np.cumsum(density), A), rtol=0.01
+    )

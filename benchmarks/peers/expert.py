@@ -14,6 +14,8 @@ from scipy.optimize import least_squares
 
 from hsed_jax.config.build import Built
 
+# log(σ/σ_min) of an error as large as what was measured, so that it has a root.
+_ROOM = 12.0
 _DIFFERENCE = 1e-6
 _SPREAD = 256  # inputs over which the variance of Eq. 12 is taken
 
@@ -30,7 +32,7 @@ def _campaign(case, simulate, iterations) -> dict[str, float]:
     plain, priors = numbers(case), case.posterior.priors
     low, high = np.array([prior.bounds for prior in priors.values()], float).T
     truth = [np.array([case.laboratory.parameters[name]]) for name in priors]
-    relative = np.asarray(case.errors[0], float)
+    relative = np.asarray([error.size for error in case.errors], float)
 
     def inputs(cube):
         si = case.space.si(case.space.declared(cube))
@@ -57,17 +59,21 @@ def _campaign(case, simulate, iterations) -> dict[str, float]:
 
 
 def _maximum(plain, simulate, inputs, measured, relative, low, high, start) -> np.ndarray:
-    """The MAP in shares of the priors' ranges, which are uniform: least squares within bounds."""
-    sigma = relative * measured
+    """The MAP in shares of the priors' ranges, which are uniform: least squares within bounds, σ relative to the prediction."""
+
+    def of_predicted(predicted):
+        sigma = relative * np.abs(predicted)
+        size = np.sqrt(2 * (np.log(sigma / measured) + _ROOM))
+        return np.concatenate([(predicted - measured) / sigma, size], axis=-1).reshape(len(predicted), -1)
 
     def residuals(u):
-        return ((_predicted(plain, simulate, (low + (high - low) * u)[None], inputs)[0] - measured) / sigma).ravel()
+        return of_predicted(_predicted(plain, simulate, (low + (high - low) * u)[None], inputs))[0]
 
     def jacobian(u):
         steps = np.where(u + _DIFFERENCE > 1, -_DIFFERENCE, _DIFFERENCE)
         moved = low + (high - low) * np.vstack([u, u + np.diag(steps)])
-        predicted = _predicted(plain, simulate, moved, inputs) / sigma
-        return ((predicted[1:] - predicted[0]) / steps[:, None, None]).reshape(len(u), -1).T
+        found = of_predicted(_predicted(plain, simulate, moved, inputs))
+        return ((found[1:] - found[0]) / steps[:, None]).T
 
     return least_squares(residuals, np.clip(start, 1e-6, 1 - 1e-6), jacobian, bounds=(0, 1)).x
 

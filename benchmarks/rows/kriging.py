@@ -13,7 +13,7 @@ from peers import surrogate
 from peers.surrogate import LENGTHS, NOTE, NUGGETS, STARTS
 
 from hsed_jax.design.acquisition import choose, sobol_candidates
-from hsed_jax.design.kriging import condition, fit_kriging
+from hsed_jax.design.kriging import fit_kriging
 from hsed_jax.physics.simulator import Conditions
 
 assert hsed_jax
@@ -33,17 +33,14 @@ def measure(quick: bool) -> list[dict[str, Any]]:
             fit_kriging(jnp.asarray(x), jnp.asarray(y), mask, starts=starts, key=key, **bounds)
         )
 
-    def likelihood(lengths, nugget):
-        kriging = condition(jnp.asarray(x), jnp.asarray(y), mask, jnp.asarray(lengths), jnp.asarray(nugget))
-        return float(kriging.log_likelihood)
-
     kriging = fit()
-    best = float(fit(2 * STARTS if quick else 20 * STARTS).log_likelihood)
+    best = float(fit(2 * STARTS if quick else 20 * STARTS).log_posterior)
     of_fit = {"ours": seconds(fit)}
     of_choice = {
         "ours": seconds(lambda: choose(kriging, candidates, *tested, "expected_improvement", key).index.item())
     }
-    below_best = {"ours": best - float(kriging.log_likelihood)}
+    # The peer maximises the likelihood alone, so that only its time is compared.
+    accuracy = {"ours": {"log-posterior below the best": best - float(kriging.log_posterior)}}
     notes = (NOTE,)
     if surrogate.is_there():
         notes = ()
@@ -51,9 +48,6 @@ def measure(quick: bool) -> list[dict[str, Any]]:
         of_fit["scikit-learn"] = seconds(lambda: surrogate.fitted(x, y))
         points = np.asarray(candidates)
         of_choice["scikit-learn"] = seconds(lambda: surrogate.improvement(model, points).argmax())
-        scale, lengths, noise = surrogate.hyperparameters(model)
-        below_best["scikit-learn"] = best - likelihood(lengths, noise / scale)
-    accuracy = {who: {"log-likelihood below the best": value} for who, value in below_best.items()}
     return [
         line("kriging", f"fit, {EXPERIMENTS} points, {STARTS} starts", *_in_ms(of_fit), accuracy, notes),
         line("kriging", f"expected improvement over {len(candidates)} candidates", *_in_ms(of_choice), notes=notes),

@@ -91,7 +91,7 @@ def _emcee(case, data, simulate, kept: int, burnt: int) -> Draws:
     plain = numbers(case)
     low, high = np.array([prior.bounds for prior in case.posterior.priors.values()], float).T
     values = np.asarray(data.values)
-    sigma = np.asarray(data.scales) * np.asarray(case.errors[0], float)
+    size = np.asarray([error.size for error in case.errors], float)
     v_p, t_p = (np.asarray(data.conditions.inputs[name]) for name in ("V_P", "T_P"))
 
     def log_density(thetas):
@@ -100,7 +100,9 @@ def _emcee(case, data, simulate, kept: int, burnt: int) -> Draws:
         some = thetas[inside]
         a, beta = (np.repeat(some[:, i], len(values)) for i in range(2))
         y = simulate(plain, np.tile(v_p, len(some)), np.tile(t_p, len(some)), a, beta, 0.0)
-        result[inside] = -0.5 * np.sum(((y.reshape(-1, *values.shape) - values) / sigma) ** 2, axis=(1, 2))
+        y = y.reshape(-1, *values.shape)
+        sigma = size * np.abs(y)
+        result[inside] = -np.sum(0.5 * ((y - values) / sigma) ** 2 + np.log(sigma), axis=(1, 2))
         return result
 
     start = np.random.default_rng(0).uniform(low, high, (WALKERS, len(low)))

@@ -34,6 +34,24 @@ def discrepancy(
     predicted: Float[Array, "n J"],
     variance: Float[Array, " J"],
     weights: Float[Array, "n J"],
+    groups: Int[np.ndarray, " J"],
 ) -> Float[Array, " n"]:
-    """The norm of Eq. 12 per experiment; quantities that were not measured (weight 0) do not count."""
-    return jnp.sum(weights * (measured - predicted) ** 2 / variance, axis=1)
+    """The norm of Eq. 12 per experiment; NaN where nothing was measured.
+
+    It is the number of outputs times the mean over those that were measured, of each the mean over its measured samples: what
+    is missing (weight 0) neither adds to the misfit nor makes it smaller.
+
+    Arguments:
+        measured, predicted: columns are quantities, or the samples of histories.
+        variance: of each column (`variance_over`).
+        weights: of what was measured; 0 where it is missing.
+        groups: output of each column.
+    """
+    members = jnp.asarray(groups[:, None] == np.arange(groups.max() + 1)[None], float)
+    of_output = weights @ members
+    is_measured = of_output > 0
+    # What a column counts for instead of 1: more where others of its output, or other outputs, are missing.
+    share = jnp.where(is_measured, members.sum(axis=0) / jnp.where(is_measured, of_output, 1.0), 0.0)
+    share *= members.shape[1] / jnp.maximum(jnp.sum(is_measured, axis=1, keepdims=True), 1)
+    norm = jnp.sum(weights * share[:, groups] * (measured - predicted) ** 2 / variance, axis=1)
+    return jnp.where(is_measured.any(axis=1), norm, jnp.nan)

@@ -66,7 +66,7 @@ class StepInfo(NamedTuple):
         maximum: MAP, covariance, evidence.
         chains: the posterior's draws.
         convergence: whether to believe them.
-        discrepancy: Eq. 12 at the tested inputs, (count,); NaN where the model diverged.
+        discrepancy: Eq. 12 at the tested inputs, (count,); NaN where the model diverged or nothing was measured.
         kriging: the surrogate of it.
         value: the acquisition at the chosen input (expected improvement, if that is the acquisition).
         expected_improvement: the largest expected improvement over the candidates (Eq. 14).
@@ -263,7 +263,7 @@ class SequentialDesign:
         """The Kriging of a step again, from what the journal keeps of it.
 
         Arguments:
-            norms: discrepancies the step found, (count then,); NaN where the model diverged.
+            norms: discrepancies the step found, (count then,); NaN where there is none.
             lengths, nugget: hyper-parameters of its Kriging.
         """
         responses = np.full(self.size, np.nan)
@@ -302,7 +302,7 @@ class SequentialDesign:
         return sobol_candidates(self.candidates, len(self.space.names), self.seed)
 
     def _discrepancy(self, data: Data, theta: Float[Array, " p"], draws: Float[Array, "c s p"]) -> Float[Array, " n"]:
-        """Eq. 12 at the tested inputs; NaN where the model diverged."""
+        """Eq. 12 at the tested inputs; NaN where the model diverged or nothing was measured."""
         thetas = theta[None]
         if self.variance_over_parameters:
             thetas = draws.reshape(-1, draws.shape[-1])[:: max(1, draws.shape[0] * draws.shape[1] // 16)]
@@ -320,5 +320,6 @@ def _discrepancies(posterior, data, theta, thetas, spread):
     here, ok = posterior.predict(posterior.of_model(theta), data.conditions, data.count)
     there, good = jax.vmap(lambda t: posterior.predict(posterior.of_model(t), spread, jnp.asarray(_SPREAD)))(thetas)
     variance = variance_over(there.reshape(-1, there.shape[-1]), good.ravel(), posterior.groups)
+    norms = discrepancy(data.values, here, variance, data.weights, posterior.groups)
     # Where the model diverged there is no discrepancy, which is not the same as none.
-    return jnp.where(ok > 0, discrepancy(data.values, here, variance, data.weights), jnp.nan)
+    return jnp.where(ok > 0, norms, jnp.nan)

@@ -92,7 +92,7 @@ def noise_of(standardised: np.ndarray, gaps: np.ndarray, used: np.ndarray, corre
         correlated: whether there is a memory; None: where the residual tells one.
     """
     pairs = np.isfinite(gaps) & used
-    if pairs.sum() < _LEAST_SAMPLES:
+    if pairs.sum() < _LEAST_SAMPLES or not standardised[used].any():
         return Noise(0.0, 0.0)
     before = np.roll(standardised, 1, axis=1)
     changes, gap = 0.5 * (standardised - before)[pairs] ** 2, gaps[pairs]

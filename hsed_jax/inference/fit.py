@@ -59,8 +59,9 @@ class Fit(Tabular):
 
     @property
     def warning(self) -> str | None:
-        """What is wrong with the draws, in one sentence, or None."""
-        return self.convergence.warning(self.names)
+        """What is wrong with the draws, or that the posterior has several modes, in one sentence, or None."""
+        found = self.maximum.warning(self.names), self.convergence.warning(self.names)
+        return "; ".join(filter(None, found)) or None
 
     @property
     def doubt(self) -> str | None:

@@ -1,5 +1,8 @@
 """The maximum a posteriori estimate, by Levenberg–Marquardt from several starts, and the evidence by Laplace.
 
+Starts may end in different modes.  What Laplace's method gives each of them is its share of the posterior, and those that matter
+are kept beside the best.
+
 Each search is a program of its own and not one large one: what they share is compiled once.
 """
 
@@ -22,19 +25,27 @@ _MOST_STEPS = 60
 # Newton's method towards the mode of the density in u ends where it expects to gain less than this many nats.
 _LEAST_GAIN = 1e-4
 _MOST_NEWTON_STEPS, _MOST_HALVINGS = 20, 6
+# An end of the race this many standard deviations from the mode should be half the square of it lower [nats]; one that is higher
+# is in another mode, if the density between them falls so far below both.
+_APART, _LEAST_DIP = 5.0, 2.0
+# Places between two modes where the density is looked at.
+_BETWEEN = np.linspace(0.1, 0.9, 9)
+# A mode of less evidence, relative to the best, does not matter.
+_LEAST_SHARE = 0.01
 
 
 class Maximum(NamedTuple):
-    """The best of several starts.
+    """The best of several starts: a mode of the posterior, and the others.
 
     Attributes:
         u, theta: unconstrained and physical (SI) coordinates of the MAP (Eq. 6), shape (p,).
         log_posterior: log π(θ)L(θ) there.
         covariance: Gauss–Newton covariance of θ there, prior included, shape (p, p).
-        log_evidence: log Z by Laplace's method (Tierney & Kadane 1986).
+        log_evidence: log Z by Laplace's method (Tierney & Kadane 1986), of this mode alone.
         start: unconstrained coordinates of the mode of the density in u, where a sampler of u starts, shape (p,).
         whitening: L with u = start + L w, w nearly standard normal, shape (p, p).
         converged: whether the winning start met its tolerances.
+        others: modes besides this one that hold a share of the posterior that matters; without others of their own.
     """
 
     u: Float[Array, " p"]
@@ -45,10 +56,32 @@ class Maximum(NamedTuple):
     start: Float[Array, " p"]
     whitening: Float[Array, "p p"]
     converged: Bool[Array, ""]
+    others: tuple["Maximum", ...] = ()
+
+    @property
+    def modes(self) -> tuple["Maximum", ...]:
+        """All modes, the MAP first, each without the others."""
+        return (self._replace(others=()), *self.others)
+
+    @property
+    def shares(self) -> Float[np.ndarray, " modes"]:
+        """Share of the posterior that each of `modes` holds, by its evidence."""
+        return np.asarray(jax.nn.softmax(jnp.asarray([mode.log_evidence for mode in self.modes])))
+
+    def warning(self, names: tuple[str, ...]) -> str | None:
+        """One sentence that says which modes there are, or None if there is one."""
+        if not self.others:
+            return None
+        places = [
+            ", ".join(f"{name} = {value:.4g}" for name, value in zip(names, np.asarray(mode.theta), strict=True))
+            for mode in self.modes
+        ]
+        told = "; ".join(f"{place} ({share:.0%})" for place, share in zip(places, self.shares, strict=True))
+        return f"the posterior has {len(places)} modes: {told}"
 
 
 def maximise(posterior: Posterior, data: Data, starts: Float[Array, "s p"]) -> Maximum:
-    """Find the MAP.
+    """Find the MAP, and what other modes the starts end in.
 
     Arguments:
         posterior: of the study.
@@ -57,14 +90,48 @@ def maximise(posterior: Posterior, data: Data, starts: Float[Array, "s p"]) -> M
     """
     ends = _race(posterior, data, starts)
     heights = np.asarray([float(_expand(posterior, data, end).log_posterior) for end in ends])
-    best = int(np.argmax(np.where(np.isfinite(heights), heights, -np.inf)))
-    u, converged = _descend(posterior, data, ends[best])
+    heights = np.where(np.isfinite(heights), heights, -np.inf)
+    order = np.argsort(-heights)
+    best = _mode(posterior, data, ends[order[0]])
+    modes = [best]
+    for end, height in zip(ends[order[1:]], heights[order[1:]], strict=True):
+        # Each has its own frame; a wide mode beside a narrow one is far from it and not the other way round.
+        if heights[order[0]] - height < 0.5 * _APART**2 and _is_apart(end, modes):
+            found = _mode(posterior, data, end)
+            if _is_apart(found.start, modes) and all(_dips(posterior, data, found, mode) for mode in modes):
+                modes.append(found)
+    least = max(float(mode.log_evidence) for mode in modes) + np.log(_LEAST_SHARE)
+    return best._replace(others=tuple(mode for mode in modes[1:] if float(mode.log_evidence) > least))
+
+
+def _is_apart(u: Float[Array, " p"], modes: list[Maximum]) -> bool:
+    # A bound lies at infinity of u, where distances mean nothing.
+    at = np.asarray(_held(u))
+    return all(
+        np.linalg.norm(np.linalg.solve(np.asarray(mode.whitening), at - np.asarray(mode.start))) > _APART
+        for mode in modes
+    )
+
+
+def _dips(posterior: Posterior, data: Data, one: Maximum, other: Maximum) -> bool:
+    """Whether the density falls between two modes; a long ridge has many ends and no dip."""
+    ends = [float(_expand(posterior, data, mode.start).log_density) for mode in (one, other)]
+    between = [float(_expand(posterior, data, one.start + t * (other.start - one.start)).log_density) for t in _BETWEEN]
+    return min(between) < min(ends) - _LEAST_DIP
+
+
+def _mode(posterior: Posterior, data: Data, start: Float[Array, " p"]) -> Maximum:
+    u, converged = _descend(posterior, data, start)
     theta, to_theta = _physical(posterior, u)
     found = _expand(posterior, data, u)
     covariance = to_theta @ np.linalg.inv(found.curvature) @ np.asarray(to_theta).T
     start, log_density, whitening = _sampling_frame(posterior, data, u)
     log_evidence = log_density + 0.5 * u.size * LOG_2PI + jnp.linalg.slogdet(whitening)[1]
     return Maximum(u, theta, found.log_posterior, covariance, log_evidence, start, whitening, converged)
+
+
+def _held(u: Float[Array, " p"]) -> Float[Array, " p"]:
+    return jnp.clip(u, -4.0, 4.0)
 
 
 @eqx.filter_jit
@@ -106,7 +173,7 @@ def _sampling_frame(
     A MAP at a bound lies at infinity of u, the mode does not.  It is found by Newton's method with halved steps; where a kink of
     the response stops it early, what was reached serves as well.
     """
-    center = jnp.clip(u, -4.0, 4.0)
+    center = _held(u)
     here = _expand(posterior, data, center)
     for _ in range(_MOST_NEWTON_STEPS):
         step = np.linalg.solve(here.curvature, here.gradient)

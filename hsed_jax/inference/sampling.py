@@ -2,6 +2,9 @@
 
 Importance sampling says itself whether it may be believed; where not, NUTS takes its place.  NUTS takes its gradients from an
 emulator where that is accurate, and from the simulator where not; its draws are exact with either.
+
+No sampler crosses from one mode of a posterior to another.  So each mode is drawn from by itself, in its own frame, and the
+draws are mixed as the modes share the posterior.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -10,13 +13,14 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from hsed_jax.inference.emulator import emulate
 from hsed_jax.inference.importance import resampled, weigh
 from hsed_jax.inference.likelihood import LOG_2PI, Data
 from hsed_jax.inference.maximum import Maximum
-from hsed_jax.inference.nuts import Chains, Settings, sample
+from hsed_jax.inference.nuts import Chains, Settings, convergence, sample
 from hsed_jax.inference.posterior import Posterior
 
 # Error of the emulated log density [nats] that still leaves most proposals accepted.
@@ -39,11 +43,62 @@ def draw(
     Arguments:
         posterior: of the study.
         data: measured outputs.
-        maximum: the mode and the whitening there (`maximise`).
+        maximum: the modes and the whitening there (`maximise`).
         step_size: of NUTS, to begin adaptation from.
         key: of the random numbers.
         settings: sizes, and by which sampler.
     """
+    if not maximum.others:
+        return _of_one_mode(posterior, data, maximum, step_size, key, settings)
+    of_order, *keys = jax.random.split(key, 1 + len(maximum.modes))
+    found = [
+        _of_one_mode(posterior, data, mode, step_size, of_mode, settings)
+        for mode, of_mode in zip(maximum.modes, keys, strict=True)
+    ]
+    return _mixed(found, maximum.shares, of_order)
+
+
+def _mixed(found: list[Chains], shares: Float[np.ndarray, " modes"], key: PRNGKeyArray) -> Chains:
+    """Chains that hold draws of every mode in proportion to its share, in random order.
+
+    A chain takes its draws from the chains of the same number and in their order, so that one that has not converged in its mode
+    still differs from the others.
+    """
+    chains, draws = found[0].theta.shape[:2]
+    ends = np.round(np.cumsum(shares) * draws).astype(int)
+    counts = np.diff(ends, prepend=0)
+    random = np.random.default_rng(np.asarray(jax.random.key_data(key)))
+    chosen = np.empty((chains, draws), dtype=int)
+    for chain in chosen:
+        mode = random.permutation(np.repeat(np.arange(len(found)), counts))
+        for k, count in enumerate(counts):
+            chain[mode == k] = k * draws + np.sort(random.choice(draws, count, replace=False))
+    arrays = [
+        jnp.take_along_axis(joined, jnp.asarray(chosen).reshape(chosen.shape + (1,) * (joined.ndim - 2)), axis=1)
+        for joined in (
+            jnp.concatenate(leaves, axis=1) for leaves in zip(*(c[: _ARRAYS - 1] for c in found), strict=True)
+        )
+    ]
+    # Mixing hides that draws of one mode follow one another: they are worth what they were.
+    worths = [min(chains * count, convergence(c).ess_bulk.min()) for c, count in zip(found, counts, strict=True)]
+    errors = [c.emulator_error for c in found if c.emulator_error is not None]
+    return Chains(
+        *arrays,
+        step_size=found[0].step_size,
+        sampler="nuts" if any(c.sampler == "nuts" for c in found) else found[0].sampler,
+        worth=float(1 / sum(share**2 / max(worth, 1.0) for share, worth in zip(shares, worths, strict=True))),
+        emulator_error=max(errors) if len(errors) == len(found) else None,
+    )
+
+
+def _of_one_mode(
+    posterior: Posterior,
+    data: Data,
+    maximum: Maximum,
+    step_size: Float[Array, ""],
+    key: PRNGKeyArray,
+    settings: Settings,
+) -> Chains:
     first, second = jax.random.split(key)
     number = settings.chains * settings.draws
     if settings.sampler == "laplace":
