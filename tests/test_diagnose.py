@@ -604,7 +604,11 @@ def test_the_dashpot_is_found_among_the_whole_catalogue():
 @pytest.mark.parametrize(("eta", "least"), [(0.0, 0), (4e-7, 2), (1e-6, 3)])
 def test_power_against_the_size_of_the_degradation(eta, least):
     # At 4e-7 the residual is that of the noise (p = 0.07 to 0.6), and A is eight of its standard deviations off.
-    changes = [f"experiments.virtual.effects.stiffness_degradation.eta={eta}", "design.initial=4", "excitation.duration=6.0"]
+    changes = [
+        f"experiments.virtual.effects.stiffness_degradation.eta={eta}",
+        "design.initial=4",
+        "excitation.duration=6.0",
+    ]
     found = []
     for seed in range(3):
         study = hx.load_study("configs/hidden_effect.yaml", [*changes, f"seed={seed}"])

@@ -152,10 +152,15 @@ class Diagnosis(Tabular):
 
     def _instead(self, candidate: Candidate) -> str:
         """What a likely effect does to the error, and why it is not named."""
-        error = candidate.error_test
-        change = "fails on" if math.isinf(error) else "lowers" if error < self.error_after[1] else "does not lower"
-        figures = "" if math.isinf(error) else f" from {self.error_after[1]:.3f} to {error:.3f}"
-        return f"{change} the held-out error{figures}, not named because {candidate.reason}"
+        before, after = f"{self.error_after[1]:.3f}", f"{candidate.error_test:.3f}"
+        if math.isinf(candidate.error_test):
+            change = "cannot be simulated in the held-out experiments"
+        elif after == before:
+            change = f"leaves the held-out error at {before}"
+        else:
+            does = "lowers" if candidate.error_test < self.error_after[1] else "raises"
+            change = f"{does} the held-out error from {before} to {after}"
+        return f"{change}, not named because {candidate.reason}"
 
     def _table(self) -> Table:
         shown = [c for c in self.ranking if c.effect in self.effects or c.probability >= 0.001][:8] or self.ranking[:3]
