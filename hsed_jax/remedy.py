@@ -125,6 +125,7 @@ def improve(
     problem = problem_of(calibration.built, campaign, effects, known=calibration.map)
     before = compare(calibration, campaign)
     target = _target(problem, before)
+    assert problem.start is not None
     plain = _best(problem, target, problem.law, [], problem.start)
     notes = []
     if target.misfit(0, before.train_prediction.predicted) - target.misfit(0, plain.predicted) > _APART:

@@ -89,6 +89,7 @@ def test_what_the_diagnosis_promises_the_improvement_delivers(better, diagnosis)
     assert (first.error_train, first.error_test) == pytest.approx(diagnosis.error, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_model_that_was_not_at_its_best_fit_is_calibrated_again(calibration):
     # As if the search had stopped half-way.
     there = calibration.fit.maximum

@@ -239,7 +239,7 @@ def longest_step(
 def longest_increment(parameters: tuple[dict[str, Prior], dict[str, float]]) -> float:
     """The longest step of an imposed elongation that resolves the spring at the upper ends of its priors [m]."""
     free, fixed = parameters
-    law = {name: value for name, value in fixed.items() if "." not in name}
+    law: dict[str, Any] = {name: value for name, value in fixed.items() if "." not in name}
     for name, prior in free.items():
         if "." not in name:
             law[name] = float(prior.quantile(0.999 if name in ("A", "beta") else 0.5))
