@@ -126,7 +126,7 @@ class Plain:
         data = self.built.data(campaign, experiments)
         theta = self._find(data).theta
         predicted, ok = (np.asarray(x) for x in self._predict(theta, data))
-        sigma = np.asarray(posterior.sigma(theta, predicted, ok, data))
+        sigma = np.asarray(posterior.sigma(theta, jax.numpy.asarray(predicted), jax.numpy.asarray(ok), data))
         used, measured = np.asarray(data.weights) > 0, np.asarray(data.values)
         groups = posterior.groups
         return Prediction(
