@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -147,16 +147,26 @@ def compare(calibration: Calibration, campaign: Campaign | None = None) -> Compa
     return comparing.compare(calibration.train, calibration.test, declared, parameters, notes)
 
 
-def locate(calibration: Calibration, campaign: Campaign | None = None) -> Location:
+def locate(
+    calibration: Calibration, campaign: Campaign | None = None, *, split: Literal["train", "test"] = "train"
+) -> Location:
     """Where the calibrated model fails.
 
     Arguments:
         calibration: the calibrated model.
-        campaign: experiments to look at, all splits; by default those it was calibrated on.
+        campaign: experiments to look at; by default those it was calibrated on.
+        split: of the campaign: the training experiments, as the command line does, or those held out.
+
+    Raises:
+        UserError: the campaign has no experiment of that split.
     """
-    if campaign is None:
-        return locating.locate(calibration.train, calibration.campaign)
-    return locating.locate(calibration.predict(campaign), campaign)
+    campaign = calibration.campaign if campaign is None else campaign
+    if campaign is not calibration.campaign:
+        calibration = replace(calibration, campaign=campaign)
+    prediction = calibration.train if split == "train" else calibration.test
+    if prediction is None:
+        raise UserError(f"the campaign {campaign.name!r} has no experiments that were held out (split: test)")
+    return locating.locate(prediction, campaign)
 
 
 def simulate(

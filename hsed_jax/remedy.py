@@ -2,13 +2,14 @@
 
 import os
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import yaml
+from jaxtyping import Array
 
 from hsed_jax.analysis import Calibration, calibrate_built, compare
 from hsed_jax.config.build import Built
@@ -21,13 +22,15 @@ from hsed_jax.criticism.improve import Step, Trail, step_of
 from hsed_jax.criticism.problem import Problem
 from hsed_jax.design.acquisition import Given
 from hsed_jax.errors import UserError
-from hsed_jax.inference.nested import Target, Task
+from hsed_jax.inference.nested import Descent, Target, Task
 from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Campaign
 from hsed_jax.tables import Table, Tabular
 
 # Candidates of a design among which the one that separates rivals best is looked for: a Sobol' set's beginning fills it.
 _DISCRIMINATED = 512
+# Nats by which the model as it is may miss its best fit before it is calibrated again.
+_APART = 2.0
 
 
 def diagnose(calibration: Calibration, campaign: Campaign | None = None, watch: Watch | None = None) -> Diagnosis:
@@ -40,7 +43,8 @@ def diagnose(calibration: Calibration, campaign: Campaign | None = None, watch: 
     """
     campaign = calibration.campaign if campaign is None else campaign
     watch = watch or Watch()
-    return diagnosing.diagnose(problem_of(calibration.built, campaign, watch=watch), watch.report)
+    problem = problem_of(calibration.built, campaign, watch=watch, known=calibration.map)
+    return diagnosing.diagnose(problem, watch.report)
 
 
 def discriminate(built: Built, campaign: Campaign) -> Given:
@@ -120,7 +124,9 @@ class Improvement(Tabular):
     def _table(self) -> Table:
         warning = self.calibration.fit.warning
         doubts = [f"the draws of the improved model have not converged: {warning}"] if warning else []
-        return replace(self.trail._table(), notes=[self.after.verdict, *self.after.warnings, *doubts])
+        return replace(
+            self.trail._table(), notes=[self.after.verdict, *self.trail.notes, *self.after.warnings, *doubts]
+        )
 
 
 def improve(
@@ -128,14 +134,20 @@ def improve(
     campaign: Campaign | None = None,
     *,
     effects: Sequence[str],
+    start: Mapping[str, float] | None = None,
     watch: Watch | None = None,
 ) -> Improvement:
     """Add effects to a calibrated model and calibrate it again, MAP and posterior.
+
+    Every model starts where the one before it ended, too, so that its error does not rise.  Where the model as it is turns out
+    not to have been at its best fit, it is calibrated again from there first.
 
     Arguments:
         calibration: the model as it is.
         campaign: experiments; by default those it was calibrated on.
         effects: names of effects of the catalogue, in the order to add them.
+        start: parameters of the model with them, by name, SI, to start one of the searches from: `Diagnosis.optimum`, so that
+            what was promised is delivered.
         watch: follows the fits and the calibration.
 
     Raises:
@@ -147,43 +159,63 @@ def improve(
     study = with_effects(calibration.built, effects)
     study = study.model_copy(update={"study": f"{study.study.removesuffix('_improved')}_improved"})
     watch = watch or Watch()
-    problem = problem_of(calibration.built, campaign, effects, watch=watch)
-    before = compare(calibration, campaign)
     watch.report("the model with the effects")
-    thetas = _fits(problem, before, calibration.map, effects)
-    steps = [step_of([], before, calibration.map)]
-    for count in range(1, len(effects)):
-        steps.append(_between(problem, thetas[count - 1], effects[:count]))
+    problem = problem_of(calibration.built, campaign, effects, watch=watch, known=calibration.map)
+    before = compare(calibration, campaign)
+    target = _target(problem, before)
+    assert problem.start is not None
+    plain = _best(problem, target, problem.law, [], problem.start)
+    notes = []
+    if target.misfit(0, before.train_prediction.predicted) - target.misfit(0, plain.predicted) > _APART:
+        calibration = calibrate_built(calibration.built, campaign, start=_parameters(problem, plain), watch=watch)
+        before = compare(calibration)
+        notes.append("the model as it was had not been calibrated to its best fit, and was calibrated again from there")
+    steps, fit = [step_of([], before, calibration.map)], plain
+    for count, effect in enumerate(effects, start=1):
+        free = np.concatenate([fit.free, problem.effects[effect]])
+        whole = count == len(effects) and start is not None
+        fit = _best(problem, target, free, problem.effects[effect], fit.x, start if whole else None)
+        steps.append(_between(problem, problem.models.theta(fit.x, fit.free), effects[:count]))
     built = Built(study, calibration.built.campaign)
-    better = calibrate_built(built, campaign, start=jnp.asarray(thetas[-1]), watch=watch)
+    better = calibrate_built(built, campaign, start=_parameters(problem, fit), watch=watch)
     after = compare(better)
-    steps.append(step_of(effects, after, better.map))
-    return Improvement(study, calibration, better, before, after, Trail(steps, after.train.noise_floor))
+    steps[-1] = step_of(effects, after, better.map)
+    return Improvement(study, calibration, better, before, after, Trail(steps, after.train.noise_floor, notes))
 
 
-def _fits(
-    problem: Problem, before: Comparison, parameters: dict[str, float], effects: Sequence[str]
-) -> list[np.ndarray]:
-    """θ of the model with the first, the first two, … effects, at their best fit, from the model as it was."""
-    train, models = problem.train, problem.models
-    predicted = before.train_prediction.predicted
+def _target(problem: Problem, before: Comparison) -> Target:
+    """What the calibration fits, as it judges what it leaves."""
+    train, predicted = problem.train, before.train_prediction.predicted
     errors, judged = np.fmax(train.declared, train.left(predicted)), train.judged(predicted)
     weights = train.used * judged.worth[train.groups]
-    target = Target(train.values, train.sigma(errors, predicted), weights[None], judged.memory)
-    law = [parameters[problem.names[k]] for k in problem.law]
-    theta = models.box.theta(models.neutral)
-    theta[problem.law] = law
-    x, free, found = models.box.x(theta), problem.law, []
-    for effect in effects:
-        own = problem.effects[effect]
-        free = np.concatenate([free, own])
+    return Target(train.values, train.sigma(errors, predicted), weights[None], judged.memory)
+
+
+def _best(
+    problem: Problem,
+    target: Target,
+    free: np.ndarray,
+    new: Sequence[int] | np.ndarray,
+    x: np.ndarray,
+    known: Mapping[str, float] | None = None,
+) -> Descent:
+    """The best fit of a model with new parameters: from where the one without them is, from there with these spread over their
+    priors, and from parameters that are known."""
+    models, columns = problem.models, np.asarray(new, dtype=int)
+    tasks = [Task(free, x)]
+    if known is not None:
+        tasks.append(Task(free, models.point({name: value for name, value in known.items() if name in problem.names})))
+    if columns.size:
         starts = np.tile(x, (8, 1))
-        shares = 0.1 + 0.8 * (np.arange(8)[:, None] * (0.5 + np.sqrt(np.arange(len(own)) + 2.0)) % 1.0)
-        starts[:, own] = models.box.quantiles(own, shares)
-        ends = models.fit(target, [Task(free, start, rivals=0) for start in starts])
-        x = min(ends, key=lambda f: f.cost).x
-        found.append(models.theta(x, free))
-    return found
+        shares = 0.1 + 0.8 * (np.arange(8)[:, None] * (0.5 + np.sqrt(np.arange(columns.size) + 2.0)) % 1.0)
+        starts[:, columns] = models.box.quantiles(columns, shares)
+        tasks += [Task(free, spread, rivals=0) for spread in starts]
+    return min(models.fit(target, tasks), key=lambda f: f.cost)
+
+
+def _parameters(problem: Problem, fit: Descent) -> Array:
+    """θ of a fit, in the order of the study that has its effects."""
+    return jnp.asarray(problem.models.theta(fit.x, fit.free)[fit.free])
 
 
 def _between(problem: Problem, theta: np.ndarray, effects: Sequence[str]) -> Step:

@@ -92,7 +92,7 @@ ax = hx.plot.ranking(diagnosis)
 # ## What does adding it do?
 
 # %%
-better = hx.improve(fit, effects=diagnosis.effects)
+better = hx.improve(fit, effects=diagnosis.effects, start=diagnosis.optimum)
 better
 
 # %%

@@ -3,14 +3,16 @@
 import json
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from test_diagnose import BETA, NOISE, A, C, spring_campaign, spring_study
 
 import hsed_jax as hx
 from hsed_jax.config.build import Built
-from hsed_jax.config.candidates import with_effects
+from hsed_jax.config.candidates import problem_of, with_effects
 from hsed_jax.config.experiments import ExperimentsEntry
+from hsed_jax.criticism.diagnose import diagnose
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, Experiment, Record, write_campaign
 from hsed_jax.run import main
@@ -44,8 +46,14 @@ def calibration(campaign):
 
 
 @pytest.fixture(scope="module")
-def better(calibration):
-    return hx.improve(calibration, effects=["viscous_damping", "hardening"])
+def diagnosis(calibration, campaign):
+    effects = ["viscous_damping", "hardening"]
+    return diagnose(problem_of(calibration.built, campaign, effects, known=calibration.map))
+
+
+@pytest.fixture(scope="module")
+def better(calibration, diagnosis):
+    return hx.improve(calibration, effects=["viscous_damping", "hardening"], start=diagnosis.optimum)
 
 
 def floor(experiments):
@@ -71,6 +79,27 @@ def test_the_error_falls_to_the_noise(better, campaign):
     assert better.trail.noise_floor == pytest.approx(floor(campaign.train), rel=1e-6)
     assert better.trail.steps[0].error_train > 3 * last.error_train
     assert not better.before.adequate and better.after.adequate
+
+
+def test_what_the_diagnosis_promises_the_improvement_delivers(better, diagnosis):
+    assert set(diagnosis.effects) == {"viscous_damping", "hardening"} and not diagnosis.notes
+    assert set(diagnosis.optimum) == set(better.calibration.map)
+    last = better.trail.steps[-1]
+    assert (last.error_train, last.error_test) == pytest.approx(diagnosis.error_after, rel=0.02)
+    first = better.trail.steps[0]
+    assert (first.error_train, first.error_test) == pytest.approx(diagnosis.error, rel=0.02)
+
+
+@pytest.mark.slow
+def test_a_model_that_was_not_at_its_best_fit_is_calibrated_again(calibration):
+    # As if the search had stopped half-way.
+    there = calibration.fit.maximum
+    short = replace(calibration.fit, maximum=there._replace(theta=there.theta * jnp.asarray([0.8, 1.0])))
+    found = hx.improve(replace(calibration, fit=short), effects=["coulomb_friction"])
+    assert "calibrated again" in found.trail.notes[0] and "calibrated again" in repr(found)
+    errors = [step.error_train for step in found.trail.steps]
+    assert errors[0] == pytest.approx(hx.compare(calibration).train.error, rel=1e-3)
+    assert errors[1] < errors[0] * 1.001
 
 
 def test_parameters_of_law_and_effects_are_the_true_ones(better):
@@ -99,7 +128,7 @@ def test_the_trail_shows_itself(better):
     ]
     assert "explained by the noise" in text and "nan" not in text and "<table>" in better._repr_html_()
     summary = json.loads(json.dumps(better.trail.summary(), allow_nan=False))
-    assert summary.keys() == {"steps", "noise_floor"}
+    assert summary.keys() == {"steps", "noise_floor", "notes"} and summary["notes"] == []
     assert all(step.keys() >= {"effects", "error_train", "error_test"} for step in summary["steps"])
 
 
@@ -124,6 +153,16 @@ def test_the_improved_study_finds_the_campaign_from_where_it_lies_and_says_what_
     assert text.startswith("# The study 'springs' with viscous_damping and hardening added to its model: the error on")
     for key in ("study", "model", "experiments", "scales"):
         assert text[: text.index(f"\n{key}:")].splitlines()[-1].startswith("# ")
+
+
+def test_training_and_held_out_experiments_are_told_apart_where_the_misfit_is(calibration, campaign):
+    default, given = (hx.locate(calibration, *of) for of in ((), (campaign,)))
+    assert given.sentences == default.sentences and default.sentences
+    held_out = hx.locate(calibration, campaign, split="test")
+    assert held_out.samples.share.size < default.samples.share.size and held_out.sentences != default.sentences
+    with pytest.raises(UserError, match="no experiments that were held out"):
+        hx.locate(calibration, Campaign("some", "displacement", {}, campaign.channels, {}, campaign.train.experiments),
+                  split="test")  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -261,7 +261,9 @@ def test_reference_depends_on_what_damping_is_formed_with(paper_simulator, pulse
 ROWS = np.array([[1.5 + 0.3 * i, 0.6 + 0.2 * i, 4e5 + 5e4 * i, 0.7 + 0.2 * i, 1e-5 * i] for i in range(5)])
 
 
-@pytest.mark.parametrize(("column", "value"), [(2, np.nan), (3, np.nan), (2, 1e12), (0, np.inf), (4, np.nan)], ids=str)
+@pytest.mark.parametrize(
+    ("column", "value"), [(2, np.nan), (3, np.nan), (2, 1e12), (2, 2.5e8), (0, np.inf), (4, np.nan)], ids=str
+)
 def test_one_diverging_experiment_is_flagged_and_leaves_the_others_bit_identical(hysteretic, column, value):
     _, program = hysteretic[1 / 64]
     good, ok = program(ROWS)
@@ -482,6 +484,22 @@ def test_steady_loop_has_the_energy_and_the_peak_of_quadrature(driven, law):
     assert e[-1] - e[-1 - per_cycle] == pytest.approx(energy, rel=1.5e-5)
     last = np.abs(response.channels["force"][-1 - per_cycle :]).max()
     assert last == pytest.approx(peak, rel=6e-5)
+
+
+def test_steps_that_are_too_long_for_the_spring_give_no_response(driven):
+    t = np.arange(2 * DRIVEN_STEPS + 1) / (2 * DRIVEN_STEPS) * 8
+    u, rate = 0.3 * np.sin(2 * np.pi * t), 0.6 * np.pi * np.cos(2 * np.pi * t)  # up to 7.5 mm in a step
+    for law, resolved in (
+        ((5e5, 200.0, 0.0, 1.0), True),
+        ((5e5, 400.0, 0.0, 1.0), False),
+        ((9e7, 2e-1, 0.0, 2.0), False),
+    ):
+        response = driven(law, u, rate, 8 / DRIVEN_STEPS)
+        ultimate = (law[0] / law[1]) ** (1 / law[3])
+        assert bool(response.ok) == resolved
+        # It was called a prediction before.
+        assert np.isfinite(response.quantities["peak_force"]) or not resolved
+        assert (response.quantities["peak_force"] < 1.01 * ultimate) == resolved
 
 
 def test_force_does_not_depend_on_the_rate(driven):

@@ -1,6 +1,6 @@
 """From a study and a campaign to the large model that a diagnosis works on: the study's model with every candidate in it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -10,9 +10,9 @@ from hsed_jax.config.build import Built
 from hsed_jax.config.plan import ORDER, check_added
 from hsed_jax.config.schema import ImproveEntry, ScalesEntry, Study
 from hsed_jax.criticism.compare import compare
+from hsed_jax.criticism.measured import Measured
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.criticism.problem import Problem
-from hsed_jax.criticism.search import Measured
 from hsed_jax.inference.box import Box
 from hsed_jax.inference.lanes import Lanes
 from hsed_jax.inference.likelihood import Data
@@ -67,6 +67,7 @@ def problem_of(
     effects: Sequence[str] | None = None,
     cube: np.ndarray | None = None,
     watch: Watch | None = None,
+    known: Mapping[str, float] | None = None,
 ) -> Problem:
     """The large model and the measurements.
 
@@ -76,6 +77,7 @@ def problem_of(
         effects: candidates; by default all that apply.
         cube: inputs of experiments that could be made, in the unit cube, (c, d); by default some that fill it.
         watch: follows the fits.
+        known: parameters of the model as it is, by name, SI, as a calibration found them.
     """
     names = applicable(built, campaign) if effects is None else list(effects)
     large = Built(with_effects(built, names), built.campaign)
@@ -89,6 +91,7 @@ def problem_of(
     neutral = _neutral(free, catalogue)
     lanes = Lanes(large.simulator, large.observation, tuple(free), conditions)
     models = NestedModels(lanes, Box(free), neutral, watch)
+    start = None if known is None else models.point({name: known[name] for name in free if name in known})
     order = tuple(free)
     own = {
         name: np.asarray([order.index(f"{name}.{p}") for p in parameters_of(effect)])
@@ -115,6 +118,7 @@ def problem_of(
         outputs=large.outputs,
         candidates=inputs,
         seed=built.study.seed,
+        start=start,
     )
 
 

@@ -25,6 +25,7 @@ from hsed_jax.physics.parameters import Parameter, parameters_of
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator, Timeline
 from hsed_jax.physics.structures import ModalDamping, RayleighDamping, Spring, Structure
+from hsed_jax.physics.systems import RESOLVED
 
 # The integration resolves the shortest period with this many steps; peaks are then good to 1e-4 (tests/test_response.py).
 _STEPS_PER_PERIOD = 24
@@ -258,6 +259,15 @@ def longest_step(
         if not isinstance(shortest, str):
             periods.append(shortest)
     return min(periods) / _STEPS_PER_PERIOD
+
+
+def longest_increment(free: Mapping[str, Prior], fixed: Mapping[str, float]) -> float:
+    """The longest step of an imposed elongation that resolves the spring at the upper ends of its priors [m]."""
+    law: dict[str, Any] = {name: value for name, value in fixed.items() if "." not in name}
+    for name, prior in free.items():
+        if "." not in name:
+            law[name] = float(prior.quantile(0.999 if name in ("A", "beta") else 0.5))
+    return RESOLVED / float(BoucWen(**law).steepness())
 
 
 def effect_parameters(

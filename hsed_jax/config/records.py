@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hsed_jax.config.parts import longest_increment
 from hsed_jax.inference.observation import Grid
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Characteristics, Record
@@ -51,8 +52,9 @@ def imposed_grid(
     ]
     yields = [found.force / found.stiffness, _yielding(parameters)]
     yielding = min((value for value in yields if math.isfinite(value) and value > 0), default=math.inf)
-    longest = max(steps, default=0.0) / yielding
-    return divided(max(len(record) for record in records), longest / STEP_PER_YIELD, longest)
+    longest = max(steps, default=0.0)
+    needed = max(longest / (STEP_PER_YIELD * yielding), longest / longest_increment(*parameters))
+    return divided(max(len(record) for record in records), needed, longest / yielding)
 
 
 def _yielding(parameters: tuple[Mapping[str, Prior], Mapping[str, float]]) -> float:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hsed_jax.criticism.compare import noise_of
-from hsed_jax.criticism.cycles import absorbed_energy, branches, cycle_numbers, frequencies
+from hsed_jax.criticism.cycles import absorbed_energy, branches, cycle_numbers, frequencies, half_cycles
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, Experiment
@@ -17,6 +17,7 @@ class Samples:
 
     Attributes:
         share: squared standardised residual of each sample, summing to 1, (m,).
+        expected: the same of a residual in proportion to the motion, and of the noise: nothing is worse than elsewhere, (m,).
         signed: predicted less measured in the direction of what was measured (positive: the model is too strong), over the
             RMS of its output about its mean, less what the noise explains of it, (m,).
         experiment: index of the experiment, (m,).
@@ -25,6 +26,7 @@ class Samples:
     """
 
     share: np.ndarray
+    expected: np.ndarray
     signed: np.ndarray
     experiment: np.ndarray
     numbers: dict[str, np.ndarray]
@@ -39,7 +41,9 @@ UNITS = {"time": "s", "cycle": "1", "amplitude": "m", "energy": "J", "speed": "m
 def samples_of(prediction: Prediction, campaign: Campaign) -> Samples:
     """Collect the residual of histories with its coordinates."""
     parts: list[dict] = []
-    beyond = {output: _beyond_noise(prediction, output) for output in prediction.outputs}
+    beyond, noise = {}, {}
+    for output in prediction.outputs:
+        beyond[output], noise[output] = _beyond_noise(prediction, output)
     for row, experiment in enumerate(prediction.experiments):
         along = coordinates_of(experiment)
         for output in prediction.outputs:
@@ -53,6 +57,7 @@ def samples_of(prediction: Prediction, campaign: Campaign) -> Samples:
             part = {name: values[inside] for name, values in along.items()}
             part |= {
                 "signed": beyond[output] * towards * prediction.residual[row, columns][inside],
+                "motion": _motion(prediction.measured[row, columns][inside]),
                 "experiment_index": np.full(inside.size, row),
                 "experiment": np.full(inside.size, experiment.id),
                 "output": np.full(inside.size, output),
@@ -66,12 +71,17 @@ def samples_of(prediction: Prediction, campaign: Campaign) -> Samples:
     joined = {name: np.concatenate([part[name] for part in parts]) for name in names}
     squares = joined["signed"] ** 2
     share = squares / squares.sum() if squares.sum() > 0 else np.full(squares.size, 1 / squares.size)
+    expected = np.empty(squares.size)
+    for output in np.unique(joined["output"]):
+        own = joined["output"] == output
+        motion = joined["motion"][own] / (joined["motion"][own].mean() or 1.0)
+        expected[own] = (noise[output] + (1 - noise[output]) * motion) / squares.size
     numbers = {name: joined[name] for name in UNITS if np.isfinite(joined[name].astype(float)).any()}
     if not campaign.has_time or not _rates_vary(joined["frequency"]):
         # The row number is no time.  And where all cycles take as long, the rate is but a function of the place on the loop.
         numbers.pop("speed", None)
     words = {name: joined[name] for name in ("branch", "sign of the force", "output", "experiment")}
-    return Samples(share, joined["signed"], joined["experiment_index"], numbers, words)
+    return Samples(share, expected, joined["signed"], joined["experiment_index"], numbers, words)
 
 
 def quantities_of(prediction: Prediction) -> Samples:
@@ -92,21 +102,29 @@ def quantities_of(prediction: Prediction) -> Samples:
         "output": np.asarray(prediction.outputs, dtype=str)[prediction.groups[column]],
         "experiment": np.asarray([e.id for e in prediction.experiments], dtype=str)[row],
     }
-    return Samples(share, signed, row, {}, words)
+    return Samples(share, np.full(share.size, 1 / max(share.size, 1)), signed, row, {}, words)
 
 
-def _beyond_noise(prediction: Prediction, output: str) -> float:
-    """What makes the residual of an output comparable: 1/RMS of the output, times √ of the share that is not noise."""
+def _motion(measured: np.ndarray) -> np.ndarray:
+    """Mean square of a history over the half cycle that each sample belongs to: how much is going on there."""
+    ends = half_cycles(measured)
+    cycle = np.searchsorted(ends[1:-1], np.arange(measured.size), side="right")
+    return (np.bincount(cycle, measured**2) / np.maximum(np.bincount(cycle), 1))[cycle]
+
+
+def _beyond_noise(prediction: Prediction, output: str) -> tuple[float, float]:
+    """What makes the residual of an output comparable: 1/RMS of the output, times √ of the share that is not noise; and the
+    share that is."""
     columns = prediction.columns(output)
     used = prediction.used[:, columns]
     if not used.any():
-        return 0.0
+        return 0.0, 1.0
     residual = prediction.residual[:, columns][used]
     scale = float(np.std(prediction.measured[:, columns][used])) or float(np.sqrt(np.mean(residual**2))) or 1.0
     # The inferred error holds the misfit too; what no smooth signal explains is noise.
     noise = np.fmin(noise_of(prediction, output, False), prediction.sigma[:, columns])[used]
     size, floor = float(np.mean(residual**2)), float(np.mean(noise**2))
-    return np.sqrt(1 - floor / size) / scale if size > _NOISE_FACTOR * floor else 0.0
+    return (np.sqrt(1 - floor / size) / scale, floor / size) if size > _NOISE_FACTOR * floor else (0.0, 1.0)
 
 
 def _rates_vary(frequency: np.ndarray) -> bool:

@@ -1,17 +1,19 @@
 """Which physical effect is missing, how large it is, how sure that is, and what would tell it from its look-alikes."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from hsed_jax.criticism.compare import discrepancy_p_value
-from hsed_jax.criticism.findings import SIGNIFICANT, Candidate, Diagnosis
+from hsed_jax.criticism.compare import discrepancy_p_value, is_material
+from hsed_jax.criticism.findings import Candidate, Diagnosis
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.criticism.problem import Problem
 from hsed_jax.criticism.rivals import difference, joined, look_alikes_of, next_experiment, rivals_of, separation
-from hsed_jax.criticism.search import Model, Search, Set, score_p_value
+from hsed_jax.criticism.scores import score_p_value
+from hsed_jax.criticism.search import Model, Search, Set
+from hsed_jax.inference.correlation import SIGNIFICANT
 from hsed_jax.inference.evidence import Sampled, gaussian, importance
 from hsed_jax.inference.nested import Descent
 from hsed_jax.physics.parameters import parameters_of
@@ -22,6 +24,16 @@ _MOST_CLOSE = 8
 _DRAWS = 240
 # Draws that must count before a sample is believed.
 _ENOUGH = 30
+# An effect with this probability is likely: where it is not named, it is said why.
+_LIKELY = 0.1
+# Nats between two optima of the model as it is that are worth a word.
+_APART = 2.0
+
+
+_MISSED = (
+    "the calibration did not end at the best fit of the model as it is, which is taken here; calibration.starts says from how "
+    "many points it looks for it"
+)
 
 
 def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None) -> Diagnosis:
@@ -33,11 +45,14 @@ def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None
     """
 
     def is_explained(fit: Descent) -> bool:
-        # Where the noise explains the residual nothing is named, however well something may fit it.
         probability = _p_value(problem, fit)
-        return probability is not None and probability >= SIGNIFICANT
+        if probability is None:
+            return False
+        return probability >= SIGNIFICANT or not is_material(problem.train.error(fit.predicted), problem.train.noise)
 
-    search = Search(problem.models, problem.train, problem.law, problem.effects, is_explained, report)
+    search = Search(
+        problem.models, problem.train, problem.law, problem.effects, is_explained, report, problem.test, problem.start
+    )
     search.start()
     p_value = _p_value(problem, search.model(()).fit)
     search.run()
@@ -51,10 +66,10 @@ def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None
     rivals = rivals_of(models, best)
     # A clear winner still has a runner-up to be told from.
     information = separation(problem, search, [best, *(rivals or [m for m in models if m is not best][:1])])
-    look_alikes = look_alikes_of(problem, search, best) if best.effects else []
+    look_alikes = look_alikes_of(problem, search, best, models) if best.effects else []
     chosen, worth = None, None
     if not best.effects:
-        verdict = "adequate" if p_value is None or p_value >= SIGNIFICANT else "unexplained"
+        verdict = "undecided" if p_value is None else "adequate" if is_explained(none.fit) else "unexplained"
     elif rivals:
         verdict = "ambiguous"
         look_alikes = joined([*look_alikes, *(difference(best.effects, rival.effects) for rival in rivals)])
@@ -62,7 +77,8 @@ def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None
     else:
         verdict = "missing_effects"
     named = [c.effect for c in ranking if c.effect in best.effects]
-    tests = _test_errors(problem, search, [none.effects, best.effects])
+    tests = search.unseen([none.effects, best.effects])
+    theta = problem.models.theta(best.fit.x, best.fit.free)
     return Diagnosis(
         verdict=verdict,
         effects=named,
@@ -80,7 +96,9 @@ def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None
             "before": _law(problem, none.fit, sampled.get(none.effects) or _sample(problem, search, none)),
             "after": _law(problem, best.fit, sampled[best.effects]),
         },
+        optimum={problem.names[k]: float(theta[k]) for k in best.fit.free},
         prediction=_prediction(problem, best.fit, search.target.sigma),
+        notes=[_MISSED] if search.missed > _APART else [],
     )
 
 
@@ -111,7 +129,8 @@ def _confirmed(problem: Problem, search: Search, models: list[Model]) -> tuple[M
     confirmed.sort(key=lambda m: -m.log_posterior)
     # Only an exchange is left to be decided: whether there is one more effect was a matter of odds.
     same_size = [m for m in confirmed if len(m.effects) == len(chosen.effects) and m.effects in sampled]
-    return same_size[0], sampled, confirmed
+    fit_for_use = [m for m in same_size if m.effects == chosen.effects or not search.harms(m.effects)]
+    return fit_for_use[0], sampled, confirmed
 
 
 def _ranking(
@@ -124,32 +143,48 @@ def _ranking(
         if effect in best:
             shown[effect] = by_set[best], by_set.get(best - {effect}) or search.model(best - {effect})
             continue
-        # In place of what the best model has, else beside it.
+        # In place of what the best model has, else (or where that is more probable than the best) beside it.
         options = [m for m in models if effect in m.effects and m.effects - {effect} in by_set]
         instead = [m for m in options if len(m.effects) <= max(len(best), 1)] or options
-        shown[effect] = (instead[0], by_set[instead[0].effects - {effect}])
-    tests = _test_errors(problem, search, [model.effects for model, _ in shown.values()])
+        beside = by_set.get(best | {effect})
+        if beside is None or beside.log_posterior <= by_set[best].log_posterior:
+            beside = instead[0]
+        shown[effect] = beside, by_set[beside.effects - {effect}]
+    tests = search.unseen([model.effects for model, _ in shown.values()])
     found = []
     for (effect, (model, without)), test in zip(shown.items(), tests, strict=True):
         with_it = [p for m, p in zip(models, probabilities, strict=True) if effect in m.effects]
         sample = sampled.get(model.effects)
         score = search.scores[effect]
+        probability = min(float(sum(with_it)), 1.0)
+        is_likely = probability >= _LIKELY or (
+            model.effects > best and model.log_posterior > by_set[best].log_posterior
+        )
         found.append(
             Candidate(
                 effect=effect,
                 family=problem.catalogue[effect].family,
-                probability=min(float(sum(with_it)), 1.0),
+                probability=probability,
                 log_evidence_gain=model.log_evidence - without.log_evidence,
                 score=score,
                 score_p_value=score_p_value(score),
                 estimate=_estimate(problem, effect, model.fit, sample),
                 error_train=problem.train.error(model.fit.predicted),
                 error_test=test,
+                reason=_reason(search, model, by_set[best]) if is_likely and effect not in best else None,
             )
         )
     # Named effects come first, by what the model would lose without them.
     return sorted(found, key=lambda c: (c.effect not in best, -c.log_evidence_gain if c.effect in best else -c.probability,
                                         -c.log_evidence_gain))  # fmt: skip
+
+
+def _reason(search: Search, model: Model, best: Model) -> str | None:
+    """Why a model with a likely effect is not the one that is named."""
+    if not model.effects > best.effects:
+        odds = math.exp(min(best.log_posterior - model.log_posterior, 700.0))
+        return f"{' + '.join(sorted(best.effects - model.effects))} in its place is {odds:.2g} times as probable"
+    return search.obstacle(model) or "the search ended before it"
 
 
 def _estimate(problem: Problem, effect: str, fit: Descent, sample: Sampled | None) -> dict[str, dict[str, Any]]:
@@ -189,16 +224,6 @@ def _deviation(problem: Problem, fit: Descent, column: int) -> float:
 
 def _law(problem: Problem, fit: Descent, sample: Sampled) -> dict[str, dict[str, float]]:
     return {problem.names[k]: _moments(problem, fit, sample, int(k)) for k in problem.law}
-
-
-def _test_errors(problem: Problem, search: Search, sets: Sequence[Set]) -> list[float]:
-    """Errors on experiments that were not used."""
-    if problem.test is None:
-        return search.held_out(sets)
-    rows = len(problem.train.values) + np.arange(len(problem.test.values))
-    fits = [search.model(s).fit for s in sets]
-    outputs, _ = problem.models.predict([(f.x, f.free) for f in fits], rows)
-    return [problem.test.error(predicted) for predicted in outputs]
 
 
 def _prediction(problem: Problem, fit: Descent, sigma: np.ndarray) -> Prediction:

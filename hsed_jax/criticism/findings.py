@@ -1,14 +1,19 @@
 """What a diagnosis found, and how it shows itself."""
 
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from hsed_jax.criticism.compare import is_material
 from hsed_jax.criticism.prediction import Prediction, error_cell
+from hsed_jax.inference.correlation import SIGNIFICANT
 from hsed_jax.tables import Table, Tabular, cell
 
-SIGNIFICANT = 0.01
+# Of so many likely effects it is said why they are not named.
+_SHOWN = 3
 
 
 @dataclass(frozen=True)
@@ -22,7 +27,8 @@ class Candidate:
         score, score_p_value: Rao's score test of its amplitude in the model as it is.
         estimate: of its parameters in both their forms: mean, sd, 5 % and 95 % quantile, unit.
         error_train, error_test: normalised errors of the model with it; test: of experiments that were not used, the test
-            split or, without one, experiments left out in turn.
+            split or, without one, experiments left out in turn; infinite where a simulation fails.
+        reason: why it is not named though it is likely; None where it is named, or unlikely.
     """
 
     effect: str
@@ -34,10 +40,12 @@ class Candidate:
     estimate: dict[str, dict[str, Any]]
     error_train: float
     error_test: float
+    reason: str | None = None
 
     def summary(self) -> dict[str, Any]:
-        """As in `summary.json`."""
-        return dict(vars(self))
+        """As in `summary.json`; what is not finite, or not there, is absent."""
+        found = vars(self).items()
+        return {k: v for k, v in found if v is not None and not (isinstance(v, float) and not math.isfinite(v))}
 
 
 @dataclass(frozen=True, repr=False)
@@ -45,10 +53,10 @@ class Diagnosis(Tabular):
     """What is missing.
 
     Attributes:
-        verdict: `adequate`, `missing_effects`, `ambiguous` or `unexplained`.
+        verdict: `adequate`, `missing_effects`, `ambiguous`, `unexplained` or `undecided`.
         effects: the effects that are named, the most telling first.
         ranking: all candidates, the most probable first.
-        look_alikes: groups of effects that the noise hides from one another.
+        look_alikes: groups of effects whose predictions differ by less than the noise, none of them excluded by the evidence.
         next_experiment: inputs (in declared units) that best separate the rivals of an ambiguous verdict.
         expected_log_bayes_factor: what that experiment is expected to tell [nats].
         separation: the same for every candidate experiment, between the rivals or the two most probable models.
@@ -56,7 +64,9 @@ class Diagnosis(Tabular):
         error, error_after: normalised errors (train, test), before and with the named effects.
         noise_floor: of the training experiments.
         parameters: of the law, before and with the named effects.
+        optimum: θ of the model with the named effects at its best fit, by name, SI: where an improvement starts.
         prediction: of the training experiments with the named effects.
+        notes: sentences on how the diagnosis was made.
     """
 
     verdict: str
@@ -72,7 +82,9 @@ class Diagnosis(Tabular):
     error_after: tuple[float, float]
     noise_floor: float
     parameters: dict[str, dict[str, dict[str, float]]]
+    optimum: Mapping[str, float]
     prediction: Prediction
+    notes: Sequence[str] = ()
 
     def summary(self) -> dict[str, Any]:
         """The key `diagnosis` of `summary.json`."""
@@ -85,6 +97,7 @@ class Diagnosis(Tabular):
             "error": {"train": [self.error[0], self.error_after[0]], "test": [self.error[1], self.error_after[1]]},
             "noise_floor": self.noise_floor,
             "parameters": self.parameters,
+            "notes": self._notes,
         }
         optional = {
             "next_experiment": self.next_experiment,
@@ -99,16 +112,22 @@ class Diagnosis(Tabular):
         """The verdict in words."""
         ends = " to ".join(error_cell(errors[1]) for errors in (self.error, self.error_after))
         fall = f"the error on experiments that were not used goes from {ends}"
-        named = " and ".join(self.effects)
+        named, errors = " and ".join(self.effects), f"error {self.error[0]:.3f}, noise {self.noise_floor:.3f}"
         if self.verdict == "adequate":
             return "nothing is missing that these measurements could show: the noise explains the residual"
-        if self.verdict == "unexplained":
+        if self.verdict == "undecided":
             return (
-                "the model is wrong, and nothing in the catalogue mends it "
-                f"(error {self.error[0]:.3f}, noise {self.noise_floor:.3f})"
+                "whether anything is missing cannot be said: nothing is known of the noise, and no effect predicts "
+                f"what was not used so much better that it need not be (error {self.error[0]:.3f})"
             )
+        if self.verdict == "unexplained" and self._unnamed:
+            first = self._unnamed[0]
+            return f"the model is wrong, and no effect is named ({errors}); {first.effect} {self._instead(first)}"
+        if self.verdict == "unexplained":
+            return f"the model is wrong, and nothing in the catalogue mends it ({errors})"
         left = ""
-        if self.p_value_after is not None and self.p_value_after < SIGNIFICANT:
+        is_left = self.p_value_after is not None and self.p_value_after < SIGNIFICANT
+        if is_left and is_material(self.error_after[0], self.noise_floor):
             left = (
                 f"; what remains ({self.error_after[0]:.3f} against a noise of {self.noise_floor:.3f}) is not noise yet"
             )
@@ -116,9 +135,33 @@ class Diagnosis(Tabular):
             rivals = "; ".join(" or ".join(group) for group in self.look_alikes)
             return f"missing is {rivals}, which these measurements cannot tell apart; with {named}, {fall}{left}"
         alike = "".join(
-            f"; {group[0]} looks like {' or '.join(group[1:])} within the noise" for group in self.look_alikes
+            f"; {' or '.join(group[1:])} in place of {group[0]} differs by less than the noise and is less probable, "
+            "but not excluded"
+            for group in self.look_alikes
         )
         return f"missing is {named}: {fall}{left}{alike}"
+
+    @property
+    def _notes(self) -> list[str]:
+        """How the diagnosis was made, and why likely effects are not named."""
+        return [*self.notes, *(f"{c.effect} {self._instead(c)}" for c in self._unnamed[:_SHOWN])]
+
+    @property
+    def _unnamed(self) -> list[Candidate]:
+        """Likely effects that are not named, the most probable first."""
+        return [candidate for candidate in self.ranking if candidate.reason is not None]
+
+    def _instead(self, candidate: Candidate) -> str:
+        """What a likely effect does to the error, and why it is not named."""
+        before, after = f"{self.error_after[1]:.3f}", f"{candidate.error_test:.3f}"
+        if math.isinf(candidate.error_test):
+            change = "cannot be simulated in the held-out experiments"
+        elif after == before:
+            change = f"leaves the held-out error at {before}"
+        else:
+            does = "lowers" if candidate.error_test < self.error_after[1] else "raises"
+            change = f"{does} the held-out error from {before} to {after}"
+        return f"{change}, not named because {candidate.reason}"
 
     def _table(self) -> Table:
         shown = [c for c in self.ranking if c.effect in self.effects or c.probability >= 0.001][:8] or self.ranking[:3]
@@ -138,7 +181,7 @@ class Diagnosis(Tabular):
                 )
             )
         heads = ("effect", "family", "probability", "log-evidence", "error train", "error test", "estimate")
-        notes = []
+        notes = self._notes
         if self.next_experiment is not None:
             inputs = ", ".join(f"{name} = {value:.4g}" for name, value in self.next_experiment.items())
             notes.append(f"the experiment that tells them apart best: {inputs}")

@@ -32,15 +32,17 @@ class Trail(Tabular):
     Attributes:
         steps: from the model as it was to the one with all effects.
         noise_floor: of the training experiments.
+        notes: sentences on how it was made.
     """
 
     steps: Sequence[Step]
     noise_floor: float
+    notes: Sequence[str] = ()
 
     def summary(self) -> dict[str, Any]:
         """The key `improvement` of `summary.json`."""
         steps = [{k: v for k, v in vars(step).items() if v is not None} for step in self.steps]
-        return {"steps": steps, "noise_floor": self.noise_floor}
+        return {"steps": steps, "noise_floor": self.noise_floor, "notes": list(self.notes)}
 
     @property
     def sentence(self) -> str:
@@ -64,7 +66,7 @@ class Trail(Tabular):
             for step in self.steps
         ]
         rows.append(("noise", cell(self.noise_floor), *[""] * (len(names) + 1)))
-        return Table(self.sentence, ("", "error train", "error test", *names), rows)
+        return Table(self.sentence, ("", "error train", "error test", *names), rows, self.notes)
 
 
 def step_of(effects: Sequence[str], comparison: Comparison, parameters: dict[str, float]) -> Step:

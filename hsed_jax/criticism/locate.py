@@ -1,13 +1,14 @@
 r"""Where the misfit lives, as a ranked list of plain sentences.
 
 For every coordinate the part of the data is sought that tells most about the residual: how large it is there, and which way it
-goes.  With q the share of the samples in a part, p its share of the squared error, and R² the share of the squared error that
-the two means of the signed residual (predicted less measured, in the direction of what was measured) inside and outside the
-part explain beyond their common mean, the part is worth
+goes.  With p the share of the squared error in a part, q the share of the samples or the share that a misfit in proportion to
+the motion would have there, whichever is closer to p, and R² the share of the squared error that the two means of the signed
+residual (predicted less measured, in the direction of what was measured) inside and outside the part explain beyond their
+common mean, the part is worth
 
 $$I = \tfrac12\Big[p\log\frac pq + (1-p)\log\frac{1-p}{1-q}\Big] - \tfrac12\log(1-R^2)$$
 
-nats per sample: the divergence of where the error is from where the samples are (Kullback & Leibler 1951; halved, since a
+nats per sample: the divergence of where the error is from where samples and motion are (Kullback & Leibler 1951; halved, since a
 variance that differs by a factor tells half as much as its logarithm), and the gain of a Gaussian likelihood from a mean of
 its own.
 """
@@ -40,12 +41,14 @@ class Place:
         unit: of the limit; `row` of a time that is the row number.
         error_share: share of the squared error in it.
         sample_share: share of the samples in it.
+        motion_share: share of the squared error that a misfit in proportion to the motion, beside the noise, would have in it; of
+            quantities the share of the measured values.
         information: I, in nats per sample: how much it tells.
         bias: mean of predicted less measured in it, in the direction of what was measured, over the RMS residual of the
             part: 1 where the model is always too strong, -1 where it is always too weak.
         bias_elsewhere: the same of all other samples.
         of_force: whether strength is the word for what was measured; else size.
-        items: what is counted: samples or experiments.
+        items: what an even misfit follows: the motion, or the measured values.
     """
 
     coordinate: str
@@ -54,17 +57,18 @@ class Place:
     unit: str
     error_share: float
     sample_share: float
+    motion_share: float
     information: float
     bias: float
     bias_elsewhere: float = 0.0
     of_force: bool = True
-    items: str = "samples"
+    items: str = "motion"
 
     @property
     def sentence(self) -> str:
         """The place in plain words."""
         share = f"{100 * self.error_share:.0f} % of the squared error is {self._where}"
-        return f"{share}, which holds {100 * self.sample_share:.0f} % of the {self.items}{self._way}"
+        return f"{share}, which holds {100 * self.motion_share:.0f} % of the {self.items}{self._way}"
 
     @property
     def _way(self) -> str:
@@ -141,13 +145,13 @@ class Location(Tabular):
             (
                 p._where,
                 f"{100 * p.error_share:.0f} %",
-                f"{100 * p.sample_share:.0f} %",
+                f"{100 * p.motion_share:.0f} %",
                 p._too(p.bias) or "–",
                 p._too(p.bias_elsewhere) or "–",
             )
             for p in self.places
         ]
-        items = self.places[0].items if self.places else "samples"
+        items = self.places[0].items if self.places else "motion"
         heads = ("where", "of the squared error", f"of the {items}", "model there", "model elsewhere")
         return Table(next(iter(self.sentences), "the misfit is nowhere in particular"), heads, rows)
 
@@ -175,7 +179,7 @@ def locate(prediction: Prediction, campaign: Campaign) -> Location:
             place,
             unit="row" if place.coordinate == "time" and not campaign.has_time else place.unit,
             of_force=of_force,
-            items="samples" if histories else "measured values",
+            items="motion" if histories else "measured values",
         )
         for place in found
         if place is not None and place.information > least
@@ -207,7 +211,7 @@ def _best_word(name: str, words: np.ndarray, samples: Samples) -> Place | None:
 def _best(name: str, unit: str, parts: list, known: np.ndarray, samples: Samples) -> Place | None:
     """The part that tells most; of a part and its complement, which tell the same, the one with more than its share of error."""
     signed = samples.signed[known]
-    total = float(signed @ signed)
+    total, expected = float(signed @ signed), samples.expected[known]
     if total == 0:
         return None
     best = None
@@ -217,14 +221,15 @@ def _best(name: str, unit: str, parts: list, known: np.ndarray, samples: Samples
         if not _SMALLEST_PART <= q <= 1 - _SMALLEST_PART:
             continue
         one, other = signed[inside], signed[~inside]
-        p = float(one @ one) / total
+        p, even = float(one @ one) / total, float(expected[inside].sum()) / float(expected.sum())
         explained = signed.size * q * (1 - q) * (one.mean() - other.mean()) ** 2 / total
+        # What the samples or the motion explain is no finding.
+        where = min(_divergence(p, q), _divergence(p, even)) if (p > q) == (p > even) else 0.0
         # Rounded: a part and its complement tell the same.
-        information = round(0.5 * _divergence(p, q) - 0.5 * float(np.log1p(-min(explained, 1 - 1e-12))), 9)
-        if best is None or (information, p / q) > (best.information, best.error_share / best.sample_share):
-            best = Place(
-                name, word, None if limit is None else float(limit), unit, p, q, information, _bias(one), _bias(other)
-            )
+        information = round(0.5 * where - 0.5 * float(np.log1p(-min(explained, 1 - 1e-12))), 9)
+        if best is None or (information, p / even) > (best.information, best.error_share / best.motion_share):
+            about = (p, q, even, information, _bias(one), _bias(other))
+            best = Place(name, word, None if limit is None else float(limit), unit, *about)
     return best
 
 

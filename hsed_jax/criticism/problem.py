@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from hsed_jax.criticism.search import Measured
+from hsed_jax.criticism.measured import Measured
 from hsed_jax.inference.nested import NestedModels
 from hsed_jax.measurements import Experiment
 from hsed_jax.physics.effects import Catalogue
@@ -28,6 +28,7 @@ class Problem(NamedTuple):
         outputs: names of the outputs.
         candidates: inputs of experiments that could be made, in declared units; the rows after those measured.
         seed: of random numbers.
+        start: the model as it is, as a calibration left it, (P,); None where there was none.
     """
 
     models: NestedModels
@@ -43,6 +44,7 @@ class Problem(NamedTuple):
     outputs: tuple[str, ...]
     candidates: Sequence[dict[str, float]]
     seed: int
+    start: np.ndarray | None = None
 
     @property
     def rows(self) -> int:

@@ -14,16 +14,15 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
-from scipy.special import chdtrc, logsumexp
+from jaxtyping import Float, Int
+from scipy.special import logsumexp
 
-from hsed_jax.criticism.compare import normalised_error
+from hsed_jax.criticism.held_out import folds_of, left_out_predictions
+from hsed_jax.criticism.measured import Measured
+from hsed_jax.criticism.scores import score_p_value, score_tests
 from hsed_jax.errors import UserError
-from hsed_jax.inference.correlation import Judged, judge
 from hsed_jax.inference.evidence import laplace
-from hsed_jax.inference.likelihood import Error, magnitudes
 from hsed_jax.inference.nested import Descent, NestedModels, Target, Task
 
 MOST_EFFECTS = 4
@@ -31,73 +30,18 @@ MOST_EFFECTS = 4
 _ODDS = 10.0
 # Share of the squared held-out error, less the noise, that a further effect takes away.
 _MATERIAL = 0.05
-# Nats by which a model may fit worse than one it contains, before it is fitted again from there.
-_CAUGHT = 5.0
+# A score test opens the gate that the size of the residual keeps shut, at this level for all candidates together.
+_STRICT = 1e-3
+# By this share a further effect may raise the squared error on experiments that nothing is fitted to: they are few.
+_CHANCE = 0.05
+# A fit that another one shows to be improvable by more nats than this goes on from there.
+_CAUGHT = 0.1
+# An amplitude this close to its neutral value, in coordinates of order one, is none.
+_ABSENT = 1e-3
 # Of the most probable models so many are considered to go on from.
 _TRIED = 5
-_FOLDS = 6
-_BLOCKS = 4
 
 Set = frozenset[str]
-
-
-class Measured(NamedTuple):
-    """The training experiments.
-
-    Attributes:
-        values: measured outputs, SI, (n, J).
-        used: where there is a measurement, (n, J).
-        gaps: time since the sample before of the same history [s], infinite where there is none, (n, J).
-        groups: output of each column, (J,).
-        errors: of each output, (G,).
-        noise: noise floor of the error (`hsed_jax.criticism.compare`).
-    """
-
-    values: Float[np.ndarray, "n J"]
-    used: Bool[np.ndarray, "n J"]
-    gaps: Float[np.ndarray, "n J"]
-    groups: Int[np.ndarray, " J"]
-    errors: tuple[Error, ...]
-    noise: float
-
-    @property
-    def declared(self) -> Float[np.ndarray, " G"]:
-        """s of each output, NaN where it is not declared."""
-        return np.asarray([float(e.size) if isinstance(e.size, int | float) else np.nan for e in self.errors])
-
-    def error(self, predicted: np.ndarray, scored: np.ndarray | None = None) -> float:
-        """Normalised error of predictions (n, J), where something is scored (by default wherever it was measured)."""
-        return normalised_error(self.values, predicted, self.used if scored is None else scored, self.groups)
-
-    def scales(self, predicted: Float[np.ndarray, "r J"], used: np.ndarray | None = None) -> Float[np.ndarray, "r J"]:
-        """c in σ = s·c of predictions: one, or their magnitude where an error is relative."""
-        used = self.used if used is None else used
-        relative = np.asarray([error.is_relative for error in self.errors])
-        members = (self.groups[:, None] == np.arange(len(self.errors))).astype(float)
-        size = np.asarray(magnitudes(jnp.asarray(predicted), jnp.asarray(used, float), members))
-        return np.where(np.logical_and(relative[self.groups], size > 0), size, 1.0)
-
-    def residual(self, predicted: np.ndarray) -> Float[np.ndarray, "n J"]:
-        """Predictions less measurements over c; zero where there is no measurement."""
-        return np.where(self.used, (predicted - self.values) / self.scales(predicted), 0.0)
-
-    def left(self, predicted: np.ndarray) -> Float[np.ndarray, " G"]:
-        """s of each output that would explain the residual of predictions: its RMS, never zero."""
-        residual, outputs = self.residual(predicted), range(len(self.errors))
-        owns = [self.used & (self.groups == output) for output in outputs]
-        found = [float(np.sqrt(np.mean(residual[own] ** 2))) if own.any() else 1.0 for own in owns]
-        return np.maximum(found, 1e-9)
-
-    def sigma(self, errors: Float[np.ndarray, " G"], predicted: np.ndarray) -> Float[np.ndarray, "n J"]:
-        """σ = s·c of predictions, SI; one where there is no measurement."""
-        return np.where(self.used, errors[self.groups] * self.scales(predicted), 1.0)
-
-    def judged(self, predicted: np.ndarray) -> Judged:
-        """What the samples are worth beside predictions."""
-        declared = ~np.isnan(self.declared)
-        residual = self.residual(predicted) / np.where(declared, self.declared, self.left(predicted))[self.groups]
-        correlated = [error.correlated for error in self.errors]
-        return judge(residual, self.gaps, self.used, self.groups, declared, correlated)
 
 
 class Model(NamedTuple):
@@ -124,13 +68,19 @@ class Search:
         measured: the experiments to fit.
         law: indices of the parameters that every model has.
         effects: indices of the parameters of each candidate, the amplitude first.
-        is_explained: whether the noise explains the residual of a fit; nothing is added to it then.
+        is_explained: whether the noise explains the size of a fit's residual; nothing is added to it then, unless a score test
+            is sure of it.
         report: called with what is being done, for a progress bar.
+        test: experiments that nothing is fitted to, the rows after those measured: an effect that predicts them worse is not
+            named.
+        start: the model without further effects as it is known already, (P,): one of the starts of its fit.
 
     Attributes:
         target: what the last round was judged with; `errors` s and `worth` per output are what it was made of.
         best: the set that is supported.
         path: the sets that were best, from none on.
+        scores: Rao's score statistic of each candidate in the model as it is.
+        missed: by how many nats the best fit of the model as it is beats the one from `start`.
     """
 
     def __init__(
@@ -141,18 +91,23 @@ class Search:
         effects: Mapping[str, Int[np.ndarray, " q"]],
         is_explained: Callable[[Descent], bool],
         report: Callable[[str], None] = lambda line: None,
+        test: Measured | None = None,
+        start: Float[np.ndarray, " P"] | None = None,
     ):
         self._is_explained = is_explained
+        self._test, self._start = test, start
         self.models, self.measured, self.law, self.effects = models, measured, law, dict(effects)
         self._report = report
         self._fits: dict[Set, Descent] = {}
-        self._fitted, self._left_out = _folds(measured.used, measured.groups)
+        self._folds = folds_of(measured.used, measured.groups)
+        self._fitted = self._folds.fitted
         self.errors = np.where(np.isnan(measured.declared), 0.3, measured.declared)
         self.worth = np.ones(len(self.errors))
         self.target = self._target(measured.values, np.zeros(measured.values.shape))
         self.best: Set = frozenset()
         self.path: list[Set] = [self.best]
         self.scores: dict[str, float] = {}
+        self.missed = 0.0
 
     def run(self) -> None:
         """Search, from the model as it is."""
@@ -188,24 +143,58 @@ class Search:
         return np.exp(heights - logsumexp(heights))
 
     def held_out(self, chosen: Sequence[Set]) -> list[float]:
-        """Error on experiments left out in turn (on what comes later, where there is one experiment), for several sets."""
-        tasks = [
-            Task(self._free(effects), self._fits[effects].x, use)
-            for effects in chosen
-            for use in range(1, len(self._fitted))
+        """Error on experiments left out in turn (on what comes later, where there is one experiment), for several sets.
+
+        Infinite where a simulation fails: what cannot be predicted is no improvement.
+        """
+        fits = [self._fits[effects] for effects in chosen]
+        predictions = left_out_predictions(self.models, self.target, self._folds, fits)
+        scored = self._folds.left_out.any(axis=0)
+        return [math.inf if p is None else self.measured.error(p, scored) for p in predictions]
+
+    def unseen(self, chosen: Sequence[Set]) -> list[float]:
+        """Error on the experiments that nothing is fitted to, for several sets; without any, on those left out in turn."""
+        if self._test is None:
+            return self.held_out(chosen)
+        rows = len(self.measured.values) + np.arange(len(self._test.values))
+        fits = [self._fits[effects] for effects in chosen]
+        outputs, ok = self.models.predict([(f.x, f.free) for f in fits], rows)
+        return [
+            self._test.error(predicted) if converged.all() else math.inf
+            for predicted, converged in zip(outputs, ok, strict=True)
         ]
-        fits = self.models.fit(self.target, tasks)
-        rows = np.arange(len(self.measured.values))
-        everywhere, _ = self.models.predict([(f.x, f.free) for f in fits], rows)
-        errors = []
-        folds = len(self._fitted) - 1
-        scored = self._left_out.any(axis=0)
-        for number in range(len(chosen)):
-            predicted = np.zeros_like(self.measured.values)
-            for fold in range(folds):
-                predicted = np.where(self._left_out[fold + 1], everywhere[number * folds + fold], predicted)
-            errors.append(self.measured.error(predicted, scored))
-        return errors
+
+    def harms(self, larger: Set, here: Set = frozenset()) -> bool:
+        """Whether a set predicts the experiments that nothing is fitted to worse than another one, or not at all."""
+        if self._test is None:
+            return False
+        now, then = self.unseen([here, larger])
+        return not then**2 <= (1 + _CHANCE) * now**2
+
+    def pointed_at(self, chosen: Set) -> Set:
+        """The candidates that a score test around a fitted set is sure of, with their number accounted for."""
+        others = {name: columns for name, columns in self.effects.items() if name not in chosen}
+        scores = score_tests(self.models, self.target, self._fits[chosen], others) if others else {}
+        return frozenset(name for name, score in scores.items() if score_p_value(score, len(self.effects)) < _STRICT)
+
+    def obstacle(self, larger: Model) -> str | None:
+        """Why a model with one effect more than the best is not the one to go on from; None where nothing is against it."""
+        here = self.model(self.best)
+        odds = larger.log_posterior - here.log_posterior
+        if odds <= math.log(_ODDS):
+            return f"its posterior odds of {math.exp(odds):.2g} are less than {_ODDS:.0f}"
+        if self._is_explained(here.fit) and not larger.effects & self.pointed_at(self.best):
+            return "the noise explains what is left, and no score test is sure of it"
+        if self.harms(larger.effects, self.best):
+            now, then = self.unseen([self.best, larger.effects])
+            return f"it takes the error on experiments that were not used from {now:.3f} to {then:.3g}"
+        before, now, then = self.held_out([frozenset(), self.best, larger.effects])
+        # By a share of what is wrong with the prediction, or by the last of it, so that the noise is all that is left.
+        share = 0.0 if self._is_explained(larger.fit) else _MATERIAL
+        floor = self.measured.noise**2
+        if not then < now or now**2 - then**2 < share * (before**2 - floor):
+            return f"with training experiments left out in turn the error goes from {now:.3f} to {then:.3g} only"
+        return None
 
     # The rounds.
 
@@ -219,16 +208,19 @@ class Search:
         starts[1:, self.law] = self.models.box.quantiles(self.law, shares[1:])
         none: Set = frozenset()
         tasks = [Task(self.law, start, rivals=0) for start in starts]
+        tasks += [] if self._start is None else [Task(self.law, self._start)]
         for _ in range(2):
             ends = self.models.fit(self.target, tasks)
             self._fits[none] = min(ends, key=lambda f: f.cost)
+            if len(ends) > len(starts):
+                self.missed = ends[-1].cost - self._fits[none].cost
             if not np.isfinite(self._fits[none].cost):
                 raise UserError(
                     "the model's simulation diverges wherever a fit was started; check parameters and priors"
                 )
             self.target = self._judged_by(self._fits[none])
             tasks = [Task(self.law, self._fits[none].x)]
-        self.scores = self._score_tests()
+        self.scores = score_tests(self.models, self.target, self._fits[none], self.effects)
 
     def _fit(self, sets: Iterable[Set]) -> None:
         """Fit what has not been fitted, from several starts; the rest goes on from where it was."""
@@ -249,29 +241,40 @@ class Search:
         for _ in range(2):
             lowest = min(around, key=lambda s: self._fits[s].cost - self._log_prior(len(s)))
             self.target = self._judged_by(self._fits[lowest])
-            self._go_on(around, {s: self._fits[s].x for s in around})
-            # A model cannot fit worse than one that it contains: where it does, it was caught on the way.
-            caught = {s: x for s in around if (x := self._better_start(s)) is not None}
-            self._go_on(list(caught), caught)
+            self._fits |= self._go_on({s: self._fits[s].x for s in around})
+            self._reconcile(around)
 
-    def _go_on(self, sets: Sequence[Set], starts: Mapping[Set, np.ndarray]) -> None:
-        ends = self.models.fit(self.target, [Task(self._free(s), starts[s]) for s in sets])
-        self._fits |= dict(zip(sets, ends, strict=True))
+    def _go_on(self, starts: Mapping[Set, np.ndarray]) -> dict[Set, Descent]:
+        tasks = [Task(self._free(effects), start) for effects, start in starts.items()]
+        return dict(zip(starts, self.models.fit(self.target, tasks), strict=True))
 
-    def _better_start(self, effects: Set) -> np.ndarray | None:
-        """The end of a contained model that fits better, the further effects nearly absent; None where there is none."""
-        inside = [effects - {e} for e in effects if effects - {e} in self._fits]
-        if not inside:
-            return None
-        lowest = min(inside, key=lambda s: self._fits[s].cost)
-        if self._fits[effects].cost <= self._fits[lowest].cost + _CAUGHT:
-            return None
-        start = self._fits[effects].x.copy()
-        kept = self._free(lowest)
-        start[kept] = self._fits[lowest].x[kept]
-        for effect in effects - lowest:
-            start[self.effects[effect][0]] = self.models.neutral[self.effects[effect][0]]
-        return start
+    def _reconcile(self, sets: Sequence[Set]) -> None:
+        """No model fits worse than one that it contains, nor than a larger one whose further effect is absent: where one does,
+        it was caught on the way, and goes on from there."""
+        for size in sorted({len(s) for s in sets}):
+            caught = {s: x for s in sets if len(s) == size and (x := self._better_start(s, sets)) is not None}
+            self._fits |= {s: fit for s, fit in self._go_on(caught).items() if fit.cost < self._fits[s].cost}
+
+    def _better_start(self, effects: Set, sets: Sequence[Set]) -> np.ndarray | None:
+        """Where the fit of another set shows this model to fit better than it does; None where none does."""
+        here, options = self._fits[effects], []
+        for other in sets:
+            if len(other ^ effects) != 1:
+                continue
+            (changed,) = other ^ effects
+            fit, columns = self._fits[other], self.effects[changed]
+            x, absent = fit.x.copy(), self.models.neutral[columns[0]]
+            if changed in effects:
+                x[columns] = here.x[columns]
+                x[columns[0]] = absent
+                options.append((fit.cost - self._log_density(x, columns), x))
+            elif abs(x[columns[0]] - absent) < _ABSENT:
+                options.append((fit.cost + self._log_density(x, columns), x))
+        cost, x = min(options, key=lambda option: option[0], default=(math.inf, here.x))
+        return x if cost < here.cost - _CAUGHT else None
+
+    def _log_density(self, x: np.ndarray, columns: np.ndarray) -> float:
+        return float(self.models.box.log_density(x[None], columns).sum())
 
     def _next(self) -> Set:
         """The set to go on from: the most probable that is supported and predicts what was not used."""
@@ -280,29 +283,18 @@ class Search:
         for candidate in ranked[:_TRIED]:
             if candidate.log_posterior <= here.log_posterior:
                 break
-            if len(candidate.effects) <= len(self.best):
-                return candidate.effects
-            if self._is_explained(here.fit):
-                continue
-            odds = candidate.log_posterior - here.log_posterior
-            if odds > math.log(_ODDS) and self._is_material(candidate):
+            is_larger = len(candidate.effects) > len(self.best)
+            if self.obstacle(candidate) is None if is_larger else not self.harms(candidate.effects):
                 return candidate.effects
         return self.best
-
-    def _is_material(self, candidate: Model) -> bool:
-        """Whether a further effect improves the prediction of what was not used: by a share of what is wrong with it, or
-        by the last of it, so that the noise is all that is left."""
-        floor = self.measured.noise**2
-        before, now, then = (e**2 - floor for e in self.held_out([frozenset(), self.best, candidate.effects]))
-        share = 0.0 if self._is_explained(candidate.fit) else _MATERIAL
-        return then < now and now - then >= share * before
 
     def _neighbours(self) -> list[Set]:
         """The sets one change away from the best."""
         best, others = self.best, [e for e in self.effects if e not in self.best]
         fewer = [best - {e} for e in best]
         exchanged = [best - {out} | {new} for out in best for new in others]
-        may_grow = len(best) < MOST_EFFECTS and (not best or not self._is_explained(self._fits[best]))
+        is_open = not best or not self._is_explained(self._fits[best]) or bool(self.pointed_at(best))
+        may_grow = len(best) < MOST_EFFECTS and is_open
         more = [best | {new} for new in others] if may_grow else []
         return [best, *fewer, *exchanged, *more]
 
@@ -317,36 +309,6 @@ class Search:
         starts = np.tile(self._fits[known].x, (len(shares), 1))
         starts[:, new] = self.models.box.quantiles(np.asarray(new), shares)
         return list(starts)
-
-    def _score_tests(self) -> dict[str, float]:
-        r"""Rao's score statistic of each candidate's amplitude at its neutral value, $\chi^2_1$ where it is absent.
-
-        Source: Rao 1948; the law's parameters are projected out.
-        """
-        fit = self._fits[frozenset()]
-        amplitudes = [columns[0] for columns in self.effects.values()]
-        step = 1e-3
-        x = self.models.neutral.copy()
-        x[self.law] = fit.x[self.law]
-        points = [(x, self.law)]
-        for k in (*self.law, *amplitudes):
-            moved = x.copy()
-            moved[k] += -step if moved[k] + step > self.models.box.high[k] else step
-            points.append((moved, np.append(self.law, k)))
-        rows = np.arange(len(self.measured.values))
-        outputs, ok = self.models.predict(points, rows)
-        residual = self.target.standardised(0, rows, self.measured.values - outputs[0]).ravel()
-        slopes = self.target.standardised(0, rows, (outputs[1:] - outputs[0]) * ok[1:, :, None])
-        slopes = slopes.reshape(len(points) - 1, -1) / step
-        basis, _ = np.linalg.qr(slopes[: len(self.law)].T)
-        found = {}
-        for effect, slope in zip(self.effects, slopes[len(self.law) :], strict=True):
-            own = slope - basis @ (basis.T @ slope)
-            power = float(own @ own)
-            found[effect] = (
-                float(own @ residual) ** 2 / power if power > 1e-12 * float(slope @ slope) and power > 0 else 0.0
-            )
-        return found
 
     # What models are judged with.
 
@@ -367,32 +329,6 @@ class Search:
 
     def _log_prior(self, size: int) -> float:
         return -(size + 1) * math.log(2) - math.log(math.comb(len(self.effects), size))
-
-
-def score_p_value(statistic: float) -> float:
-    """Probability of a score statistic like this where the effect is absent."""
-    return float(chdtrc(1, statistic))
-
-
-def _folds(used: np.ndarray, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What to fit and what to predict from it, (F, n, J) each, the first fold being all the data and nothing left out.
-
-    Several experiments are left out in turn.  Of a single one the past predicts the future: the blocks of time before each
-    block are fitted, since a specimen that has been damaged is another one.
-    """
-    n = len(used)
-    if n > 1:
-        fold = np.broadcast_to((np.arange(n) % min(n, _FOLDS))[:, None], used.shape)
-        fitted = [used & (fold != k) for k in range(int(fold.max()) + 1)]
-        left_out = [used & (fold == k) for k in range(int(fold.max()) + 1)]
-    else:
-        block = np.zeros(used.shape, dtype=int)
-        for own in (groups == g for g in np.unique(groups)):
-            order = np.cumsum(used[0, own]) - 1
-            block[0, own] = np.clip(order * _BLOCKS // max(int(used[0, own].sum()), 1), 0, _BLOCKS - 1)
-        fitted = [used & (block < k) for k in range(1, _BLOCKS)]
-        left_out = [used & (block == k) for k in range(1, _BLOCKS)]
-    return np.stack([used, *fitted]), np.stack([np.zeros_like(used), *left_out])
 
 
 def _spread(parameters: int) -> np.ndarray:

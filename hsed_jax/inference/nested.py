@@ -8,7 +8,7 @@ $$\varphi(x) = \tfrac12\sum_{ij} w_{ij}\Big(\frac{y_{ij}-f_{ij}(\theta(x))}{\sig
   \qquad x_k\in[l_k,u_k]$$
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -128,6 +128,13 @@ class NestedModels:
         """Outputs at several points (x, free coordinates) for the experiments in `rows`, and whether they converged."""
         outputs, ok = self._run([(x, free, rows) for x, free in points])
         return np.stack(outputs), np.stack(ok)
+
+    def point(self, known: Mapping[str, float]) -> Float[np.ndarray, " P"]:
+        """x where some parameters, by name, SI, are known and the others neutral, (P,)."""
+        theta = self._neutral.copy()
+        for name, value in known.items():
+            theta[self.box.names.index(name)] = value
+        return np.clip(self.box.x(theta), self.box.low, self.box.high)
 
     def theta(self, x: Float[np.ndarray, " P"], free: Int[np.ndarray, " p"]) -> Float[np.ndarray, " P"]:
         """θ at a point: free coordinates as they are, the others neutral."""

@@ -94,6 +94,13 @@ class BoucWen(eqx.Module):
             return memory
         return {**memory, "largest_elongation": jnp.maximum(memory["largest_elongation"], jnp.abs(elongation))}
 
+    def steepness(self) -> Scalar:
+        """n A/z_u [1/m], |γ| for γ: how fast, along the elongation, the force of the virgin element comes to its limit."""
+        softening = self.beta + jnp.abs(self.gamma)
+        if isinstance(self.n, int | float) and self.n == 1:
+            return softening
+        return self.n * self.A ** (1 - 1 / self.n) * softening ** (1 / self.n)
+
     def _carried(self, elongation: Scalar, memory: Memory, slots: Callable[[str], Scalar]) -> Scalar:
         """The force of the hysteretic element, none inside a slack."""
         slack = slots("slack")

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, PyTree
 
 from hsed_jax.physics.excitations import AbstractForcing
 from hsed_jax.physics.response import Response
-from hsed_jax.physics.systems import AbstractSystem, State
+from hsed_jax.physics.systems import RESOLVED, AbstractSystem, State
 
 Scalar = Float[Array, ""] | float
 
@@ -170,7 +170,8 @@ def integrate(
         adjoint: how derivatives pass through; by default forward mode, which suits few parameters.
 
     Returns:
-        The response, with histories of shape (steps // every + 1,).
+        The response, with histories of shape (steps // every + 1,); not ok where numbers overflow, or where the steps are too
+        long for the spring.
     """
     _, sample = forcing.start()
     still = system.start()
@@ -192,7 +193,7 @@ def integrate(
     histories = solution.ys.get("histories", {})
     quantities = {name: kept[-1] for name, kept in solution.ys["end"].items()}
     finite = jnp.isfinite(sum(jnp.abs(value) for value in quantities.values()))
-    return Response(quantities, histories, finite)
+    return Response(quantities, histories, finite & (system.steepness(forcing, step_length) < RESOLVED))
 
 
 def _vector_field(number: Any, progress: Progress, args: Any) -> Progress:

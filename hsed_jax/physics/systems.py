@@ -12,10 +12,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hsed_jax.physics.bouc_wen import BoucWen, Memory
-from hsed_jax.physics.excitations import Imposed
+from hsed_jax.physics.excitations import AbstractForcing, Imposed, Tabulated
 from hsed_jax.physics.structures import Structure, difference
 
 Scalar = Float[Array, ""] | float
+
+# Of the steepness of a system at its steps, up to which a response is a prediction; at 2.8 the Runge–Kutta method is unstable.
+RESOLVED = 2.0
 
 
 class State(NamedTuple):
@@ -46,6 +49,10 @@ class AbstractSystem(eqx.Module):
     @abstractmethod
     def channels(self, state: State, sample: Any, names: tuple[str, ...]) -> dict[str, Scalar]:
         """The named channels (`hsed_jax.physics.outputs`) at one instant, SI units."""
+
+    @abstractmethod
+    def steepness(self, forcing: AbstractForcing, step_length: Float[Array, "..."] | float) -> Scalar:
+        """The longest step times the fastest rate of the virgin specimen."""
 
     def _specimen_channels(self, state: State, sample: Any) -> dict[str, Scalar]:
         elongation, rate = self.kinematics(state, sample)
@@ -106,6 +113,11 @@ class ShakenStructure(AbstractSystem):
             values[f"acceleration_{i + 1}_absolute"] = acceleration + sample
         return {name: values[name] for name in names}
 
+    def steepness(self, forcing: AbstractForcing, step_length: Float[Array, "..."] | float) -> Scalar:
+        """The longest step times the frequency of the specimen between the masses at its ends."""
+        freed = sum((1 / self.structure.masses[end] for end in self.structure.specimen if end is not None), start=0.0)
+        return jnp.max(jnp.asarray(step_length)) * jnp.sqrt(self.spring.A * freed)
+
     def _accelerations(self, state: State, sample: Scalar) -> tuple[Scalar, ...]:
         elongation, rate = self.kinematics(state, sample)
         force = self.spring.force(elongation, rate, state.memory)
@@ -147,3 +159,8 @@ class DrivenSpring(AbstractSystem):
         """The named channels at one instant, SI units."""
         values = self._specimen_channels(state, sample)
         return {name: jnp.asarray(values[name]) for name in names}
+
+    def steepness(self, forcing: AbstractForcing, step_length: Float[Array, "..."] | float) -> Scalar:
+        """The longest step of the elongation over that on which the spring yields."""
+        assert isinstance(forcing, Tabulated)
+        return jnp.max(jnp.abs(jnp.diff(forcing.samples.elongation[::2]))) * self.spring.steepness()

@@ -20,6 +20,10 @@ def verdict(run: FinishedRun) -> str:
         error, floor = error_text(comparison["train"]), comparison["train"]["noise_floor"]
         if comparison["adequate"]:
             return f"The noise explains what the model leaves: error {error}, noise {floor:.3f}."
+        if "p_value" not in comparison:
+            return (
+                f"Whether the noise explains what the model leaves cannot be said: no noise is declared; error {error}."
+            )
         return f"The noise does not explain what the model leaves: error {error}, noise {floor:.3f}."
     if "calibration" in summary:
         said = ", ".join(f"{name} = {value:.4g}" for name, value in summary["calibration"]["map"].items())

@@ -1,0 +1,70 @@
+"""Measured experiments as a search over models sees them: how far predictions are off, and in units of what."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from hsed_jax.criticism.compare import normalised_error
+from hsed_jax.inference.correlation import Judged, judge
+from hsed_jax.inference.likelihood import Error, magnitudes
+
+
+class Measured(NamedTuple):
+    """The training experiments.
+
+    Attributes:
+        values: measured outputs, SI, (n, J).
+        used: where there is a measurement, (n, J).
+        gaps: time since the sample before of the same history [s], infinite where there is none, (n, J).
+        groups: output of each column, (J,).
+        errors: of each output, (G,).
+        noise: noise floor of the error (`hsed_jax.criticism.compare`).
+    """
+
+    values: Float[np.ndarray, "n J"]
+    used: Bool[np.ndarray, "n J"]
+    gaps: Float[np.ndarray, "n J"]
+    groups: Int[np.ndarray, " J"]
+    errors: tuple[Error, ...]
+    noise: float
+
+    @property
+    def declared(self) -> Float[np.ndarray, " G"]:
+        """s of each output, NaN where it is not declared."""
+        return np.asarray([float(e.size) if isinstance(e.size, int | float) else np.nan for e in self.errors])
+
+    def error(self, predicted: np.ndarray, scored: np.ndarray | None = None) -> float:
+        """Normalised error of predictions (n, J), where something is scored (by default wherever it was measured)."""
+        return normalised_error(self.values, predicted, self.used if scored is None else scored, self.groups)
+
+    def scales(self, predicted: Float[np.ndarray, "r J"], used: np.ndarray | None = None) -> Float[np.ndarray, "r J"]:
+        """c in σ = s·c of predictions: one, or their magnitude where an error is relative."""
+        used = self.used if used is None else used
+        relative = np.asarray([error.is_relative for error in self.errors])
+        members = (self.groups[:, None] == np.arange(len(self.errors))).astype(float)
+        size = np.asarray(magnitudes(jnp.asarray(predicted), jnp.asarray(used, float), members))
+        return np.where(np.logical_and(relative[self.groups], size > 0), size, 1.0)
+
+    def residual(self, predicted: np.ndarray) -> Float[np.ndarray, "n J"]:
+        """Predictions less measurements over c; zero where there is no measurement."""
+        return np.where(self.used, (predicted - self.values) / self.scales(predicted), 0.0)
+
+    def left(self, predicted: np.ndarray) -> Float[np.ndarray, " G"]:
+        """s of each output that would explain the residual of predictions: its RMS, never zero."""
+        residual, outputs = self.residual(predicted), range(len(self.errors))
+        owns = [self.used & (self.groups == output) for output in outputs]
+        found = [float(np.sqrt(np.mean(residual[own] ** 2))) if own.any() else 1.0 for own in owns]
+        return np.maximum(found, 1e-9)
+
+    def sigma(self, errors: Float[np.ndarray, " G"], predicted: np.ndarray) -> Float[np.ndarray, "n J"]:
+        """σ = s·c of predictions, SI; one where there is no measurement."""
+        return np.where(self.used, errors[self.groups] * self.scales(predicted), 1.0)
+
+    def judged(self, predicted: np.ndarray) -> Judged:
+        """What the samples are worth beside predictions."""
+        declared = ~np.isnan(self.declared)
+        residual = self.residual(predicted) / np.where(declared, self.declared, self.left(predicted))[self.groups]
+        correlated = [error.correlated for error in self.errors]
+        return judge(residual, self.gaps, self.used, self.groups, declared, correlated)
