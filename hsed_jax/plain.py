@@ -102,9 +102,10 @@ def parse_yaml(text: str, where: str) -> Any:
     return content
 
 
-def dump_yaml(content: Any) -> str:
-    """Write plain values so that `parse_yaml` gives them back."""
-    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True)
+def dump_yaml(content: Any, *, inline_leaves: bool = False) -> str:
+    """Write plain values so that `parse_yaml` gives them back; innermost lists and mappings in one line, if that is asked."""
+    style = None if inline_leaves else False
+    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=style)
 
 
 def shown(value: Any, most: int = 60) -> str:

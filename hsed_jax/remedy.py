@@ -8,7 +8,6 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
-import yaml
 from jaxtyping import Array
 
 from hsed_jax.analysis import Calibration, calibrate_built, compare
@@ -25,6 +24,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.inference.nested import Descent, Target, Task
 from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Campaign
+from hsed_jax.plain import dump_yaml
 from hsed_jax.tables import Table, Tabular
 
 # Candidates of a design among which the one that separates rivals best is looked for: a Sobol' set's beginning fills it.
@@ -116,7 +116,7 @@ class Improvement(Tabular):
             ],
         }
         lines = []
-        for line in yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, default_flow_style=None).splitlines():
+        for line in dump_yaml(plain, inline_leaves=True).splitlines():
             about = comments.get(line.partition(":")[0], ())
             lines += [*(f"# {part}" for text in about for part in textwrap.wrap(text, 120)), line]
         path.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from hsed_jax.errors import UserError
 from hsed_jax.interruptions import Interrupted, answer, ended_in_time
+from hsed_jax.plain import shown
 from hsed_jax.sweeps import command as sweeping
 
 if TYPE_CHECKING:
@@ -169,7 +170,7 @@ def _trusted(study: "Study", options: Any) -> "Study":
     """
     if study.code and not options.trust:
         raise UserError(
-            f"{options.study}: it names code of its own ({', '.join(study.code)}), which this command would execute; "
+            f"{options.study}: it names code of its own ({', '.join(map(shown, study.code))}), which this command would execute; "
             "say --trust if you trust it"
         )
     return study

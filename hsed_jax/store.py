@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 from zipfile import BadZipFile
 
 import numpy as np
-import yaml
 
 from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import read_campaign
+from hsed_jax.plain import dump_yaml, parse_yaml
 from hsed_jax.provenance import begin_session, end_session, read_provenance
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class RunFolder:
             if resume and written.exists():
                 self._agree(_mapping(written), dict(study))
             else:
-                write_whole(written, yaml.safe_dump(dict(study), sort_keys=False, allow_unicode=True))
+                write_whole(written, dump_yaml(dict(study)))
             begin_session(self._provenance, study.get("seed"))
         except BaseException:
             # An exception that a notebook keeps would keep the lock, too.
@@ -266,8 +266,8 @@ def _mapping(path: Path, *keys: str) -> dict[str, Any]:
     """
     text = _text(path)
     try:
-        content = json.loads(text) if path.suffix == ".json" else yaml.safe_load(text)
-    except (ValueError, RecursionError, yaml.YAMLError):
+        content = json.loads(text) if path.suffix == ".json" else parse_yaml(text, str(path))
+    except (ValueError, RecursionError, UserError):
         content = None
     if not isinstance(content, dict) or any(key not in content for key in keys):
         raise UserError(

@@ -89,7 +89,7 @@ def paper_grid(paper):
     def log_density(A, beta):
         thetas = jnp.asarray(np.stack([m.ravel() for m in np.meshgrid(A, beta, indexing="ij")]))
         predicted = np.asarray(jax.lax.map(lambda t: predict(*t), thetas.T, batch_size=64))
-        sigma = 0.05 * np.abs(state.outputs)
+        sigma = 0.05 * np.abs(predicted)
         return stats.norm.logpdf(state.outputs, predicted, sigma).sum(axis=(1, 2)).reshape(len(A), len(beta)) + prior
 
     A, beta = np.linspace(2e5, 9e5, 29), np.linspace(0.5, 2.0, 25)

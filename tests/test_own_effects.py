@@ -157,7 +157,7 @@ def test_looking_at_somebodys_study_asks_for_trust(foreign, words, code, capsys)
         path.write_text(yaml.safe_dump(content))
     assert main([*words, str(path)]) == 2
     assert (
-        f"names code of its own (../{code}), which this command would execute; say --trust" in capsys.readouterr().err
+        f"names code of its own ('../{code}'), which this command would execute; say --trust" in capsys.readouterr().err
     )
     assert not (foreign / "mark").exists()
 

@@ -17,6 +17,7 @@ from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study, parse_yaml
 from hsed_jax.errors import UserError
 from hsed_jax.physics.simulator import Simulator
+from hsed_jax.plain import dump_yaml
 from hsed_jax.run import main, run_main
 
 SMALL = """
@@ -118,7 +119,7 @@ def test_written_and_read_again_any_study_is_the_same(seed, masses, low, width, 
     tree["model"]["parameters"]["A"] = {"uniform": {"low": low, "high": low + width}}
     tree["design"]["iterations"] = iterations
     study = load_study(tree)
-    again = load_study(parse_yaml(yaml.safe_dump(study.written(), sort_keys=False, allow_unicode=True), "again"))
+    again = load_study(parse_yaml(dump_yaml(study.written()), "again"))
     assert again == study
 
 
@@ -313,7 +314,7 @@ def test_a_mistake_gives_one_line_with_file_key_and_what_is_allowed(mistake, tmp
     path, value, *words = MISTAKES[mistake]
     file = tmp_path / "mistaken.yaml"
     file.write_text(yaml.safe_dump(changed(path, value), sort_keys=False), encoding="utf-8")
-    line = message_of([str(file), "--check"], capsys)
+    line = message_of([str(file), "--check", "--trust"], capsys)
     for word in ("mistaken.yaml", *words):
         assert word in line
     # Words of the validator, of Python or of a library are no words of a user.
@@ -373,7 +374,7 @@ def test_a_file_that_is_no_study_is_refused_with_the_place(case, tmp_path, capsy
     text, *words = TEXTS[case]
     file = tmp_path / "mistaken.yaml"
     file.write_bytes(text if isinstance(text, bytes) else text.encode())
-    line = message_of([str(file), "--check"], capsys)
+    line = message_of([str(file), "--check", "--trust"], capsys)
     for word in ("mistaken.yaml", *words):
         assert word in line
 

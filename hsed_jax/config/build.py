@@ -17,7 +17,7 @@ from hsed_jax.config.limits import limits_of
 from hsed_jax.config.own_effects import catalogue_of
 from hsed_jax.config.plan import check_plan
 from hsed_jax.config.schema import Study
-from hsed_jax.config.sections import ErrorEntry
+from hsed_jax.config.sections import ErrorEntry, NoiseEntry
 from hsed_jax.design.feasible import Limits
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
@@ -270,7 +270,7 @@ class Built:
         errors = []
         for name in self.outputs:
             entry = given.get(name) or ErrorEntry(inflate=False)
-            size = entry if entry.is_told else self._declared_error(name)
+            size = entry if entry.kinds else self._declared_noise(name)
             # Of a history the model may miss as much as there is; a quantity off by half is already a poor model.
             unknown = Prior("half_normal", 0.3 if self.study.observe == "quantities" else 1.0)
             told = unknown if size.unknown else float(size.relative or size.absolute or 0.0)
@@ -378,13 +378,13 @@ class Built:
             file = f"{self.study.file}: " if self.study.file is not None else ""
             raise UserError(f"{file}{error}") from None
 
-    def _declared_error(self, name: str) -> ErrorEntry:
+    def _declared_noise(self, name: str) -> NoiseEntry:
         """The noise that the campaign or the laboratory declares, and where they declare none, inferred."""
         source = self.sensors if self.measured is None else self.measured
         declared = (source.quantities if self.study.observe == "quantities" else source.channels).get(name)
         if declared is None or declared.noise is None or not (declared.noise.absolute or declared.noise.relative):
-            return ErrorEntry(unknown=True)
-        return ErrorEntry(absolute=declared.noise.absolute, relative=declared.noise.relative)
+            return NoiseEntry(unknown=True)
+        return NoiseEntry(absolute=declared.noise.absolute, relative=declared.noise.relative)
 
     def _simulator(self, effects: tuple[str, ...], constants: tuple[tuple[str, float], ...]) -> Simulator:
         follows = self.study.structure is not None and self.study.structure.damping.specimen_stiffness == "model"

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from hsed_jax.config.sections import ErrorsEntry, Positive, Section
+from hsed_jax.config.sections import NoisesEntry, Positive, Section
 from hsed_jax.measurements.declaration import ChannelEntry
 from hsed_jax.plain import Number, Whole, is_file
 
@@ -16,7 +16,7 @@ class VirtualEntry(Section):
 
     parameters: dict[str, Number]
     effects: dict[str, dict[str, Number]] = {}
-    noise: ErrorsEntry | None = None
+    noise: NoisesEntry | None = None
     test: Annotated[Whole, Field(ge=0)] = 0
     """Experiments at further inputs that are performed for testing and never fitted."""
 
@@ -84,7 +84,7 @@ class OpenSeesEntry(Section):
 
     material: Literal["BoucWen", "BWBN", "Steel02"] | OwnMaterialEntry
     parameters: dict[str, Number] = {}
-    noise: ErrorsEntry | None = None
+    noise: NoisesEntry | None = None
     step: Positive | None = None
     """Of the analysis [s]; by default a fiftieth of that of the simulator."""
     timeout: Positive = 600.0

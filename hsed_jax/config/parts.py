@@ -12,7 +12,7 @@ import numpy as np
 
 from hsed_jax.config.experiments import VirtualEntry
 from hsed_jax.config.schema import ExcitationEntry, ModelEntry, StructureEntry
-from hsed_jax.config.sections import ErrorEntry
+from hsed_jax.config.sections import NoiseEntry
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
@@ -308,13 +308,13 @@ def _possible(known: Parameter) -> str:
     return " and ".join(side for side in (low, high) if side)
 
 
-def per_output(
-    where: str, entry: ErrorEntry | dict[str, ErrorEntry] | None, outputs: list[str]
-) -> dict[str, ErrorEntry]:
+def per_output[Entry: NoiseEntry](
+    where: str, entry: Entry | dict[str, Entry] | None, outputs: list[str]
+) -> dict[str, Entry]:
     """One entry for all outputs, or one per output, as one per output."""
     if entry is None:
         return {}
-    if isinstance(entry, ErrorEntry):
+    if isinstance(entry, NoiseEntry):
         return dict.fromkeys(outputs, entry)
     for name in entry:
         if name not in outputs:

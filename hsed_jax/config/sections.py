@@ -15,8 +15,27 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class ErrorEntry(Section):
-    """Error of an output: relative to what is predicted, absolute (SI), or unknown and inferred (relative); none of them: as the
+class NoiseEntry(Section):
+    """Noise of an output: relative (of a quantity to its value, of a channel to its RMS), absolute (SI), or unknown."""
+
+    relative: Positive | None = None
+    absolute: Positive | None = None
+    unknown: Literal[True] | None = None
+
+    @property
+    def kinds(self) -> int:
+        """In how many ways the entry says how large the noise is."""
+        return sum(kind is not None for kind in (self.relative, self.absolute, self.unknown))
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> "NoiseEntry":
+        if self.kinds != 1:
+            raise ValueError("give exactly one of relative, absolute, unknown")
+        return self
+
+
+class ErrorEntry(NoiseEntry):
+    """Error of an output, which a likelihood is made of: its size as of a noise, unknown ones inferred; without a size, as the
     campaign declares it.
 
     `correlated` says whether the noise of a history has a memory, which is then inferred; by default one is where the size of the
@@ -24,21 +43,12 @@ class ErrorEntry(Section):
     declared one.
     """
 
-    relative: Positive | None = None
-    absolute: Positive | None = None
-    unknown: Literal[True] | None = None
     correlated: bool | None = None
     inflate: bool = False
 
-    @property
-    def is_told(self) -> bool:
-        """Whether the entry says how large the error is."""
-        return any(kind is not None for kind in (self.relative, self.absolute, self.unknown))
-
     @model_validator(mode="after")
     def _one_kind(self) -> "ErrorEntry":
-        told = sum(kind is not None for kind in (self.relative, self.absolute, self.unknown))
-        if told > 1 or not self.model_fields_set:
+        if self.kinds > 1 or not self.model_fields_set:
             raise ValueError("give exactly one of relative, absolute, unknown")
         return self
 
@@ -46,13 +56,18 @@ class ErrorEntry(Section):
 TAGS = ("same error for all", "error per output")
 
 
-def _error_kind(value: Any) -> str:
+def _kind(value: Any) -> str:
     """Which of the two shapes an error has: keys that are no kinds of errors must be names of outputs."""
     per_output = isinstance(value, dict) and bool(value) and not set(value) & set(ErrorEntry.model_fields)
     return TAGS[per_output]
 
 
 ErrorsEntry = Annotated[
-    Annotated[ErrorEntry, Tag(TAGS[0])] | Annotated[dict[str, ErrorEntry], Tag(TAGS[1])], Discriminator(_error_kind)
+    Annotated[ErrorEntry, Tag(TAGS[0])] | Annotated[dict[str, ErrorEntry], Tag(TAGS[1])], Discriminator(_kind)
 ]
 """One error for all outputs, or one per output."""
+
+NoisesEntry = Annotated[
+    Annotated[NoiseEntry, Tag(TAGS[0])] | Annotated[dict[str, NoiseEntry], Tag(TAGS[1])], Discriminator(_kind)
+]
+"""One noise for all outputs, or one per output."""

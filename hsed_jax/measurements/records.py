@@ -132,8 +132,8 @@ def _hdf5(path: Path, wanted: list[str]) -> dict[str, Callable]:
     import h5py
 
     found: dict[str, Callable] = {}
-
-    reached = {*wanted, *(name.replace(".", "/") for name in wanted)}
+    wholes = {*wanted, *(_PART.sub(r"\1", name) for name in wanted)}
+    reached = wholes | {name.replace(".", "/") for name in wholes}
 
     def collect(name, node):
         if isinstance(node, h5py.Dataset):

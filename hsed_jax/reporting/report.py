@@ -5,9 +5,9 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-import yaml
 
 from hsed_jax.criticism.prediction import error_cell
+from hsed_jax.plain import dump_yaml
 from hsed_jax.reporting import charts, style
 from hsed_jax.reporting import page_tables as tables
 from hsed_jax.reporting.asked import asked
@@ -50,7 +50,7 @@ def report_page(run: FinishedRun) -> str:
         experiments=_experiments(run),
         references=_references(run),
         repeat=_repeat(run),
-        written=yaml.safe_dump(run.study, sort_keys=False, allow_unicode=True),
+        written=dump_yaml(run.study),
         title=f"{run.name}: report",
         data={"charts": drawn, "tables": data},
     )

@@ -14,10 +14,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
+from hsed_jax.plain import dump_yaml, parse_yaml
 from hsed_jax.sweeps.plan import Plan
 
 
@@ -76,7 +75,7 @@ class SweepFolder:
             if item.name != ".lock":
                 shutil.rmtree(item) if item.is_dir() and not item.is_symlink() else item.unlink()
         content = {"study": self.plan.study, "points": list(self.plan.points)}
-        write_whole(written, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+        write_whole(written, dump_yaml(content))
 
     def close(self) -> None:
         """Let another process have the folder."""
@@ -131,7 +130,7 @@ def alone(path: Path, number: int) -> Iterator[None]:
 
 
 def _read(written: Path) -> Plan:
-    content = yaml.safe_load(written.read_text(encoding="utf-8"))
+    content = parse_yaml(written.read_text(encoding="utf-8"), str(written))
     return Plan(content["study"], tuple(content["points"]))
 
 
