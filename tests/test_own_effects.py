@@ -128,7 +128,7 @@ def foreign(tmp_path):
     mark = f"import pathlib\npathlib.Path({str(tmp_path / 'mark')!r}).touch()\n"
     for name in ("evil.py", "rig.py"):
         (tmp_path / name).write_text(mark)
-    store = RunFolder(tmp_path / "run", {**parse_yaml(STUDY.format(effects="{wave: {}}"), "study"), "seed": 0})
+    store = RunFolder(tmp_path / "run", load_study(parse_yaml(STUDY.format(effects="{wave: {}}"), "study")).written())
     content = yaml.safe_load((store.path / "study.yaml").read_text())
     content["model"]["own_effects"] = ["../evil.py"]
     (store.path / "study.yaml").write_text(yaml.safe_dump(content))
