@@ -98,7 +98,6 @@ def put(where, value):
 
 FAULTS = {
     "nan": (fault("force", put(slice(700, 703), np.nan)), "error", "force", 3.5, "3 of 2000 samples"),
-    "infinite": (fault("elongation", put(700, np.inf)), "error", "elongation", 3.5, "sample 701"),
     "no time": (fault("time", put(5, np.nan)), "error", "time", None, "sample 6 has no time"),
     "backward time": (fault("time", put(1000, 4.0)), "error", "time", 4.0, "backward at sample 1001"),
     "duplicate time": (fault("time", put(1000, 4.995)), "error", "time", 4.995, "repeated at sample 1001"),

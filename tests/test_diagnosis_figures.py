@@ -40,7 +40,7 @@ def candidate(effect, gain, probability=0.0):
 def diagnosis(candidates, effects=(), look_alikes=()):
     return Diagnosis("missing_effects", list(effects), list(candidates), [list(g) for g in look_alikes],
                      None, None, np.zeros(0), 0.0,
-                     0.5, (0.3, 0.3), (0.05, 0.05), 0.05, {}, histories(1, 0, 6)[1].train_prediction)  # fmt: skip
+                     0.5, (0.3, 0.3), (0.05, 0.05), 0.05, {}, {}, histories(1, 0, 6)[1].train_prediction)  # fmt: skip
 
 
 def improved(comparison, factors):

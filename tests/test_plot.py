@@ -46,17 +46,19 @@ def fitted(names=("A", "beta"), at=(4e5, 1.0), count=3):
     zeros = jnp.zeros((2, 60))
     chains = Chains(jnp.asarray(theta), zeros, zeros > 1, zeros.astype(int), jnp.full(2, 0.5))
     good = Convergence(np.full(len(names), 1.0), np.full(len(names), 900.0), 0)
-    posterior = SimpleNamespace(names=names, model_names=tuple(n for n in names if "error." not in n))
-    return bare(Fit, posterior=posterior, units=UNITS, chains=chains, convergence=good,
-                data=SimpleNamespace(count=np.asarray(count)), map=dict(zip(names, at, strict=True)))  # fmt: skip
+    posterior = SimpleNamespace(names=names, model_names=tuple(n for n in names if "error." not in n),
+                                outputs=(), is_declared=np.ones(9, dtype=bool), groups=None)  # fmt: skip
+    data = SimpleNamespace(count=np.asarray(count), weights=None, memory=None)
+    one_mode = SimpleNamespace(warning=lambda names: None)
+    return bare(Fit, posterior=posterior, units=UNITS, chains=chains, convergence=good, maximum=one_mode, data=data,
+                map=dict(zip(names, at, strict=True)))  # fmt: skip
 
 
 def calibration(case, observe="histories", fit=None):
     """A calibration whose predictions are those of a synthetic comparison."""
     campaign, comparison, _ = case
-    built = SimpleNamespace(
-        study=SimpleNamespace(observe=observe), errors=([0.05] * 9, None), component_test=not campaign.has_time
-    )
+    study = SimpleNamespace(observe=observe)
+    built = SimpleNamespace(study=study, component_test=not campaign.has_time, taken=lambda experiments: experiments)
     return bare(Calibration, campaign=campaign, built=built, fit=fit or fitted(),
                 train=comparison.train_prediction, test=comparison.test_prediction)  # fmt: skip
 
@@ -246,7 +248,12 @@ def test_the_ground_motions_of_a_measured_campaign_have_a_time(tmp_path):
     records = {f"E{i}": {"time": 0.01 * np.arange(50), "force": np.sin(np.arange(50.0))} for i in (1, 2)}
     table = {"id": ["E1", "E2"], "V_P": [2.0, 2.5], "T_P": [1.0, 1.2]}
     units = {"time": "s", "force": "N"}
-    write_campaign(Campaign.from_frames(table, records, inputs={"V_P": "m/s", "T_P": "s"}, channels=units), tmp_path)
+    write_campaign(
+        Campaign.from_frames(
+            table, records, protocol="ground_motion", inputs={"V_P": "m/s", "T_P": "s"}, channels=units
+        ),
+        tmp_path,
+    )
     study = STUDY.model_copy(update={"experiments": ExperimentsEntry(campaign=str(tmp_path))})
     motion, _ = hx.plot.ground_motions(study)
     assert motion.get_xlim() == (0.0, 10.0)

@@ -134,7 +134,7 @@ def compare(
     )[:5]
     p_value = discrepancy_p_value(train, declared, parameters)
     adequate = p_value is not None and (
-        p_value >= SIGNIFICANT or not is_material(splits[0].error, splits[0].noise_floor)
+        p_value >= SIGNIFICANT or (bool(declared.all()) and not is_material(splits[0].error, splits[0].noise_floor))
     )
     return Comparison(splits[0], splits[1], p_value, adequate, worst, notes, train, test)
 

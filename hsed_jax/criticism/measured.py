@@ -39,9 +39,14 @@ class Measured(NamedTuple):
         """Normalised error of predictions (n, J), where something is scored (by default wherever it was measured)."""
         return normalised_error(self.values, predicted, self.used if scored is None else scored, self.groups)
 
-    def scales(self, predicted: Float[np.ndarray, "r J"], used: np.ndarray | None = None) -> Float[np.ndarray, "r J"]:
-        """c in σ = s·c of predictions: one, or their magnitude where an error is relative."""
-        used = self.used if used is None else used
+    def scales(self, predicted: Float[np.ndarray, "n J"]) -> Float[np.ndarray, "n J"]:
+        """c in σ = s·c: one, or where an error is relative the predicted quantity or the RMS of the measured history."""
+        is_quantity = np.bincount(self.groups)[self.groups] == 1
+        known = np.where(is_quantity, predicted, self.values)
+        return self.expected_scales(known, self.used)
+
+    def expected_scales(self, predicted: Float[np.ndarray, "r J"], used: np.ndarray) -> Float[np.ndarray, "r J"]:
+        """c of measurements that are not made, from predictions (r, J), of which `used` counts."""
         relative = np.asarray([error.is_relative for error in self.errors])
         members = (self.groups[:, None] == np.arange(len(self.errors))).astype(float)
         size = np.asarray(magnitudes(jnp.asarray(predicted), jnp.asarray(used, float), members))

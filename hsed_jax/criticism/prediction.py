@@ -171,12 +171,13 @@ def _predicted(posterior, thetas, data, limits):
     """Predictions at the first parameters, whether they converged and their σ; mean and sd over those of the other parameters
     that stay within the limits (J,), and the share (n,) that does not."""
     predicted, ok = jax.vmap(lambda t: posterior.predict(posterior.of_model(t), data.conditions, data.count))(thetas)
-    sigma = jax.vmap(lambda t, f, good: posterior.sigma(t, f, good, data))(thetas, predicted, ok)
+    at_map = posterior.sigma(thetas[0], predicted[0], ok[0], data)
+    sigma = jax.vmap(lambda t, f: posterior.expected_sigma(t, f, data))(thetas[1:], predicted[1:])
     good = (ok[1:] > 0) & jnp.all(jnp.abs(predicted[1:]) <= limits, axis=-1)
     share = (good / jnp.sum(good, axis=0))[..., None]
     # What is left out may be too large to be multiplied by zero, or squared.
     values = jnp.where(good[..., None], predicted[1:], 0.0)
-    errors = jnp.where(good[..., None], sigma[1:], 0.0)
+    errors = jnp.where(good[..., None], sigma, 0.0)
     mean = jnp.sum(share * values, axis=0)
     variance = jnp.sum(share * ((values - mean) ** 2 + errors**2), axis=0)
-    return predicted[0], ok[0], sigma[0], mean, jnp.sqrt(variance), 1.0 - jnp.mean(good, axis=0)
+    return predicted[0], ok[0], at_map, mean, jnp.sqrt(variance), 1.0 - jnp.mean(good, axis=0)

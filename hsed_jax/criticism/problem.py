@@ -53,4 +53,4 @@ class Problem(NamedTuple):
 
     def sigma(self, errors: Float[np.ndarray, " G"], predicted: Float[np.ndarray, "r J"]) -> Float[np.ndarray, "r J"]:
         """Errors of experiments that were not made, from predictions: relative ones need a magnitude."""
-        return errors[self.train.groups] * self.train.scales(predicted, np.ones(predicted.shape))
+        return errors[self.train.groups] * self.train.expected_scales(predicted, np.ones(predicted.shape))

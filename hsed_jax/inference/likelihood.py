@@ -4,9 +4,10 @@ $$\log L = -\tfrac12\sum_{ij}\Big[w_{ij}^2+\log 2\pi\sigma_{ij}^2(1-\rho_{ij}^2)
   w_{ij} = \frac{z_{ij}-\rho_{ij}z_{i,j-1}}{\sqrt{1-\rho_{ij}^2}},\qquad z_{ij} = \frac{f_{ij}(\theta)-y_{ij}}{\sigma_{ij}}$$
 
 (Abbiati & Marelli, Eqs. 3–4, with σ a standard deviation.)  $\sigma_{ij} = s_j\,c_{ij}$, s a declared number or a parameter; c is
-1 for an absolute error.  A relative one belongs to what the model predicts, $c = |f_{ij}(\theta)|$ for a quantity and the RMS of
-the predicted history for a channel: anchored on the noisy datum, errors that happen to be small would count for more than
-those that happen to be large, which biases every estimate.  ρ is the correlation of the noise of a sample with that of the
+1 for an absolute error.  The relative error of a quantity belongs to what the model predicts, $c = |f_{ij}(\theta)|$: anchored on
+the noisy datum, errors that happen to be small would count for more than those that happen to be large, which biases every
+estimate.  That of a history is relative to its RMS, which many samples tell without noise: the measured one, less what the
+noise itself adds to it, $c = \mathrm{RMS}(y)/\sqrt{1+s^2}$.  ρ is the correlation of the noise of a sample with that of the
 sample before (a first-order autoregression; Box & Jenkins 1976); of white noise and of quantities it is zero.
 """
 
@@ -31,7 +32,7 @@ class Error(NamedTuple):
 
     Attributes:
         size: s, declared (a number) or inferred (its prior).
-        is_relative: whether c is the magnitude of the prediction; else 1, and s is in SI.
+        is_relative: whether c is the size of the predicted quantity or the RMS of the history; else 1, and s is in SI.
         correlated: whether the noise of a history has a memory; None: where its declared size lets one tell.
         inflate: where the model leaves more than the declared error, that counts as error, too.
     """
@@ -120,8 +121,10 @@ def sigma_of(
     counts = (used > 0) & (ok[:, None] > 0)
     if not is_relative.any():
         return jnp.where(counts, errors, 1.0)
-    least = _LEAST * magnitudes(data.values, used, members)
-    size = jnp.maximum(magnitudes(predicted, used, members), least)
+    measured = magnitudes(data.values, used, members)
+    of_quantity = jnp.maximum(jnp.abs(predicted), _LEAST * measured)
+    is_quantity = members.sum(axis=0)[members.argmax(axis=1)] == 1
+    size = jnp.where(is_quantity, of_quantity, measured / jnp.sqrt(1 + errors**2))
     return jnp.where(counts, errors * jnp.where(is_relative, size, 1.0), 1.0)
 
 

@@ -155,6 +155,14 @@ class Posterior(eqx.Module):
         relative = np.asarray(self._relative, dtype=bool)[self.groups]
         return sigma_of(self.errors(theta), relative, self._members, predicted, ok, data)
 
+    def expected_sigma(
+        self, theta: Float[Array, " p"], predicted: Float[Array, "n J"], data: Data
+    ) -> Float[Array, "n J"]:
+        """σ that a measurement of what is predicted would have, SI: of a band, which knows of no measurement."""
+        relative = np.asarray(self._relative, dtype=bool)[self.groups]
+        size = magnitudes(predicted, (data.weights > 0).astype(float), self._members)
+        return self.errors(theta) * jnp.where(relative, size, 1.0)
+
     def standardised(self, theta: Float[Array, " p"], data: Data) -> Float[Array, "n J"]:
         """(f − y)/σ at parameters, neither weighed nor whitened; zero where there are no data."""
         predicted, ok = self.predict(self.of_model(theta), data.conditions, data.count)

@@ -61,8 +61,9 @@ def _drawing(name: str, text: str) -> str:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise UserError(f"figures/{name}.svg: this is no drawing ({error})") from None
-    for metadata in root.findall(f"{_SVG}metadata"):
-        root.remove(metadata)
+    for about in ("metadata", "title"):
+        for element in root.findall(f"{_SVG}{about}"):
+            root.remove(element)
     for element in root.iter():
         links = [value for key, value in element.attrib.items() if key.rpartition("}")[2] == "href"]
         leads_out = any(not link.startswith(("#", "data:image/png")) for link in links)
