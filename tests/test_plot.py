@@ -47,7 +47,7 @@ def fitted(names=("A", "beta"), at=(4e5, 1.0), count=3):
     chains = Chains(jnp.asarray(theta), zeros, zeros > 1, zeros.astype(int), jnp.full(2, 0.5))
     good = Convergence(np.full(len(names), 1.0), np.full(len(names), 900.0), 0)
     posterior = SimpleNamespace(names=names, model_names=tuple(n for n in names if "error." not in n),
-                                outputs=(), is_declared=np.ones(9, dtype=bool), groups=None)  # fmt: skip
+                                outputs=(), groups=None)  # fmt: skip
     data = SimpleNamespace(count=np.asarray(count), weights=None, memory=None)
     one_mode = SimpleNamespace(warning=lambda names: None)
     return bare(Fit, posterior=posterior, units=UNITS, chains=chains, convergence=good, maximum=one_mode, data=data,
@@ -59,7 +59,9 @@ def calibration(case, observe="histories", fit=None):
     campaign, comparison, _ = case
     study = SimpleNamespace(observe=observe)
     built = SimpleNamespace(study=study, component_test=not campaign.has_time, taken=lambda experiments: experiments)
-    return bare(Calibration, campaign=campaign, built=built, fit=fit or fitted(),
+    fit = fit or fitted()
+    fit.posterior.is_declared = np.ones(len(comparison.train_prediction.outputs), dtype=bool)
+    return bare(Calibration, campaign=campaign, built=built, fit=fit,
                 train=comparison.train_prediction, test=comparison.test_prediction)  # fmt: skip
 
 
