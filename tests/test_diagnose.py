@@ -23,6 +23,7 @@ from hsed_jax.inference.likelihood import Error
 from hsed_jax.inference.nested import NestedModels
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Channel, Experiment, Noise, Record
+from hsed_jax.physics.effects import EFFECTS as CATALOGUE
 from hsed_jax.physics.scales import Scales
 
 # --- a dictionary: law + sum of amplitude × function, so that every answer is known in closed form -----------------------
@@ -314,6 +315,7 @@ def rivals_problem(functions, values):
         units={},
         law=LAW,
         effects=EFFECTS,
+        catalogue=CATALOGUE.only(()),
         scales=Scales(),
         train=measured_of(values),
         test=None,

@@ -312,7 +312,11 @@ def test_one_and_three_inputs(d):
     x, new = rng.random((25, d)), rng.random((40, d))
     arrays = map(jnp.asarray, (x, np.sin(2 * x).sum(1), np.ones(25, bool)))
     model = fit_kriging(*arrays, trend="linear", key=jax.random.key(0))
-    assert np.abs(model.predict(jnp.asarray(new))[0] - np.sin(2 * new).sum(1)).max() < 0.1
+    mean, variance = (np.asarray(found) for found in model.predict(jnp.asarray(new)))
+    error = np.abs(mean - np.sin(2 * new).sum(1))
+    # 25 points are many along one input and few in three: there the prior keeps the lengths short, and the bands know.
+    assert np.sqrt(np.mean(error**2)) < (1e-3 if d == 1 else 0.12 * np.std(np.sin(2 * new).sum(1)))
+    assert np.all(error < 4 * np.sqrt(variance))
 
 
 # --- what the bands hold ------------------------------------------------------------------------------------------
