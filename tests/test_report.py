@@ -127,7 +127,7 @@ def write(folder, inputs=("V_P", "T_P"), **changes):
     (folder / "study.yaml").write_text(yaml.safe_dump(study))
     (folder / "summary.json").write_text(json.dumps(summary() | changes))
     provenance = {"python": "3.12", "versions": {"hsed_jax": "0.1.0"}, "git": None, "seed": 0,
-                  "machine": {"platform": HOSTILE, "cores": 2}, "sessions": [{"start": "now"}]}  # fmt: skip
+                  "machine": {"platform": HOSTILE, "processor": "x", "cores": 2}, "sessions": [{"start": "now"}]}  # fmt: skip
     (folder / "provenance.json").write_text(json.dumps(provenance))
     write_campaign(campaign(inputs), folder / "campaign")
     results().to_netcdf(folder / "results.nc", engine="h5netcdf")

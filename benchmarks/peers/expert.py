@@ -14,8 +14,6 @@ from scipy.optimize import least_squares
 
 from hsed_jax.config.build import Built
 
-# log(σ/σ_min) of an error as large as what was measured, so that it has a root.
-_ROOM = 12.0
 _DIFFERENCE = 1e-6
 _SPREAD = 256  # inputs over which the variance of Eq. 12 is taken
 
@@ -59,12 +57,10 @@ def _campaign(case, simulate, iterations) -> dict[str, float]:
 
 
 def _maximum(plain, simulate, inputs, measured, relative, low, high, start) -> np.ndarray:
-    """The MAP in shares of the priors' ranges, which are uniform: least squares within bounds, σ relative to the prediction."""
+    """The MAP in shares of the priors' ranges, which are uniform: least squares within bounds, of the logarithms."""
 
     def of_predicted(predicted):
-        sigma = relative * np.abs(predicted)
-        size = np.sqrt(2 * (np.log(sigma / measured) + _ROOM))
-        return np.concatenate([(predicted - measured) / sigma, size], axis=-1).reshape(len(predicted), -1)
+        return ((np.log(predicted / measured) - relative**2 / 2) / relative).reshape(len(predicted), -1)
 
     def residuals(u):
         return of_predicted(_predicted(plain, simulate, (low + (high - low) * u)[None], inputs))[0]

@@ -141,7 +141,7 @@ class ExperimentsEntry(Section):
         """The same with absolute paths: written elsewhere, a relative path would lead elsewhere."""
 
         def absolute(name: str) -> str:
-            return str((folder / name).absolute())
+            return str((folder / name).resolve())
 
         changes: dict[str, Any] = {}
         if self.campaign is not None:

@@ -368,7 +368,7 @@ class Study(Tabular, Section):
         plain["inputs"] = {name: entry.written() for name, entry in self.inputs.items()}
         plain["experiments"] = self.experiments.located(self.folder).model_dump(mode="json", exclude_none=True)
         # Written elsewhere, a relative path would lead elsewhere.
-        plain["model"]["own_effects"] = [str((self.folder / name).absolute()) for name in self.model.own_effects]
+        plain["model"]["own_effects"] = [str((self.folder / name).resolve()) for name in self.model.own_effects]
         if self.excitation is not None and self.excitation.recorded is not None:
-            plain["excitation"]["recorded"]["file"] = str((self.folder / self.excitation.recorded.file).absolute())
+            plain["excitation"]["recorded"]["file"] = str((self.folder / self.excitation.recorded.file).resolve())
         return plain

@@ -1,14 +1,21 @@
-r"""The likelihood: Gaussian errors whose standard deviation is declared or inferred, per output, and which may have a memory.
+r"""The likelihood: errors whose standard deviation is declared or inferred, per output, and which may have a memory.
 
 $$\log L = -\tfrac12\sum_{ij}\Big[w_{ij}^2+\log 2\pi\sigma_{ij}^2(1-\rho_{ij}^2)\Big],\qquad
   w_{ij} = \frac{z_{ij}-\rho_{ij}z_{i,j-1}}{\sqrt{1-\rho_{ij}^2}},\qquad z_{ij} = \frac{f_{ij}(\theta)-y_{ij}}{\sigma_{ij}}$$
 
-(Abbiati & Marelli, Eqs. 3–4, with σ a standard deviation.)  $\sigma_{ij} = s_j\,c_{ij}$, s a declared number or a parameter; c is
-1 for an absolute error.  The relative error of a quantity belongs to what the model predicts, $c = |f_{ij}(\theta)|$: anchored on
-the noisy datum, errors that happen to be small would count for more than those that happen to be large, which biases every
-estimate.  That of a history is relative to its RMS, which many samples tell without noise: the measured one, less what the
-noise itself adds to it, $c = \mathrm{RMS}(y)/\sqrt{1+s^2}$.  ρ is the correlation of the noise of a sample with that of the
-sample before (a first-order autoregression; Box & Jenkins 1976); of white noise and of quantities it is zero.
+(Abbiati & Marelli, Eqs. 3–4, with σ a standard deviation.)  σ is s, declared or a parameter, for an absolute error.  ρ is the
+correlation of the noise of a sample with that of the sample before (a first-order autoregression; Box & Jenkins 1976); of white
+noise and of quantities it is zero.
+
+The relative error of a *history* is relative to its RMS, which many samples tell without noise: the measured one, less what the
+noise itself adds to it, $\sigma = s\,\mathrm{RMS}(y)/\sqrt{1+s^2}$.  That of a *quantity* is one of its logarithm,
+
+$$z = \frac{\log f(\theta) - \log y + \mathrm E\log|1+s\varepsilon|}{\mathrm{sd}\log|1+s\varepsilon|},
+  \qquad \varepsilon\sim N(0,1),$$
+
+whose mean and variance are those of y = f·(1 + sε).  Anchored on the noisy datum, σ = s·y, errors that happen to be small would
+count for more than those that happen to be large, which biases every estimate; with σ = s·f a model that is wrong would be drawn
+towards larger predictions, where errors are larger.
 """
 
 from typing import TYPE_CHECKING, Any, NamedTuple, Union
@@ -25,6 +32,9 @@ if TYPE_CHECKING:
 LOG_2PI = 1.8378770664093453
 # A prediction that is smaller than this share of what was measured has no magnitude that an error could be relative to.
 _LEAST = 1e-9
+# Quadrature over a standard normal; the logarithm is cut off where it has its pole.
+_NODES, _SHARES = np.polynomial.hermite_e.hermegauss(40)
+_SHARES, _SINGULAR = _SHARES / _SHARES.sum(), 1e-2
 
 
 class Error(NamedTuple):
@@ -140,18 +150,44 @@ def whitened(standardised: Any, memory: Any) -> Any:
     return (standardised - memory * before) / (1 - memory**2) ** 0.5
 
 
-def standardised_residual(
-    predicted: Float[Array, "n J"], ok: Float[Array, " n"], sigma: Float[Array, "n J"], data: Data
-) -> Float[Array, "n J"]:
-    """√w times what is new in (f − y)/σ, zero where there are no data; a diverged experiment counts as a thousand σ."""
-    residual = (data.weights > 0) * (predicted - data.values) / sigma
-    return jnp.sqrt(data.weights) * jnp.where(ok[:, None] > 0, whitened(residual, data.memory), 1e3)
+def compared(
+    errors: Float[Array, " J"],
+    is_relative: Bool[np.ndarray, " J"],
+    members: Float[np.ndarray, "J G"],
+    predicted: Float[Array, "n J"],
+    ok: Float[Array, " n"],
+    data: Data,
+) -> tuple[Float[Array, "n J"], Float[Array, "n J"]]:
+    """z, and log σ of the density of y; both zero where nothing is used, and where the simulation diverged."""
+    counts = (data.weights > 0) & (ok[:, None] > 0)
+    sigma = sigma_of(errors, is_relative, members, predicted, ok, data)
+    z, log_sigma = (predicted - data.values) / sigma, jnp.log(sigma)
+    of_logarithm = is_relative & (members.sum(axis=0)[members.argmax(axis=1)] == 1)
+    if of_logarithm.any():
+        mean, sd = _moments(errors)
+        measured = jnp.where(counts, data.values, 1.0)
+        share = jnp.maximum(jnp.where(counts, predicted, 1.0) / measured, _LEAST)
+        z = jnp.where(of_logarithm, (jnp.log(share) + mean) / sd, z)
+        log_sigma = jnp.where(of_logarithm, jnp.log(sd) + jnp.log(jnp.abs(measured)), log_sigma)
+    return jnp.where(counts, z, 0.0), jnp.where(counts, log_sigma, 0.0)
+
+
+def _moments(s: Float[Array, " J"]) -> tuple[Float[Array, " J"], Float[Array, " J"]]:
+    """Mean and standard deviation of log|1 + sε|, ε standard normal, by Gauss–Hermite quadrature."""
+    values = jnp.log(jnp.maximum(jnp.abs(1 + s[:, None] * _NODES), _SINGULAR))
+    mean = values @ _SHARES
+    return mean, jnp.sqrt((values - mean[:, None]) ** 2 @ _SHARES)
+
+
+def standardised_residual(z: Float[Array, "n J"], ok: Float[Array, " n"], data: Data) -> Float[Array, "n J"]:
+    """√w times what is new in z, zero where there are no data; a diverged experiment counts as a thousand σ."""
+    return jnp.sqrt(data.weights) * jnp.where(ok[:, None] > 0, whitened(z, data.memory), 1e3)
 
 
 def log_likelihood(
-    predicted: Float[Array, "n J"], ok: Float[Array, " n"], sigma: Float[Array, "n J"], data: Data
+    z: Float[Array, "n J"], log_sigma: Float[Array, "n J"], ok: Float[Array, " n"], data: Data
 ) -> Float[Array, ""]:
     """Log of Eq. 4, the normalising constant included."""
-    residual = standardised_residual(predicted, ok, sigma, data)
-    constants = data.weights * (0.5 * LOG_2PI + jnp.log(sigma) + 0.5 * jnp.log1p(-(data.memory**2)))
+    residual = standardised_residual(z, ok, data)
+    constants = data.weights * (0.5 * LOG_2PI + log_sigma + 0.5 * jnp.log1p(-(data.memory**2)))
     return -0.5 * jnp.sum(residual**2) - jnp.sum(constants)

@@ -194,10 +194,11 @@ def assemble(
     of_relative = np.asarray(relative)[observation.groups]
     for e, row, own in zip(experiments, measured, used, strict=False):
         for output in np.unique(observation.groups[own & of_relative]):
-            if not row[own & (observation.groups == output)].any():
-                name = observation.names[output]
+            name, values = observation.names[output], row[own & (observation.groups == output)]
+            if not values.any() or (values.size == 1 and values[0] < 0):
                 raise UserError(
-                    f"experiment {e.id!r}: {name} is 0, and a relative error of that is none; give {name} an absolute error"
+                    f"experiment {e.id!r}: {name} is {values[0]:g}, and a relative error of that is none; give {name} an "
+                    "absolute error"
                 )
     gaps = np.stack([observation.gaps(None if e.record is None else e.record.time) for e in rows])
     return data_of(stacked(conditions), measured, used, gaps, len(experiments))

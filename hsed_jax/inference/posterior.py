@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 from hsed_jax.inference.likelihood import (
     Data,
     Error,
+    compared,
     log_likelihood,
     magnitudes,
     sigma_of,
@@ -155,6 +156,13 @@ class Posterior(eqx.Module):
         relative = np.asarray(self._relative, dtype=bool)[self.groups]
         return sigma_of(self.errors(theta), relative, self._members, predicted, ok, data)
 
+    def _compared(
+        self, theta: Float[Array, " p"], predicted: Float[Array, "n J"], ok: Float[Array, " n"], data: Data
+    ) -> tuple[Float[Array, "n J"], Float[Array, "n J"]]:
+        """z and log σ of every datum, as the likelihood has them."""
+        relative = np.asarray(self._relative, dtype=bool)[self.groups]
+        return compared(self.errors(theta), relative, self._members, predicted, ok, data)
+
     def expected_sigma(
         self, theta: Float[Array, " p"], predicted: Float[Array, "n J"], data: Data
     ) -> Float[Array, "n J"]:
@@ -181,14 +189,14 @@ class Posterior(eqx.Module):
     ) -> Float[Array, ""]:
         """`log_density` where the predictions are known."""
         theta = self.constrain(u)
-        likelihood = log_likelihood(predicted, ok, self.sigma(theta, predicted, ok, data), data)
+        likelihood = log_likelihood(*self._compared(theta, predicted, ok, data), ok, data)
         return likelihood + self.log_prior(theta) + self._log_jacobian(u)
 
     def log_posterior(self, u: Float[Array, " p"], data: Data) -> Float[Array, ""]:
         """Log posterior density *in θ*, unnormalised (Eq. 5): what the MAP maximises."""
         theta = self.constrain(u)
         predicted, ok = self.predictions(u, data)
-        return log_likelihood(predicted, ok, self.sigma(theta, predicted, ok, data), data) + self.log_prior(theta)
+        return log_likelihood(*self._compared(theta, predicted, ok, data), ok, data) + self.log_prior(theta)
 
     def log_prior(self, theta: Float[Array, " p"]) -> Float[Array, ""]:
         """Log density of the prior."""
@@ -200,24 +208,22 @@ class Posterior(eqx.Module):
         r"""ρ with ½ρᵀρ = −log posterior + constant, for a least-squares solver.
 
         Besides the standardised residuals there is one for each prior, $\pm\sqrt{2(\log p_{max}-\log p)}$ with the sign of
-        θ − mode, and one for each σ that depends on θ, of one output of one experiment: $\sqrt{2N\log(\sigma/\sigma_{min})}$.
+        θ − mode, and one for each inferred error, of one output of one experiment: $\sqrt{2N\log(\sigma/\sigma_{min})}$.
         """
         theta = self.constrain(u)
         predicted, ok = self.predictions(u, data)
-        sigma = self.sigma(theta, predicted, ok, data)
-        parts = [standardised_residual(predicted, ok, sigma, data).ravel()]
+        z, log_sigma = self._compared(theta, predicted, ok, data)
+        parts = [standardised_residual(z, ok, data).ravel()]
         for prior, x in zip(self.priors.values(), theta, strict=True):
             mode, highest = prior.mode
             parts.append(jnp.sign(x - mode)[None] * _root(2 * (highest - prior.log_density(x)))[None])
-        relative, members = np.asarray(self._relative, dtype=bool), self._members
-        depends = relative | ~self.is_declared
-        if depends.any():
+        inferred, members = ~self.is_declared, self._members
+        if inferred.any():
             used = (data.weights > 0).astype(float)
             # What it is measured against only has to be fixed and of its order.
-            size = jnp.where(relative[self.groups], magnitudes(data.values, used, members), 1.0)
-            size = jnp.where(used > 0, size, 1.0)
-            excess = (data.weights * (jnp.log(sigma / size) + _ROOM)) @ members[:, depends]
-            parts.append(_root(2 * excess).ravel())
+            size = jnp.where(np.asarray(self._relative)[self.groups], magnitudes(data.values, used, members), 1.0)
+            excess = data.weights * (log_sigma - jnp.log(jnp.where(used > 0, size, 1.0)) + _ROOM)
+            parts.append(_root(2 * excess @ members[:, inferred]).ravel())
         return jnp.concatenate(parts)
 
     def expand(self, u: Float[Array, " p"], data: Data) -> Expansion:
@@ -237,22 +243,22 @@ class Posterior(eqx.Module):
 
         predicted, along, ok = _value_and_jacobian(outputs, u)
 
-        def of_sigma(u, predicted):
-            return jnp.log(self.sigma(self.constrain(u), predicted, ok, data))
+        def comparison(u, predicted):
+            return self._compared(self.constrain(u), predicted, ok, data)
 
-        def error_along(direction, of_outputs):
-            return jax.jvp(of_sigma, (u, predicted), (direction, of_outputs))[1]
+        def compared_along(direction, of_outputs):
+            return jax.jvp(comparison, (u, predicted), (direction, of_outputs))[1]
 
-        along_error = jax.vmap(error_along, in_axes=(0, -1), out_axes=-1)(jnp.eye(u.size), along)
-        log_sigma = of_sigma(u, predicted)
-        likelihood, (by_mean, by_error) = jax.value_and_grad(
-            lambda predicted, log_sigma: log_likelihood(predicted, ok, jnp.exp(log_sigma), data), argnums=(0, 1)
-        )(predicted, log_sigma)
+        z, log_sigma = comparison(u, predicted)
+        z_along, sigma_along = jax.vmap(compared_along, in_axes=(0, -1))(jnp.eye(u.size), along)
+        likelihood, (by_z, by_sigma) = jax.value_and_grad(
+            lambda z, log_sigma: log_likelihood(z, log_sigma, ok, data), argnums=(0, 1)
+        )(z, log_sigma)
         density, slope, prior = _value_and_jacobian(known, u)
-        gradient = jnp.einsum("nj,njp->p", by_mean, along) + jnp.einsum("nj,njp->p", by_error, along_error) + slope
-        standardised = (data.weights > 0)[..., None] * along / jnp.exp(log_sigma)[..., None]
-        g = jnp.sqrt(data.weights) * whitened(jnp.moveaxis(standardised, -1, 0), data.memory)
-        h = jnp.sqrt(2 * data.weights) * jnp.moveaxis(along_error, -1, 0)
+        gradient = jnp.einsum("nj,pnj->p", by_z, z_along) + jnp.einsum("nj,pnj->p", by_sigma, sigma_along) + slope
+        # Of the mean alone: what z owes to σ has its own term.
+        g = jnp.sqrt(data.weights) * whitened(z_along + z * sigma_along, data.memory)
+        h = jnp.sqrt(2 * data.weights) * sigma_along
         information = jnp.einsum("pnj,qnj->pq", g, g) + jnp.einsum("pnj,qnj->pq", h, h)
         of_prior = -jnp.diag(jax.hessian(lambda u: known(u)[0])(u))
         curvature = information + jnp.diag(jnp.maximum(of_prior, 1e-3))
