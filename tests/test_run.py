@@ -469,6 +469,14 @@ def test_a_run_stopped_after_any_line_of_its_journal_ends_as_if_it_had_not_been(
         cut = lines[kept][: len(lines[kept]) // 2] if kept < len(lines) and kept % 2 else ""
         (folder / "journal.jsonl").write_text("".join(lines[:kept]) + cut)
         (folder / "summary.json").unlink()
+        # A record is on the disk before its line is, and none of later ones.
+        known = [json.loads(line) for line in lines[: kept + 1]]
+        performed = {event["experiment"] for event in known if event["event"] == "performed"}
+        held = read_campaign(tmp_path / "whole" / "campaign")
+        shutil.rmtree(folder / "campaign")
+        if kept:
+            experiments = tuple(e for e in held if e.id in performed)
+            write_campaign(replace(held, experiments=experiments), folder / "campaign")
         _, found = quick(folder, *overrides, resume=True)
         assert found == expected, f"stopped after line {kept}"
         campaigns = [read_campaign(f / "campaign") for f in (folder, tmp_path / "whole")]
