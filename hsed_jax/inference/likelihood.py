@@ -133,8 +133,7 @@ def sigma_of(
         return jnp.where(counts, errors, 1.0)
     measured = magnitudes(data.values, used, members)
     of_quantity = jnp.maximum(jnp.abs(predicted), _LEAST * measured)
-    is_quantity = members.sum(axis=0)[members.argmax(axis=1)] == 1
-    size = jnp.where(is_quantity, of_quantity, measured / jnp.sqrt(1 + errors**2))
+    size = jnp.where(_is_quantity(members), of_quantity, measured / jnp.sqrt(1 + errors**2))
     return jnp.where(counts, errors * jnp.where(is_relative, size, 1.0), 1.0)
 
 
@@ -162,7 +161,7 @@ def compared(
     counts = (data.weights > 0) & (ok[:, None] > 0)
     sigma = sigma_of(errors, is_relative, members, predicted, ok, data)
     z, log_sigma = (predicted - data.values) / sigma, jnp.log(sigma)
-    of_logarithm = is_relative & (members.sum(axis=0)[members.argmax(axis=1)] == 1)
+    of_logarithm = is_relative & _is_quantity(members)
     if of_logarithm.any():
         mean, sd = _moments(errors)
         measured = jnp.where(counts, data.values, 1.0)
@@ -170,6 +169,11 @@ def compared(
         z = jnp.where(of_logarithm, (jnp.log(share) + mean) / sd, z)
         log_sigma = jnp.where(of_logarithm, jnp.log(sd) + jnp.log(jnp.abs(measured)), log_sigma)
     return jnp.where(counts, z, 0.0), jnp.where(counts, log_sigma, 0.0)
+
+
+def _is_quantity(members: Float[np.ndarray, "J G"]) -> Bool[np.ndarray, " J"]:
+    """Which columns are outputs by themselves, and no samples of a history."""
+    return members.sum(axis=0)[members.argmax(axis=1)] == 1
 
 
 def _moments(s: Float[Array, " J"]) -> tuple[Float[Array, " J"], Float[Array, " J"]]:

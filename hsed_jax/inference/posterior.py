@@ -116,6 +116,11 @@ class Posterior(eqx.Module):
         return eqx.tree_at(lambda p: p.declared, self, self.declared * factors)
 
     @property
+    def _is_relative(self) -> np.ndarray:
+        """Whether the error of a column is relative, (J,)."""
+        return np.asarray(self._relative, dtype=bool)[self.groups]
+
+    @property
     def _members(self) -> np.ndarray:
         """1 where a column belongs to an output, (J, G)."""
         return (self.groups[:, None] == np.arange(len(self.outputs))).astype(float)
@@ -153,23 +158,20 @@ class Posterior(eqx.Module):
         self, theta: Float[Array, " p"], predicted: Float[Array, "n J"], ok: Float[Array, " n"], data: Data
     ) -> Float[Array, "n J"]:
         """σ of every datum, SI; one where nothing is used or the simulation diverged."""
-        relative = np.asarray(self._relative, dtype=bool)[self.groups]
-        return sigma_of(self.errors(theta), relative, self._members, predicted, ok, data)
+        return sigma_of(self.errors(theta), self._is_relative, self._members, predicted, ok, data)
 
     def _compared(
         self, theta: Float[Array, " p"], predicted: Float[Array, "n J"], ok: Float[Array, " n"], data: Data
     ) -> tuple[Float[Array, "n J"], Float[Array, "n J"]]:
         """z and log σ of every datum, as the likelihood has them."""
-        relative = np.asarray(self._relative, dtype=bool)[self.groups]
-        return compared(self.errors(theta), relative, self._members, predicted, ok, data)
+        return compared(self.errors(theta), self._is_relative, self._members, predicted, ok, data)
 
     def expected_sigma(
         self, theta: Float[Array, " p"], predicted: Float[Array, "n J"], data: Data
     ) -> Float[Array, "n J"]:
         """σ that a measurement of what is predicted would have, SI: of a band, which knows of no measurement."""
-        relative = np.asarray(self._relative, dtype=bool)[self.groups]
         size = magnitudes(predicted, (data.weights > 0).astype(float), self._members)
-        return self.errors(theta) * jnp.where(relative, size, 1.0)
+        return self.errors(theta) * jnp.where(self._is_relative, size, 1.0)
 
     def standardised(self, theta: Float[Array, " p"], data: Data) -> Float[Array, "n J"]:
         """(f − y)/σ at parameters, neither weighed nor whitened; zero where there are no data."""
@@ -221,7 +223,7 @@ class Posterior(eqx.Module):
         if inferred.any():
             used = (data.weights > 0).astype(float)
             # What it is measured against only has to be fixed and of its order.
-            size = jnp.where(np.asarray(self._relative)[self.groups], magnitudes(data.values, used, members), 1.0)
+            size = jnp.where(self._is_relative, magnitudes(data.values, used, members), 1.0)
             excess = data.weights * (log_sigma - jnp.log(jnp.where(used > 0, size, 1.0)) + _ROOM)
             parts.append(_root(2 * excess @ members[:, inferred]).ravel())
         return jnp.concatenate(parts)
