@@ -11,11 +11,15 @@ from hsed_jax.interruptions import Interrupted, answered_by, ended_in_time
 
 # A call that holds the main thread for minutes and returns to no signal, as a compiled one does.
 BUSY = """
-import hashlib
-from hsed_jax.interruptions import answered_by, ended_in_time
-with ended_in_time(), answered_by(lambda: "stopped at the sum"):
-    print("busy", flush=True)
-    hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)
+import hashlib, sys, threading
+from hsed_jax.interruptions import Interrupted, answered_by, ended_in_time
+try:
+    with ended_in_time(), answered_by(lambda: "stopped at the sum"):
+        threading.Timer(0.5, lambda: print("busy", flush=True)).start()
+        hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)
+except Interrupted as stopped:
+    print(stopped, file=sys.stderr)
+    sys.exit(3)
 """
 
 

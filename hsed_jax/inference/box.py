@@ -41,9 +41,9 @@ class Box:
     def __init__(self, priors: Mapping[str, Prior]):
         self.names = tuple(priors)
         self._priors = tuple(priors.values())
-        self._is_log = np.asarray([_is_logarithmic(prior) for prior in self._priors], dtype=bool)
         shares = np.asarray([0.16, 0.5, 0.84])
         rows = np.asarray([np.asarray(prior.quantile(shares), dtype=float) for prior in self._priors]).reshape(-1, 3)
+        self._is_log = np.asarray([_is_logarithmic(*pair) for pair in zip(self._priors, rows[:, 1], strict=True)], bool)
         rows = np.where(self._is_log[:, None], np.log(np.where(self._is_log[:, None], rows, 1.0)), rows)
         self._middle, self._spread = rows[:, 1], 0.5 * (rows[:, 2] - rows[:, 0])
         bounds = np.asarray([_bounds(prior) for prior in self._priors]).reshape(-1, 2)
@@ -109,13 +109,12 @@ def _bounds(prior: Prior) -> tuple[float, float]:
     return (-np.inf if low is None else low), (np.inf if high is None else high)
 
 
-def _is_logarithmic(prior: Prior) -> bool:
+def _is_logarithmic(prior: Prior, median: float) -> bool:
     """Whether a prior lives on a logarithmic scale: positive, without an upper bound, and without density at zero."""
     if prior.name.lower().replace("_", "") == "loguniform":
         return True
     low, high = prior.bounds
     if low != 0.0 or high is not None:
         return False
-    middle = float(prior.quantile(0.5))
-    near_zero, there = (float(prior.log_density(jnp.asarray(value))) for value in (1e-9 * middle, middle))
+    near_zero, there = (float(prior.log_density(jnp.asarray(value))) for value in (1e-9 * median, median))
     return near_zero < there - 20.0

@@ -48,7 +48,7 @@ class Prior:
     def quantile(self, probability: Any) -> Any:
         """The value below which this share of the prior lies; from samples where the distribution has no closed form."""
         try:
-            return self.distribution.icdf(jnp.asarray(probability))
+            return _quantile(self.distribution, probability)
         except (NotImplementedError, ImportError):  # numpyro takes some quantiles from a package that may be absent
             draws = self.distribution.sample(jax.random.key(0), (4096,))
             return jnp.quantile(draws, jnp.asarray(probability))
@@ -80,6 +80,20 @@ class Prior:
 
     def __hash__(self) -> int:
         return hash(repr(self))
+
+
+def _quantile(distribution: dist.Distribution, probability: Any) -> Any:
+    """Inverse distribution function: hundreds of operations, compiled (for one size) where more than one number is asked for."""
+    asked = jnp.asarray(probability)
+    if not asked.ndim:
+        return distribution.icdf(asked)
+    padded = jnp.pad(asked.ravel(), (0, -asked.size % 512), constant_values=0.5)
+    return _inverse(distribution, padded)[: asked.size].reshape(asked.shape)
+
+
+@jax.jit
+def _inverse(distribution: dist.Distribution, probability: Any) -> Any:
+    return distribution.icdf(probability)
 
 
 def _build(name: str, arguments: Any) -> dist.Distribution:
