@@ -14,13 +14,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
 from hsed_jax.physics.excitations import AbstractForcing
+from hsed_jax.physics.laws.base import Turn
 from hsed_jax.physics.response import Response
 from hsed_jax.physics.systems import RESOLVED, AbstractSystem, State
 
 Scalar = Float[Array, ""] | float
-
-# At a reversal the rate is zero; this one [m/s] stands for its two sides.
-_CREEP = 1e-6
 
 
 class Peaks(NamedTuple):
@@ -44,8 +42,8 @@ class RungeKutta4(diffrax.AbstractSolver):
 
     After each step it looks for a reversal inside it, a zero of Δu̇, where a hysteretic spring has its peaks, and updates
     them there and not on the grid: with θ ∈ (0, 1) the zero of the linear Δu̇, the peak elongation is the cubic Hermite
-    interpolant of Δu at θ, and the force follows the smooth branch, $r + \frac{dz}{d\Delta u}(\Delta u_{peak}-\Delta u)$.
-    This is worth a factor of four in step size.
+    interpolant of Δu at θ.  What the spring does of it is its own: a law that integrates its force mends the kink
+    (`hsed_jax.physics.laws.reversal`), a law of paths commits its states there.  This is worth a factor of four in step size.
     """
 
     term_structure: ClassVar = diffrax.ODETerm
@@ -96,7 +94,7 @@ class RungeKutta4(diffrax.AbstractSolver):
             *(start, second, third, fourth, rates(fourth, last)),
         )
         end = jax.lax.optimization_barrier(end)
-        end, force, elongation = _mended(system, (start, first), (end, last), flow, h)
+        end, force, elongation = _turned(system, (start, first), (end, last), flow, h)
         peaks = Peaks(
             jnp.maximum(y0.peaks.force, jnp.abs(force)), jnp.maximum(y0.peaks.elongation, jnp.abs(elongation))
         )
@@ -113,14 +111,13 @@ def _kept(state: State) -> State:
     return State(state.displacement, velocity, memory)
 
 
-def _mended(
+def _turned(
     system: AbstractSystem, before: tuple, after: tuple, flow: State, h: Scalar
 ) -> tuple[State, Scalar, Scalar]:
     """The state after a step that may hold a reversal, and the force and elongation at the reversal (or else the end).
 
     `flow` are the rates at the start of the step.
     """
-    spring = system.spring
     du0, v0 = system.kinematics(*before)
     du1, v1 = system.kinematics(*after)
     turns = v0 * v1 < 0
@@ -130,22 +127,9 @@ def _mended(
     back, bend = du0 - du1, 2 * (du0 - du1) + h * (v0 + v1)
     elongation = du1 + rest * (rest * (back + bend + h * v1 - rest * bend) - h * v1)
     elongation = jax.lax.optimization_barrier(elongation)
-    memory = after[0].memory
-    loading = flow.memory["hysteretic"] / jnp.where(turns, v0, 1.0)
-    z_turn = before[0].memory["hysteretic"] + loading * (elongation - du0)
-    at_turn = {**memory, "hysteretic": z_turn}
-    closing, opening = (spring.rates(elongation, rate, at_turn)["hysteretic"] / rate for rate in (-_CREEP, _CREEP))
-    before_turn, after_turn = jnp.abs(v0), jnp.abs(v1)
-    exact = 0.5 * before_turn * theta
-    simpson = (before_turn + jnp.where(theta > 0.5, 2 * (before_turn - after_turn), 0.0)) / 6
-    shift = jnp.where(turns, h * (opening - closing) * (exact - simpson), 0.0)
-    mended = spring.settle(elongation, {**memory, "hysteretic": memory["hysteretic"] + shift})
-    force = spring.force(
-        elongation,
-        jnp.where(turns, 0.0, v1),
-        {**memory, "hysteretic": jnp.where(turns, z_turn, mended["hysteretic"])},
-    )
-    return after[0]._replace(memory=mended), force, elongation
+    turn = Turn(turns, h, theta, du0, elongation, v0, v1)
+    memory, force = system.specimen.turned(turn, before[0].memory, flow.memory, after[0].memory)
+    return after[0]._replace(memory=memory), force, elongation
 
 
 def integrate(

@@ -7,7 +7,6 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
-from hsed_jax.physics.bouc_wen import BoucWen
 from hsed_jax.physics.effects.base import (
     AbstractEffect,
     AbstractSetupEffect,
@@ -17,10 +16,13 @@ from hsed_jax.physics.effects.base import (
     combine,
 )
 from hsed_jax.physics.excitations import AbstractExcitation, AbstractForcing, Scaled, Tabulated
+from hsed_jax.physics.laws import BoucWen
+from hsed_jax.physics.laws.base import AbstractSpringLaw
 from hsed_jax.physics.parameters import dimensionless
 from hsed_jax.physics.response import Response
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.sensors import felt, measured
+from hsed_jax.physics.specimen import Specimen
 from hsed_jax.physics.structures import Structure
 from hsed_jax.physics.systems import AbstractSystem, DrivenSpring, ShakenStructure
 
@@ -73,7 +75,8 @@ class Simulator(eqx.Module):
         effects: of spring, structure and test rig.
         scales: characteristic values for the effects; leaves, so that one compiled program can serve any.
         constants: parameters that are fixed numbers (and constants of the compiled program).
-        damping_follows_model: form the damping matrix with the model's own A instead of a reference stiffness.
+        damping_follows_model: form the damping matrix with the model's own stiffness instead of a reference one.
+        law: of the spring.
     """
 
     structure: Structure | None
@@ -83,27 +86,28 @@ class Simulator(eqx.Module):
     scales: Scales = Scales()
     constants: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
     damping_follows_model: bool = eqx.field(static=True, default=False)
+    law: type[AbstractSpringLaw] = eqx.field(static=True, default=BoucWen)
 
-    def spring(self, parameters: Mapping[str, Scalar]) -> BoucWen:
-        """The spring law; parameters of effects are named `effect.parameter`, in dimensionless or physical form."""
+    def specimen(self, parameters: Mapping[str, Scalar]) -> Specimen:
+        """The spring law with its effects; parameters of effects are named `effect.parameter`, in dimensionless or physical form."""
         law, effects = self._given(parameters)
         of_spring = tuple(effect for effect in effects if isinstance(effect, AbstractSpringEffect))
-        return BoucWen(**law, effects=of_spring, scales=self.scales)
+        return Specimen(self.law(**law), of_spring, self.scales)
 
     def system(self, parameters: Mapping[str, Scalar]) -> AbstractSystem:
         """What is integrated."""
-        spring = self.spring(parameters)
+        specimen = self.specimen(parameters)
         if self.structure is None:
-            return DrivenSpring(spring)
+            return DrivenSpring(specimen)
         structure = self.structure
         if self.damping_follows_model:
-            structure = eqx.tree_at(lambda s: s.damping.specimen_stiffness, structure, spring.A)
+            structure = eqx.tree_at(lambda s: s.damping.specimen_stiffness, structure, specimen.law.stiffness)
         slots = self._setup(parameters)
         if slots is None:
-            return ShakenStructure(structure, spring)
+            return ShakenStructure(structure, specimen)
         # C is what the model was built with: an error of mass or stiffness does not carry over to it.
         damping = slots("damping") * structure.damping_matrix()
-        return ShakenStructure(structure.altered(slots("mass"), slots("support")), spring, damping)
+        return ShakenStructure(structure.altered(slots("mass"), slots("support")), specimen, damping)
 
     @eqx.filter_jit
     def respond(
@@ -137,7 +141,7 @@ class Simulator(eqx.Module):
             assert isinstance(forcing, Tabulated)
             forcing = felt(forcing, slots, jax.numpy.asarray(length))
         response = integrate(self.system(parameters), forcing, length, steps, channels=channels, every=every)
-        response = response._replace(ok=response.ok & self.spring(parameters).is_bounded)
+        response = response._replace(ok=response.ok & self.specimen(parameters).law.is_bounded)
         if slots is None:
             return response
         return measured(response, slots, length, every, is_imposed=self.structure is None)

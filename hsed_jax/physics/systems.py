@@ -11,8 +11,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hsed_jax.physics.bouc_wen import BoucWen, Memory
 from hsed_jax.physics.excitations import AbstractForcing, Imposed, Tabulated
+from hsed_jax.physics.laws.base import Memory
+from hsed_jax.physics.specimen import Specimen
 from hsed_jax.physics.structures import Structure, difference
 
 Scalar = Float[Array, ""] | float
@@ -32,7 +33,7 @@ class State(NamedTuple):
 class AbstractSystem(eqx.Module):
     """An initial-value problem for one experiment."""
 
-    spring: eqx.AbstractVar[BoucWen]
+    specimen: eqx.AbstractVar[Specimen]
 
     @abstractmethod
     def start(self) -> State:
@@ -59,7 +60,7 @@ class AbstractSystem(eqx.Module):
         return {
             "elongation": elongation,
             "elongation_rate": rate,
-            "force": self.spring.force(elongation, rate, state.memory),
+            "force": self.specimen.force(elongation, rate, state.memory),
             "energy": state.memory["energy"],
         }
 
@@ -70,17 +71,17 @@ class ShakenStructure(AbstractSystem):
 
     Arguments:
         structure: masses and springs, and where the specimen sits.
-        spring: the specimen.
+        specimen: the spring law with its effects.
         damping: C [N·s/m], shape (m, m); None: that of the structure.
     """
 
     structure: Structure
-    spring: BoucWen
+    specimen: Specimen
     damping: tuple[tuple[Scalar, ...], ...]
 
-    def __init__(self, structure: Structure, spring: BoucWen, damping: Float[Array, "m m"] | None = None):
+    def __init__(self, structure: Structure, specimen: Specimen, damping: Float[Array, "m m"] | None = None):
         self.structure = structure
-        self.spring = spring
+        self.specimen = specimen
         matrix = structure.damping_matrix() if damping is None else damping
         count = len(structure.masses)
         self.damping = tuple(tuple(matrix[i, j] for j in range(count)) for i in range(count))
@@ -88,16 +89,13 @@ class ShakenStructure(AbstractSystem):
     def start(self) -> State:
         """The state at rest."""
         still = tuple(jnp.zeros(()) for _ in self.structure.masses)
-        return State(still, still, self.spring.start())
+        return State(still, still, self.specimen.start())
 
     def rates(self, state: State, sample: Scalar) -> State:
         """ü = −M⁻¹(C u̇ + K u + b r) − a_g, and the spring's own rates."""
         elongation, rate = self.kinematics(state, sample)
-        return State(
-            state.velocity,
-            self._accelerations(state, sample),
-            self.spring.rates(elongation, rate, state.memory),
-        )
+        force, rates = self.specimen.force_and_rates(elongation, rate, state.memory)
+        return State(state.velocity, self._accelerations(state, sample, force), rates)
 
     def kinematics(self, state: State, sample: Scalar) -> tuple[Scalar, Scalar]:
         """Elongation of the specimen [m] and its rate [m/s]."""
@@ -106,7 +104,7 @@ class ShakenStructure(AbstractSystem):
     def channels(self, state: State, sample: Scalar, names: tuple[str, ...]) -> dict[str, Scalar]:
         """The named channels at one instant, SI units."""
         values = {"ground_acceleration": jnp.asarray(sample), **self._specimen_channels(state, sample)}
-        for i, acceleration in enumerate(self._accelerations(state, sample)):
+        for i, acceleration in enumerate(self._accelerations(state, sample, values["force"])):
             values[f"displacement_{i + 1}"] = state.displacement[i]
             values[f"velocity_{i + 1}"] = state.velocity[i]
             values[f"acceleration_{i + 1}"] = acceleration
@@ -116,11 +114,9 @@ class ShakenStructure(AbstractSystem):
     def steepness(self, forcing: AbstractForcing, step_length: Float[Array, "..."] | float) -> Scalar:
         """The longest step times the frequency of the specimen between the masses at its ends."""
         freed = sum((1 / self.structure.masses[end] for end in self.structure.specimen if end is not None), start=0.0)
-        return jnp.max(jnp.asarray(step_length)) * jnp.sqrt(self.spring.A * freed)
+        return jnp.max(jnp.asarray(step_length)) * jnp.sqrt(self.specimen.law.stiffness * freed)
 
-    def _accelerations(self, state: State, sample: Scalar) -> tuple[Scalar, ...]:
-        elongation, rate = self.kinematics(state, sample)
-        force = self.spring.force(elongation, rate, state.memory)
+    def _accelerations(self, state: State, sample: Scalar, force: Scalar) -> tuple[Scalar, ...]:
         pushes: list[Scalar] = [0.0] * len(self.structure.masses)
         for ends, value in (
             *((s.ends, s.stiffness * difference(state.displacement, s.ends)) for s in self.structure.springs),
@@ -141,15 +137,15 @@ class ShakenStructure(AbstractSystem):
 class DrivenSpring(AbstractSystem):
     """The specimen alone, its elongation imposed (a component test); samples are `Imposed`."""
 
-    spring: BoucWen
+    specimen: Specimen
 
     def start(self) -> State:
         """The virgin spring."""
-        return State((), (), self.spring.start())
+        return State((), (), self.specimen.start())
 
     def rates(self, state: State, sample: Imposed) -> State:
         """The spring's own rates."""
-        return State((), (), self.spring.rates(sample.elongation, sample.rate, state.memory))
+        return State((), (), self.specimen.rates(sample.elongation, sample.rate, state.memory))
 
     def kinematics(self, state: State, sample: Imposed) -> tuple[Scalar, Scalar]:
         """The imposed elongation [m] and its rate [m/s]."""
@@ -163,4 +159,4 @@ class DrivenSpring(AbstractSystem):
     def steepness(self, forcing: AbstractForcing, step_length: Float[Array, "..."] | float) -> Scalar:
         """The longest step of the elongation over that on which the spring yields."""
         assert isinstance(forcing, Tabulated)
-        return jnp.max(jnp.abs(jnp.diff(forcing.samples.elongation[::2]))) * self.spring.steepness()
+        return jnp.max(jnp.abs(jnp.diff(forcing.samples.elongation[::2]))) * self.specimen.law.steepness

@@ -11,6 +11,7 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from hsed_jax.physics.scales import Scales
+from hsed_jax.physics.states import SharedState
 
 Scalar = Float[Array, ""] | float
 
@@ -31,10 +32,10 @@ class SpringPoint(NamedTuple):
     Attributes:
         elongation: Δu [m].
         rate: Δu̇ [m/s].
-        hysteretic: z [N], the force of the Bouc–Wen element.
+        hysteretic: z [N], the force of the law's element; to slots other than `force` a law of paths shows that of its last commit.
         memory: further states by name, among them `energy` e [J].
         scales: characteristic values.
-        strength: ultimate force of the virgin element, $[A/(\beta+\gamma)]^{1/n}$ [N].
+        strength: force at which the virgin element yields, or its bound, $[A/(\beta+\gamma)]^{1/n}$ of Bouc–Wen [N].
     """
 
     elongation: Scalar
@@ -88,19 +89,20 @@ class AbstractEffect(eqx.Module):
 
 
 class AbstractSpringEffect(AbstractEffect):
-    """An effect in the law of the spring (`hsed_jax.physics.bouc_wen`).
+    """An effect in the spring, at the slots of its law (`hsed_jax.physics.laws`) or beside it.
 
     Slots: factors on `a`, `nu`, `eta`, `h`; addends to `force` [N], to `n`, to `gamma` (in units of β), to `compliance` (of
-    what is in series with the element [m/N]) and to `slack` (the elongation without force to either side [m]).
+    what is in series with the element [m/N]) and to `slack` (the elongation without force to either side [m]).  Every law has
+    `force` and `slack`; which of the others, it says.
 
     Attributes:
-        needs: states of the spring that it looks at besides force and energy: `largest_elongation` [m], `travel` [m] (the
-            length of the path of Δu); two effects that need one state share it.
+        needs: states of the spring that it looks at besides force and energy (`hsed_jax.physics.states`); two effects that need
+            one state share it.
         states: names of states of its own, zero in a virgin spring; their rates are its `flow`.
     """
 
     place: ClassVar[Literal["spring", "structure", "test rig"]] = "spring"
-    needs: ClassVar[tuple[str, ...]] = ()
+    needs: ClassVar[tuple[SharedState, ...]] = ()
     states: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
 from hsed_jax.physics.parameters import PhysicalForm, parameter
+from hsed_jax.physics.states import LARGEST_ELONGATION, TRAVEL, SharedState
 
 
 @register
@@ -17,7 +18,7 @@ class PeakSoftening(AbstractSpringEffect):
     name: ClassVar[str] = "peak_softening"
     family: ClassVar[str] = "stiffness"
     reference: ClassVar[str] = "Park & Ang 1985"
-    needs: ClassVar[tuple[str, ...]] = ("largest_elongation",)
+    needs: ClassVar[tuple[SharedState, ...]] = (LARGEST_ELONGATION,)
 
     delta: Scalar = parameter(
         r"\delta_p",
@@ -46,7 +47,7 @@ class Slip(AbstractSpringEffect):
     name: ClassVar[str] = "slip"
     family: ClassVar[str] = "pinching"
     reference: ClassVar[str] = "Baber & Noori 1985; Madan, Reinhorn, Mander & Valles 1997"
-    needs: ClassVar[tuple[str, ...]] = ("largest_elongation",)
+    needs: ClassVar[tuple[SharedState, ...]] = (LARGEST_ELONGATION,)
 
     delta: Scalar = parameter(
         r"\delta_{sl}",
@@ -76,7 +77,7 @@ class Fracture(AbstractSpringEffect):
     name: ClassVar[str] = "fracture"
     family: ClassVar[str] = "strength"
     reference: ClassVar[str] = "Manson 1953; Coffin 1954; Miner 1945 (exponent one)"
-    needs: ClassVar[tuple[str, ...]] = ("travel",)
+    needs: ClassVar[tuple[SharedState, ...]] = (TRAVEL,)
 
     delta: Scalar = parameter(
         r"\delta_b",

@@ -1,0 +1,151 @@
+r"""What every spring law is: the force of an element from its elongation and its states, and how the states move on.
+
+Two kinds of laws fit.  A law of **rates** integrates its force, $\dot z = g(\Delta u, \Delta\dot u, z)\,\Delta\dot u$ (Bouc–Wen):
+its `force` is a state and its `flow` is g Δu̇.  A law of **paths** (bilinear, Menegotto–Pinto, Takeda) knows its force as a
+continuous function of the elongation, given the states committed at the end of the last step; it has no `flow`, and its
+`settle` commits.  Between two commits the elongation goes one way: where it turns within a step, the integrator commits at the turn.
+
+What effects add to a law (forces beside it, a slack before it, energy and other states) is not the law's business
+(`hsed_jax.physics.specimen`).
+"""
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from typing import ClassVar, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+Scalar = Float[Array, ""] | float
+Memory = dict[str, Scalar]
+Slots = Callable[[str], Scalar]
+"""What effects write to a slot, by its name; the neutral Python number where none does."""
+
+
+class Turn(NamedTuple):
+    r"""A step of the integration in which the elongation may turn.
+
+    Attributes:
+        happens: whether it turns.
+        length: of the step [s].
+        share: θ of the step that has passed at the turn, 1 where there is none.
+        start: elongation at the start of the step [m].
+        elongation: at the turn, or at the end of the step [m].
+        before, after: rates of the elongation at the start and at the end of the step [m/s].
+    """
+
+    happens: Bool[Array, ""]
+    length: Scalar
+    share: Scalar
+    start: Scalar
+    elongation: Scalar
+    before: Scalar
+    after: Scalar
+
+
+class AbstractSpringLaw(eqx.Module):
+    """A spring law: its parameters are fields (`hsed_jax.physics.parameters.parameter`), a subclass is final.
+
+    A parameter given as a Python number is a constant of the compiled program, one given as an array is an input of it.
+    Derivatives pass in forward mode, so both sides of a `jnp.where` must be finite.
+
+    Attributes:
+        name: as it stands in studies.
+        title: in a sentence.
+        reference: where it comes from.
+        slots: the slots that its element serves, besides `force` and `slack`, which every specimen has; an effect that
+            writes to another one cannot be had with this law.
+        steepest: parameters that make the virgin law stiff and steep, with the quantile of a prior at which they do so most; the
+            steps of the integration are chosen for these.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    reference: ClassVar[str]
+    slots: ClassVar[tuple[str, ...]] = ()
+    steepest: ClassVar[Mapping[str, float]]
+
+    @property
+    @abstractmethod
+    def stiffness(self) -> Scalar:
+        """Of the virgin element [N/m]."""
+
+    @property
+    @abstractmethod
+    def strength(self) -> Scalar:
+        """Force at which the virgin element yields, or its bound [N]; infinite, or a large number, where it is elastic."""
+
+    @property
+    def yield_elongation(self) -> Scalar:
+        """Strength over stiffness [m]."""
+        return self.strength / self.stiffness
+
+    @property
+    def steepness(self) -> Scalar:
+        """How fast, along the elongation, the force of the virgin element comes to its limit [1/m]."""
+        return 1 / self.yield_elongation
+
+    @property
+    def is_bounded(self) -> Array | bool:
+        """Whether the force stays finite with these parameters."""
+        return True
+
+    @classmethod
+    def impossible(cls, highest: Mapping[str, float]) -> tuple[str, str] | None:
+        """What no value of the parameters makes possible, as the parameter to change and words for it.
+
+        Arguments:
+            highest: the upper ends of parameters, by name; what a study leaves out is absent.
+        """
+        del highest
+        return None
+
+    @abstractmethod
+    def start(self) -> Memory:
+        """The states of a virgin element by name, `hysteretic` among them: its force as integrated, or when last committed [N]."""
+
+    @abstractmethod
+    def force(self, elongation: Scalar, memory: Memory, slots: Slots) -> Scalar:
+        """Force of the element [N] at its elongation [m]."""
+
+    def flow(self, elongation: Scalar, rate: Scalar, memory: Memory, slots: Slots) -> Memory:
+        """Time derivatives of those of its states that are integrated."""
+        del elongation, rate, memory, slots
+        return {}
+
+    def settle(self, elongation: Scalar, memory: Memory, slots: Slots) -> Memory:
+        """Those of its states that a step commits, after one that came to this elongation [m], or turned there."""
+        del elongation, memory, slots
+        return {}
+
+    def mended(
+        self,
+        turn: Turn,
+        before: Memory,
+        flow: Memory,
+        after: Memory,
+        rates: Callable[[Scalar, Scalar, Memory], Memory],
+    ) -> tuple[Memory, Memory]:
+        """States at the turn, and at the end of the step, corrected for what an integrator misses at a turn.
+
+        A law of paths misses nothing: its force at the turn follows from what is committed.
+
+        Arguments:
+            turn: the step; where nothing turns, both are the states at the end.
+            before, after: states at the start and at the end of the step, as integrated.
+            flow: rates at the start.
+            rates: from elongation [m], rate [m/s] and states to the rates, effects included.
+        """
+        del turn, before, flow, rates
+        return after, after
+
+
+def still(*names: str) -> Memory:
+    """States that are zero in a virgin element."""
+    return {name: jnp.zeros(()) for name in names}
+
+
+def is_zero(value: Scalar) -> bool:
+    """Whether a value is the number zero, known while the program is compiled."""
+    return isinstance(value, int | float) and value == 0

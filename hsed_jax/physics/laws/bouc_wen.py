@@ -1,0 +1,127 @@
+"""The Bouc–Wen law, with slots wherever the literature has put effects."""
+
+from collections.abc import Callable, Mapping
+from typing import ClassVar, final
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, Turn, is_zero, still
+from hsed_jax.physics.laws.reversal import mended_force
+from hsed_jax.physics.parameters import parameter
+
+
+@final
+class BoucWen(AbstractSpringLaw):
+    r"""The force z of the element follows a differential equation along the elongation.
+
+    $$\dot z = h\,\frac{a A - \nu\,(\beta\,\mathrm{sign}(\Delta\dot u\,z)+\gamma)\,|z|^n}{\eta}\,\Delta\dot u$$
+
+    An element in series with compliance c turns the slope $dz/d\Delta u = g$ into $g/(1+cg)$.  With nothing in the slots
+    (a = ν = η = h = 1) it is Eq. 15 of Abbiati & Marelli without the degradation.  The force z is in newtons, so A is a stiffness;
+    the force tends to $[A/(\beta+\gamma)]^{1/n}$.
+    """
+
+    name: ClassVar[str] = "bouc_wen"
+    title: ClassVar[str] = "the Bouc–Wen spring"
+    reference: ClassVar[str] = "Bouc 1967; Wen 1976"
+    slots: ClassVar[tuple[str, ...]] = ("a", "nu", "eta", "h", "n", "gamma", "compliance")
+    steepest: ClassVar[Mapping[str, float]] = {"A": 0.999, "beta": 0.999}
+
+    A: Scalar = parameter("A", "N/m", "initial stiffness", lower=0.0)
+    beta: Scalar = parameter(r"\beta", "N^(1-n)/m", "shape of the loop: dissipation", lower=0.0)
+    gamma: Scalar = parameter(r"\gamma", "N^(1-n)/m", "shape of the loop: softening against pinching", neutral=0.0)
+    n: Scalar = parameter("n", "1", "sharpness of yielding", neutral=1.0, lower=0.5)
+
+    @property
+    def stiffness(self) -> Scalar:
+        """A [N/m]."""
+        return self.A
+
+    @property
+    def strength(self) -> Scalar:
+        """Ultimate force of the virgin element [N]; where it is elastic, a large number stands for none."""
+        strength = self.A / jnp.maximum(self.beta + self.gamma, 1e-12)
+        return strength if isinstance(self.n, int | float) and self.n == 1 else strength ** (1 / self.n)
+
+    @property
+    def steepness(self) -> Scalar:
+        """n A/z_u [1/m], |γ| for γ."""
+        softening = self.beta + jnp.abs(self.gamma)
+        if isinstance(self.n, int | float) and self.n == 1:
+            return softening
+        return self.n * self.A ** (1 - 1 / self.n) * softening ** (1 / self.n)
+
+    @property
+    def is_bounded(self) -> Array | bool:
+        """Whether the force has a bound, which β + γ < 0 takes away: on loading the stiffness grows with the force.
+
+        At β + γ = 0 the element is elastic on loading, the limit of a large strength.
+        """
+        return self.beta + self.gamma >= 0
+
+    @classmethod
+    def impossible(cls, highest: Mapping[str, float]) -> tuple[str, str] | None:
+        """A law without an ultimate force; where only a part of a prior has none, simulations there are failures."""
+        beta, gamma = highest["beta"], highest.get("gamma", 0.0)
+        if beta + gamma >= 0:
+            return None
+        return "gamma", (
+            f"beta + gamma is {beta + gamma:g} at most, and the force of such a law grows without bound; "
+            "gamma must be at least -beta (the effect hardening gives a stiffness after yielding)"
+        )
+
+    def start(self) -> Memory:
+        """No force."""
+        return still("hysteretic")
+
+    def force(self, elongation: Scalar, memory: Memory, slots: Slots) -> Scalar:
+        """The state z."""
+        return memory["hysteretic"]
+
+    def flow(self, elongation: Scalar, rate: Scalar, memory: Memory, slots: Slots) -> Memory:
+        """The rate of z [N/s]."""
+        z = memory["hysteretic"]
+        magnitude = jnp.abs(z)
+        share = slots("gamma")
+        gamma = self.gamma if is_zero(share) else self.gamma + share * self.beta
+        # β sign(Δu̇ z)|z|ⁿ Δu̇ = β |Δu̇| z |z|ⁿ⁻¹: no sign, hence no jump where z passes zero.
+        softening = self.beta * jnp.abs(rate) * z * _power(magnitude, self.n, -1)
+        if not is_zero(gamma):
+            softening = softening + gamma * rate * _power(magnitude, self.n, 0)
+        if not is_zero(sharper := slots("n")):
+            # (|z|/z_u)^δ leaves the strength z_u where it is: sharpness alone changes.
+            softening = softening * _power(magnitude / self.strength, sharper, 0)
+        # h/η first: rates at one η then share one division.
+        flow = slots("h") / slots("eta") * (slots("a") * self.A * rate - slots("nu") * softening)
+        if not is_zero(compliance := slots("compliance")):
+            moving = jnp.where(rate == 0, 1.0, rate)
+            flow = flow / (1 + compliance * flow / moving)
+        return {"hysteretic": flow}
+
+    def mended(
+        self,
+        turn: Turn,
+        before: Memory,
+        flow: Memory,
+        after: Memory,
+        rates: Callable[[Scalar, Scalar, Memory], Memory],
+    ) -> tuple[Memory, Memory]:
+        """z at the turn, and z at the end corrected for its kink there (`hsed_jax.physics.laws.reversal`)."""
+        return mended_force(turn, before, flow, after, rates)
+
+
+def _power(magnitude: Scalar, n: Scalar, offset: int) -> Scalar:
+    """|z|^(n+offset) with its right derivative at z = 0, free of `pow` where n is a Python number that needs none."""
+    if isinstance(n, int | float):
+        exponent = n + offset
+        if exponent == 0:
+            return 1.0
+        if exponent == 1:
+            return magnitude
+        if exponent == 2:
+            return magnitude * magnitude
+    else:
+        exponent = n + offset
+    # The logarithm of zero would poison the derivative in n; a spring never works at 1e-12 N.
+    return jnp.exp(exponent * jnp.log(jnp.maximum(magnitude, 1e-12)))

@@ -1,0 +1,123 @@
+r"""The specimen: a spring law with any number of effects around it.
+
+$$r = f(\Delta u, \text{states}) + \sum \text{force},\qquad \dot e = r\,\Delta\dot u$$
+
+with f the force of the law's element, whose slots effects write to, and `force` what they add beside it.  Inside a slack s there is
+no force, and the element beyond it feels the elongation less the slack, $\Delta u - \mathrm{clip}(\Delta u, -s, s)$.
+"""
+
+from typing import final
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from hsed_jax.physics.effects.base import AbstractSpringEffect, SpringPoint, combine
+from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, Turn, is_zero
+from hsed_jax.physics.scales import Scales
+from hsed_jax.physics.states import SharedState
+
+ALWAYS = ("force", "slack")
+"""Slots that every specimen has, whatever its law."""
+
+
+@final
+class Specimen(eqx.Module):
+    """A spring with effects.
+
+    Arguments:
+        law: of its element.
+        effects: their order does not matter.
+        scales: characteristic values for the effects.
+
+    Raises:
+        ValueError: an effect writes to a slot that the law does not serve (when something is computed with it).
+    """
+
+    law: AbstractSpringLaw
+    effects: tuple[AbstractSpringEffect, ...] = ()
+    scales: Scales = Scales()
+
+    def start(self) -> Memory:
+        """The states of a virgin spring: those of the law, absorbed energy e [J], and those that effects need or have."""
+        names = ["energy", *(state.name for state in self._shared), *(s for e in self.effects for s in e.states)]
+        return {**self.law.start(), **{name: jnp.zeros(()) for name in names}}
+
+    def force(self, elongation: Scalar, rate: Scalar, memory: Memory) -> Scalar:
+        """Restoring force r [N] at elongation Δu [m] and its rate [m/s]."""
+        point = self._point(elongation, rate, memory)
+        return self._force(point, self._slots(point))
+
+    def rates(self, elongation: Scalar, rate: Scalar, memory: Memory) -> Memory:
+        """Time derivatives of the states."""
+        return self.force_and_rates(elongation, rate, memory)[1]
+
+    def force_and_rates(self, elongation: Scalar, rate: Scalar, memory: Memory) -> tuple[Scalar, Memory]:
+        """Restoring force r [N], and time derivatives of the states."""
+        point = self._point(elongation, rate, memory)
+        slots = self._slots(point)
+        flow = self.law.flow(_beyond(elongation, slots), rate, memory, slots)
+        flow = {name: _outside(elongation, slots, value) for name, value in flow.items()}
+        force = self._force(point, slots)
+        rates = {name: jnp.zeros_like(value) for name, value in memory.items()}
+        rates |= {**flow, "energy": force * rate}
+        rates |= {state.name: state.rate(rate) for state in self._shared if state.rate is not None}
+        for effect in self.effects:
+            rates |= effect.flow(point)
+        return force, rates
+
+    def settle(self, elongation: Scalar, rate: Scalar, memory: Memory) -> Memory:
+        """The states after a step that came to this elongation [m] at this rate [m/s], or turned there."""
+        slots = self._slots(self._point(elongation, rate, memory))
+        committed = self.law.settle(_beyond(elongation, slots), memory, slots)
+        kept = {s.name: s.settled(memory[s.name], elongation) for s in self._shared if s.settled is not None}
+        return {**memory, **committed, **kept}
+
+    def turned(self, turn: Turn, before: Memory, flow: Memory, after: Memory) -> tuple[Memory, Scalar]:
+        """The states after a step that may hold a reversal, and the force at the reversal (or else the end) [N].
+
+        Arguments:
+            turn: the step.
+            before, after: states at its ends, as integrated.
+            flow: rates at its start.
+        """
+        at_turn, at_end = self.law.mended(turn, before, flow, after, self.rates)
+        rate = jnp.where(turn.happens, 0.0, turn.after)
+        return self.settle(turn.elongation, rate, at_end), self.force(turn.elongation, rate, at_turn)
+
+    @property
+    def _shared(self) -> tuple[SharedState, ...]:
+        return tuple(dict.fromkeys(state for effect in self.effects for state in effect.needs))
+
+    def _point(self, elongation: Scalar, rate: Scalar, memory: Memory) -> SpringPoint:
+        return SpringPoint(elongation, rate, memory["hysteretic"], memory, self.scales, self.law.strength)
+
+    def _slots(self, point: SpringPoint) -> Slots:
+        served = (*ALWAYS, *self.law.slots)
+        contributions = [effect.contribute(point) for effect in self.effects]
+        for effect, contribution in zip(self.effects, contributions, strict=True):
+            if missing := [slot for slot in contribution if slot not in served]:
+                raise ValueError(
+                    f"{effect.name} writes to the slot {missing[0]}, which {self.law.name} does not serve; it serves "
+                    f"{', '.join(served)}"
+                )
+        return combine(contributions)
+
+    def _force(self, point: SpringPoint, slots: Slots) -> Scalar:
+        element = self.law.force(_beyond(point.elongation, slots), point.memory, slots)
+        if element is not point.hysteretic:
+            # A law of paths knows its force only now; forces beside it may depend on it.
+            slots = self._slots(point._replace(hysteretic=element))
+        return _outside(point.elongation, slots, element) + slots("force")
+
+
+def _beyond(elongation: Scalar, slots: Slots) -> Scalar:
+    """The elongation that the element feels behind the slack."""
+    slack = slots("slack")
+    return elongation if is_zero(slack) else elongation - jnp.clip(elongation, -slack, slack)
+
+
+def _outside(elongation: Scalar, slots: Slots, value: Scalar) -> Array | Scalar:
+    """A value of the element, none inside the slack."""
+    slack = slots("slack")
+    return value if is_zero(slack) else jnp.where(jnp.abs(elongation) >= slack, value, 0.0)

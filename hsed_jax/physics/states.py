@@ -1,0 +1,39 @@
+"""States of the spring that several effects look at: each is declared once, here, and integrated where an effect needs it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+Scalar = Float[Array, ""] | float
+
+
+@dataclass(frozen=True)
+class SharedState:
+    """A state of the spring that follows from its motion alone, zero in a virgin spring.
+
+    Attributes:
+        name: in the memory of the spring.
+        unit: SI.
+        meaning: one line.
+        rate: its time derivative, from that of the elongation [m/s]; None: it changes at the ends of steps only.
+        settled: its value after a step, from the value before it and the elongation reached [m]; None: as it was integrated.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    rate: Callable[[Scalar], Scalar] | None = None
+    settled: Callable[[Scalar, Scalar], Scalar] | None = None
+
+
+LARGEST_ELONGATION = SharedState(
+    "largest_elongation",
+    "m",
+    "largest elongation reached, to either side",
+    # Kept and not integrated: a maximum has no rate.
+    settled=lambda value, elongation: jnp.maximum(value, jnp.abs(elongation)),
+)
+
+TRAVEL = SharedState("travel", "m", "length of the path of the elongation", rate=jnp.abs)
