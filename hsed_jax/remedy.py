@@ -101,6 +101,9 @@ class Improvement(Tabular):
             experiments["campaign"] = beside(experiments["campaign"])
         if recorded:
             recorded["file"] = beside(recorded["file"])
+        for spring in (model["spring"], experiments.get("virtual", {}).get("spring")):
+            if isinstance(spring, dict):
+                spring["file"] = beside(spring["file"])
         model["own_effects"] = [beside(name) for name in model["own_effects"]]
         comments = {
             "study": [

@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from hsed_jax.physics.bouc_wen import BoucWen
 from hsed_jax.physics.effects import EFFECTS, AbstractSetupEffect, AbstractSpringEffect
 from hsed_jax.physics.effects.base import ADDED, MULTIPLIED, Setup, SpringPoint, combine
 from hsed_jax.physics.excitations import Imposed, NearFaultPulse, Tabulated
 from hsed_jax.physics.integrate import integrate
+from hsed_jax.physics.laws import BoucWen
 from hsed_jax.physics.parameters import dimensionless, parameters_of
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.sensors import shifted
 from hsed_jax.physics.simulator import Conditions, Recorded, Simulator, Timeline
+from hsed_jax.physics.specimen import Specimen
 from hsed_jax.physics.structures import ModalDamping, Spring, Structure
 from hsed_jax.physics.systems import ShakenStructure
 
@@ -58,9 +59,9 @@ def rates(effects, at: SpringPoint | None = None) -> dict:
     own = {state for effect in effects for state in effect.states}
 
     def one(point):
-        law = BoucWen(**LAW, effects=tuple(effects), scales=SCALES)
-        found = law.rates(point.elongation, point.rate, point.memory)
-        found |= {"force": law.force(point.elongation, point.rate, point.memory)}
+        specimen = Specimen(BoucWen(**LAW), tuple(effects), SCALES)
+        found = specimen.rates(point.elongation, point.rate, point.memory)
+        found |= {"force": specimen.force(point.elongation, point.rate, point.memory)}
         return {state: value for state, value in found.items() if state not in own}
 
     return jax.vmap(one)(points() if at is None else at)
@@ -186,7 +187,7 @@ def test_contributions_have_the_derivatives_of_central_differences(name):
 
 def test_no_two_effects_own_one_state():
     owned = [state for name in SPRING for state in EFFECTS[name].states]
-    shared = {state for name in SPRING for state in EFFECTS[name].needs}
+    shared = {state.name for name in SPRING for state in EFFECTS[name].needs}
     assert len(owned) == len(set(owned))
     assert not shared & set(owned)
 
@@ -321,8 +322,8 @@ def test_degradation_equals_its_equation_integrated_by_scipy(
 
 
 def test_effects_of_the_same_energy_state_share_it():
-    law = BoucWen(**LAW, effects=tuple(active(name) for name in ("stiffness_degradation", "strength_degradation")))
-    assert list(law.start()) == ["hysteretic", "energy"]
+    effects = tuple(active(name) for name in ("stiffness_degradation", "strength_degradation"))
+    assert list(Specimen(BoucWen(**LAW), effects).start()) == ["hysteretic", "energy"]
 
 
 # --- whole responses: structure and test rig ---------------------------------------------------------------------
@@ -523,7 +524,7 @@ def test_an_error_of_the_structure_is_another_structure_with_the_damping_it_had(
     @jax.jit
     def truth():
         other = Structure(**{**THREE, **changes}, damping=ModalDamping(0.07, 5e5))
-        system = ShakenStructure(other, BoucWen(5e5, 1.0, 0.0, 1.0), factor * nominal.damping_matrix())
+        system = ShakenStructure(other, Specimen(BoucWen(5e5, 1.0, 0.0, 1.0)), factor * nominal.damping_matrix())
         return integrate(system, NearFaultPulse(2.25, 1.0).forcing(STEP, STEPS), STEP, STEPS, channels=CHANNELS)
 
     expected = both(truth())

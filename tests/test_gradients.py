@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from hsed_jax.inference.predict import Predictor
-from hsed_jax.physics.bouc_wen import BoucWen
 from hsed_jax.physics.excitations import NearFaultPulse
 from hsed_jax.physics.integrate import integrate
+from hsed_jax.physics.laws import BoucWen
 from hsed_jax.physics.simulator import Timeline
+from hsed_jax.physics.specimen import Specimen
 
 NAMES = ("A", "beta", "gamma", "n", "stiffness_degradation.delta")
 SCALES = np.array([5e5, 1.0, 1.0, 1.0, 2e-5])
@@ -98,7 +99,7 @@ def test_reverse_equals_forward_at_every_saved_time(history):
 @pytest.mark.parametrize("is_traced", [False, True])
 def test_derivative_of_the_law_is_finite_at_zero_force(n, is_traced):
     def flow(A, beta, gamma, n, z, rate):
-        return BoucWen(A, beta, gamma, n).rates(0.01, rate, {"hysteretic": z, "energy": 0.0})["hysteretic"]
+        return Specimen(BoucWen(A, beta, gamma, n)).rates(0.01, rate, {"hysteretic": z, "energy": 0.0})["hysteretic"]
 
     arguments = (5e5, 0.7, 0.3, n, 0.0, 0.5)
     which = tuple(i for i in range(6) if is_traced or i != 3)
@@ -119,7 +120,7 @@ def test_a_traced_exponent_gives_the_law_of_a_constant_one(n):
     for rate in (0.7, -0.7):
         constant, traced = (
             jax.vmap(
-                lambda z, n=n, rate=rate: BoucWen(5e5, 0.7, 0.3, n).rates(
+                lambda z, n=n, rate=rate: Specimen(BoucWen(5e5, 0.7, 0.3, n)).rates(
                     0.01, jnp.asarray(rate), {"hysteretic": z, "energy": 0.0}
                 )["hysteretic"]
             )(z)

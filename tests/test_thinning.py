@@ -7,10 +7,12 @@ import pytest
 
 import hsed_jax as hx
 from hsed_jax.config.build import Built
+from hsed_jax.config.parts import law_parameters
 from hsed_jax.config.records import forecast, imposed_grid, thinning_notes
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Experiment, Record, characteristics
 from hsed_jax.measurements.thinning import loss, thinned
+from hsed_jax.physics.laws import BoucWen
 from hsed_jax.reporting.page_tables import _predicted_part
 
 STRENGTH, YIELD, ROWS = 1e5, 5e-3, 28000
@@ -83,10 +85,11 @@ def test_steps_longer_than_the_yield_elongation_are_divided():
         np.arange(4), {"elongation": np.array([0.0, 0.5, -0.5, 0.0]), "force": np.array([0.0, 1, -1, 0]) * 1e5}
     )
     campaign = campaign_of(long_record())
-    law = {"A": Prior("lognormal", [np.log(2e7), 0.3]), "beta": Prior("lognormal", [np.log(200.0), 0.3])}
+    priors = {"A": Prior("lognormal", [np.log(2e7), 0.3]), "beta": Prior("lognormal", [np.log(200.0), 0.3])}
+    middle, steepest = (BoucWen(**law_parameters((priors, {}), at)) for at in ({}, BoucWen.steepest))
     for record, longest in ((coarse, 1.0), (long_record(500), None)):
         longest = longest or np.abs(np.diff(record["elongation"])).max()
-        step = longest / imposed_grid([record], characteristics(campaign), (law, {})).every
+        step = longest / imposed_grid([record], characteristics(campaign), middle, steepest).every
         assert step <= YIELD * 1.001 and (longest > 20 * 0.2 * YIELD or step <= 0.2 * YIELD * 1.001)
     # Where the first sample is far beyond yield, the data cannot tell it, and the model does.
     blind = characteristics(
@@ -96,7 +99,7 @@ def test_steps_longer_than_the_yield_elongation_are_divided():
             )
         )
     )
-    assert imposed_grid([coarse], blind, (law, {})).every >= 200
+    assert imposed_grid([coarse], blind, middle, steepest).every >= 200
 
 
 def test_a_study_fits_and_predicts_the_samples_that_were_kept():

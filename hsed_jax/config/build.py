@@ -1,7 +1,6 @@
 """From what a user said to the objects that compute: no `None` reaches the numerics."""
 
 import dataclasses
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,13 +15,15 @@ from hsed_jax.config.laboratories import IMPOSED
 from hsed_jax.config.limits import limits_of
 from hsed_jax.config.own_effects import catalogue_of
 from hsed_jax.config.plan import check_plan
+from hsed_jax.config.scales import check_scales, scales_of
 from hsed_jax.config.schema import Study
 from hsed_jax.config.sections import ErrorEntry, NoiseEntry
+from hsed_jax.config.spring_laws import law_of
 from hsed_jax.design.feasible import Limits
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import Data, Error
-from hsed_jax.inference.observation import Grid, Histories, Observation, Outputs, Quantities, assemble, conditions_of
+from hsed_jax.inference.observation import Grid, Histories, Observation, Outputs, Quantities, assemble
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.predict import Predictor
 from hsed_jax.inference.priors import Prior
@@ -32,8 +33,9 @@ from hsed_jax.laboratories.sensors import Sensors
 from hsed_jax.measurements import Campaign, Characteristics, Experiment, characteristics, parse_unit, read_campaign
 from hsed_jax.measurements.thinning import thinned
 from hsed_jax.physics.effects import Catalogue
+from hsed_jax.physics.laws import AbstractSpringLaw
 from hsed_jax.physics.scales import Scales
-from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator, Timeline
+from hsed_jax.physics.simulator import Parametrised, Simulator, Timeline
 from hsed_jax.physics.structures import Structure
 
 if TYPE_CHECKING:
@@ -62,6 +64,11 @@ class Built:
     def catalogue(self) -> Catalogue:
         """The effects that the study may name; its own files of effects are executed."""
         return catalogue_of(self.study)
+
+    @cached_property
+    def law(self) -> type[AbstractSpringLaw]:
+        """The spring law of the model; the file of an own one is executed."""
+        return law_of("model.spring", self.study.model.spring, self.study.folder)
 
     @cached_property
     def measured(self) -> Campaign | None:
@@ -105,13 +112,18 @@ class Built:
     @cached_property
     def parameters(self) -> tuple[dict[str, Prior], dict[str, float]]:
         """Free parameters of the model with their priors, and the fixed ones with their values."""
-        return parts.model_parameters(self.study.model, self.catalogue)
+        return parts.model_parameters(self.study.model, self.law, self.catalogue)
+
+    @cached_property
+    def _steepest(self) -> AbstractSpringLaw:
+        """The law where its priors make it stiffest and let it yield soonest."""
+        return self.law(**parts.law_parameters(self.parameters, self.law.steepest))
 
     @cached_property
     def units(self) -> dict[str, str]:
         """SI unit of every free parameter."""
         free, fixed = self.parameters
-        return parts.parameter_units(tuple(free), fixed, self.catalogue)
+        return parts.parameter_units(tuple(free), fixed, self.law, self.catalogue)
 
     @cached_property
     def excitation(self) -> Parametrised | None:
@@ -126,35 +138,7 @@ class Built:
     @cached_property
     def scales(self) -> Scales:
         """Characteristic values for the effects: as given, else from the campaign, else from the plain model."""
-        if self.study.scales is not None:
-            return Scales(**self.study.scales.model_dump())
-        plain = Scales()
-        if (timeline := self._plain_timeline) is not None:
-            excited = self._plain_conditions()
-            plain = parts.plain_scales(self.structure, self.excitation, timeline, self.parameters, excited)
-        values = zip(self._told_scales, plain, strict=True)
-        return Scales(*(simulated if told is None else told for told, simulated in values))
-
-    @cached_property
-    def _told_scales(self) -> list[float | None]:
-        """Scales that the campaign tells; None for each that it does not."""
-        found = [math.nan] * 4 if self.characteristics is None else self.characteristics[:4]
-        return [value if math.isfinite(value) and value > 0 else None for value in found]
-
-    @cached_property
-    def _plain_timeline(self) -> Timeline | None:
-        """The grid on which the plain model tells the scales that nothing else does; None where that is not needed."""
-        virtual = self.study.experiments.virtual
-        has_effects = bool(self.study.model.effects or (virtual and virtual.effects))
-        told = self.study.scales is not None or None not in self._told_scales
-        return self.timeline if has_effects and not told else None
-
-    def _plain_conditions(self) -> list[Conditions]:
-        """The training experiments as they were excited, or else the middle of the inputs."""
-        if self.measured is not None and len(self.measured.train):
-            train = self.taken(self.measured.train.experiments)
-            return [conditions_of(e, self.measured, self.grid, self.excitation) for e in train]
-        return [parts.middle_of(self.space)]
+        return scales_of(self)
 
     @cached_property
     def grid(self) -> Grid | None:
@@ -167,9 +151,10 @@ class Built:
             return None
         if self.component_test:
             assert self.characteristics is not None
-            return records_of.imposed_grid(records, self.characteristics, self.parameters)
+            middle = self.law(**parts.law_parameters(self.parameters))
+            return records_of.imposed_grid(records, self.characteristics, middle, self._steepest)
         longest = max(float(np.max(np.diff(record.time), initial=0.0)) for record in records)
-        needed = longest / parts.longest_step(self.structure, self.parameters, self.study.excitation, self.space)
+        needed = longest / parts.longest_step(self.structure, self._steepest, self.study.excitation, self.space)
         return records_of.divided(max(len(record) for record in records), needed)
 
     @cached_property
@@ -187,13 +172,13 @@ class Built:
             raise UserError("excitation: give near_fault_pulse or recorded, where no record tells the motion")
         step = entry.step
         if step is None:
-            step = parts.longest_step(self.structure, self.parameters, entry, self.space)
+            step = parts.longest_step(self.structure, self._steepest, entry, self.space)
         return parts.planned_timeline(entry, self.study.folder, step, self.study.observe == "histories")
 
     @cached_property
     def simulator(self) -> Simulator:
         """The computational simulator."""
-        return self._simulator(tuple(self.study.model.effects), tuple(self.parameters[1].items()))
+        return self._simulator(self.law, tuple(self.study.model.effects), tuple(self.parameters[1].items()))
 
     @cached_property
     def planned_simulator(self) -> Simulator:
@@ -213,10 +198,23 @@ class Built:
         return Programme(self.space.units, self.excitation, timeline)
 
     @cached_property
+    def specimen_law(self) -> type[AbstractSpringLaw]:
+        """The spring law of the virtual specimen: its own, or the model's."""
+        virtual = self.study.experiments.virtual
+        if virtual is None or virtual.spring is None:
+            return self.law
+        return law_of("experiments.virtual.spring", virtual.spring, self.study.folder)
+
+    @cached_property
     def specimen(self) -> dict[str, float]:
         """The parameters of the virtual specimen."""
         assert self.study.experiments.virtual is not None
-        return parts.true_parameters(self.study.experiments.virtual, self.catalogue)
+        return parts.true_parameters(self.study.experiments.virtual, self.specimen_law, self.catalogue)
+
+    def _virtual(self) -> tuple[Simulator, dict[str, float]]:
+        assert self.study.experiments.virtual is not None
+        effects = tuple(self.study.experiments.virtual.effects)
+        return self._simulator(self.specimen_law, effects, ()), self.specimen
 
     @cached_property
     def laboratory(self) -> Laboratory:
@@ -226,8 +224,7 @@ class Built:
             self.sensors,
             self.programme,
             self.structure,
-            lambda effects: self._simulator(effects, ()),
-            self.catalogue,
+            self._virtual,
             self.workspace,
             self.function,
         )
@@ -364,14 +361,15 @@ class Built:
             UserError: something is.
         """
         # Not the simulator, nor a specimen that is one: their scales may take a simulation, which only needs its plan.
-        needed = ["space", "structure", "parameters", "excitation", "outputs", "timeline", "_plain_timeline", "errors"]
+        needed = ["space", "structure", "parameters", "excitation", "outputs", "timeline", "errors"]
         if self.study.experiments.laboratory is not None or "design" in self.study.steps:
             # A virtual laboratory has a simulator, and the scales of that may take a simulation.
             virtual = self.study.experiments.virtual is not None
             needed += ["sensors", "programme", *(["specimen"] if virtual else ["laboratory"] if performs else [])]
         try:
-            check_plan(self.study, self.catalogue)
+            check_plan(self.study, self.law, self.catalogue)
             self.study.measurements.accepted(self.measured)
+            check_scales(self)
             for part in needed:
                 getattr(self, part)
         except UserError as error:
@@ -386,7 +384,9 @@ class Built:
             return NoiseEntry(unknown=True)
         return NoiseEntry(absolute=declared.noise.absolute, relative=declared.noise.relative)
 
-    def _simulator(self, effects: tuple[str, ...], constants: tuple[tuple[str, float], ...]) -> Simulator:
+    def _simulator(
+        self, law: type[AbstractSpringLaw], effects: tuple[str, ...], constants: tuple[tuple[str, float], ...]
+    ) -> Simulator:
         follows = self.study.structure is not None and self.study.structure.damping.specimen_stiffness == "model"
         present = self.catalogue.only(effects)
-        return Simulator(self.structure, self.excitation, self.timeline, present, self.scales, constants, follows)
+        return Simulator(self.structure, self.excitation, self.timeline, present, self.scales, constants, follows, law)

@@ -52,7 +52,7 @@ def with_effects(built: Built, effects: Sequence[str]) -> Study:
         UserError: there is no such effect, the model has it, or it stands twice.
     """
     study = built.study
-    check_added(study.model, effects, built.catalogue)
+    check_added(study.model, effects, built.law, built.catalogue)
     model = study.model.model_copy(update={"effects": {**study.model.effects, **{name: {} for name in effects}}})
     # Ready to be improved again: what was chosen by hand this time is for the diagnosis to find next time.
     steps = [step for step in ORDER if step in study.steps or (step == "diagnose" and "improve" in study.steps)]

@@ -6,14 +6,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from hsed_jax.config.sections import NoisesEntry, Positive, Section
+from hsed_jax.config.sections import NoisesEntry, OwnLawEntry, Positive, Section, SpringEntry
 from hsed_jax.measurements.declaration import ChannelEntry
 from hsed_jax.plain import Number, Whole, is_file
 
 
 class VirtualEntry(Section):
-    """A virtual laboratory: the specimen's true parameters and effects, and the noise of its sensors."""
+    """A virtual laboratory: its specimen's law (by default the model's), true parameters, effects, and the noise of sensors."""
 
+    spring: SpringEntry | None = None
     parameters: dict[str, Number]
     effects: dict[str, dict[str, Number]] = {}
     noise: NoisesEntry | None = None
@@ -125,7 +126,9 @@ class ExperimentsEntry(Section):
     def described(self) -> str:
         """What it is, for a title."""
         if self.virtual is not None:
-            return f"a virtual specimen with {', '.join(self.virtual.effects) or 'no effects'}"
+            law = self.virtual.spring
+            known = "" if law is None else f" ({law.law if isinstance(law, OwnLawEntry) else law})"
+            return f"a virtual specimen{known} with {', '.join(self.virtual.effects) or 'no effects'}"
         if self.campaign is not None:
             return f"the campaign {self.campaign}"
         if self.folder is not None:
@@ -146,6 +149,9 @@ class ExperimentsEntry(Section):
         changes: dict[str, Any] = {}
         if self.campaign is not None:
             changes["campaign"] = absolute(self.campaign)
+        if self.virtual is not None and isinstance(law := self.virtual.spring, OwnLawEntry):
+            own = OwnLawEntry.model_validate({"file": absolute(law.file), "class": law.law})
+            changes["virtual"] = self.virtual.model_copy(update={"spring": own})
         if self.command is not None:
             changes["command"] = self.command.model_copy(update={"run": shlex.join(self.command.words(folder))})
         if self.python is not None and self.python.file is not None:

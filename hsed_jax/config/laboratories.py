@@ -28,7 +28,6 @@ from hsed_jax.laboratories.sensors import Sensors
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.measurements import Channel, Noise
 from hsed_jax.measurements.declaration import declared_channel
-from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.outputs import CHANNELS, PER_MASS, output
 from hsed_jax.physics.simulator import Simulator
 from hsed_jax.physics.structures import Structure
@@ -52,8 +51,7 @@ class Site:
         sensors: what is measured.
         programme: what the experiments have in common.
         structure: the numerical substructure.
-        simulator: of the given effects, for a virtual specimen.
-        catalogue: the effects that it may have.
+        virtual: gives the simulator and the true parameters of a virtual specimen.
         workspace: folder for the folders of experiments; None: a temporary one.
         function: given from Python, for a laboratory that is a function.
     """
@@ -62,8 +60,7 @@ class Site:
     sensors: Sensors
     programme: Programme
     structure: Structure | None
-    simulator: Callable[[tuple[str, ...]], Simulator]
-    catalogue: Catalogue
+    virtual: Callable[[], tuple[Simulator, dict[str, float]]]
     workspace: Path | None
     function: Callable[..., Any] | None
 
@@ -159,7 +156,7 @@ def laboratory_of(site: Site) -> Laboratory:
     """
     study, entry = site.study, site.study.experiments.laboratory
     if isinstance(entry, VirtualEntry):
-        return _virtual(site, entry)
+        return _virtual(site)
     if isinstance(entry, OpenSeesEntry):
         return _opensees(site, entry)
     if isinstance(entry, CommandEntry):
@@ -180,11 +177,10 @@ def laboratory_of(site: Site) -> Laboratory:
     return PythonLaboratory(function, site.programme, site.sensors)
 
 
-def _virtual(site: Site, entry: VirtualEntry) -> VirtualLaboratory:
+def _virtual(site: Site) -> VirtualLaboratory:
     sensors, study = site.sensors, site.study
     return VirtualLaboratory(
-        site.simulator(tuple(entry.effects)),
-        parts.true_parameters(entry, site.catalogue),
+        *site.virtual(),
         tuple(study.quantities),
         tuple(name for name in sensors.channels if name not in IMPOSED),
         _noise(sensors),

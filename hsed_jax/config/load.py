@@ -157,9 +157,14 @@ def _allowed(model: type[BaseModel], keys: list[str]) -> list[str]:
         field = getattr(current, "model_fields", {}).get(key)
         candidates = _models(field.annotation) if field is not None else []
         if not candidates:
-            return sorted(getattr(current, "model_fields", {}))
+            return sorted(_keys(current))
         current = candidates[0]
-    return list(getattr(current, "model_fields", {}))
+    return _keys(current)
+
+
+def _keys(model: Any) -> list[str]:
+    """Keys of a section as they are written."""
+    return [field.alias or name for name, field in getattr(model, "model_fields", {}).items()]
 
 
 def _models(annotation: Any) -> list[type[BaseModel]]:

@@ -2,7 +2,7 @@
 
 import difflib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +18,13 @@ from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import parse_unit, read_at2
 from hsed_jax.measurements.units import TIME, VELOCITY
-from hsed_jax.physics.bouc_wen import BoucWen
 from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.excitations import NearFaultPulse, RecordedMotion
+from hsed_jax.physics.laws import AbstractSpringLaw
 from hsed_jax.physics.parameters import Parameter, parameters_of
-from hsed_jax.physics.scales import Scales
-from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator, Timeline
+from hsed_jax.physics.simulator import Parametrised, Timeline
+from hsed_jax.physics.specimen import unserved
 from hsed_jax.physics.structures import ModalDamping, RayleighDamping, Spring, Structure
-from hsed_jax.physics.systems import RESOLVED
 
 # The integration resolves the shortest period with this many steps; peaks are then good to 1e-4 (tests/test_response.py).
 _STEPS_PER_PERIOD = 24
@@ -102,18 +101,20 @@ def recorded_motion(entry: ExcitationEntry, folder: Path) -> tuple[np.ndarray, n
     return step * np.arange(len(acceleration)), acceleration
 
 
-def model_parameters(model: ModelEntry, catalogue: Catalogue) -> tuple[dict[str, Prior], dict[str, float]]:
+def model_parameters(
+    model: ModelEntry, law: type[AbstractSpringLaw], catalogue: Catalogue
+) -> tuple[dict[str, Prior], dict[str, float]]:
     """Free parameters of the model with their priors, and the fixed ones with their values."""
-    law = parameters_of(BoucWen)
-    check_names("model.parameters", model.parameters, law)
+    of_law = parameters_of(law)
+    check_names("model.parameters", model.parameters, of_law)
     given: dict[str, tuple[str, Parameter, Any]] = {}
-    for name, known in law.items():
+    for name, known in of_law.items():
         if name in model.parameters:
             given[name] = (f"model.parameters.{name}", known, model.parameters[name])
         elif known.neutral is None:
             raise UserError(f"model.parameters.{name}: this key is required ({known.meaning}, {known.unit})")
     for effect, entries in model.effects.items():
-        forms = effect_parameters("model.effects", effect, entries, catalogue)
+        forms = effect_parameters("model.effects", effect, entries, law, catalogue)
         named = {forms[name].name for name in entries}
         for name, entry in entries.items():
             given[f"{effect}.{name}"] = (f"model.effects.{effect}.{name}", forms[name], entry)
@@ -123,6 +124,10 @@ def model_parameters(model: ModelEntry, catalogue: Catalogue) -> tuple[dict[str,
                 given[f"{effect}.{known.name}"] = ("", known, dict(known.prior))
     free, fixed = {}, {}
     for name, (where, known, entry) in given.items():
+        if entry == {}:
+            if known.prior is None:
+                raise UserError(f"{where}: there is no default prior for it; give one, such as {{uniform: [1.0, 2.0]}}")
+            where, entry = "", dict(known.prior)
         if isinstance(entry, dict):
             free[name] = prior(where, entry)
             # A prior of the catalogue is right by definition; a lognormal one reaches to a bound of 0.01 with no mass there.
@@ -132,86 +137,53 @@ def model_parameters(model: ModelEntry, catalogue: Catalogue) -> tuple[dict[str,
         else:
             fixed[name] = within(where, float(entry), known)
     highest = dict(fixed) | {name: math.inf if p.bounds[1] is None else p.bounds[1] for name, p in free.items()}
-    _check_bounded("model.parameters", highest)
+    _check_possible("model.parameters", law, highest)
     if not free:
-        raise UserError("model.parameters: at least one parameter needs a prior, such as A: {uniform: [2.0e5, 9.0e5]}")
+        first = next(iter(of_law))
+        raise UserError(
+            f"model.parameters: at least one parameter needs a prior, such as {first}: {{uniform: [2.0e5, 9.0e5]}}"
+        )
     return free, fixed
 
 
-def true_parameters(entry: VirtualEntry, catalogue: Catalogue) -> dict[str, float]:
+def true_parameters(entry: VirtualEntry, law: type[AbstractSpringLaw], catalogue: Catalogue) -> dict[str, float]:
     """The parameters of a virtual specimen."""
-    law = parameters_of(BoucWen)
-    where = "experiments.virtual"
-    check_names(f"{where}.parameters", entry.parameters, law)
-    truth = {name: within(f"{where}.parameters.{name}", value, law[name]) for name, value in entry.parameters.items()}
-    for name, known in law.items():
+    of_law, where = parameters_of(law), "experiments.virtual"
+    check_names(f"{where}.parameters", entry.parameters, of_law)
+    truth = {
+        name: within(f"{where}.parameters.{name}", value, of_law[name]) for name, value in entry.parameters.items()
+    }
+    for name, known in of_law.items():
         if known.neutral is None and name not in truth:
             raise UserError(f"{where}.parameters.{name}: this key is required ({known.meaning})")
-    _check_bounded(f"{where}.parameters", truth)
+    _check_possible(f"{where}.parameters", law, truth)
     for effect, values in entry.effects.items():
-        forms = effect_parameters(f"{where}.effects", effect, values, catalogue)
+        forms = effect_parameters(f"{where}.effects", effect, values, law, catalogue)
         for name, value in values.items():
             truth[f"{effect}.{name}"] = within(f"{where}.effects.{effect}.{name}", value, forms[name])
     return truth
 
 
-def _check_bounded(where: str, highest: Mapping[str, float]) -> None:
-    """Refuse a law that has no ultimate force: parts of a prior where it has none are failures of those simulations."""
-    beta, gamma = highest["beta"], highest.get("gamma", 0.0)
-    if beta + gamma < 0:
-        raise UserError(
-            f"{where}.gamma: beta + gamma is {beta + gamma:g} at most, and the force of such a law grows without bound; "
-            "gamma must be at least -beta (the effect hardening gives a stiffness after yielding)"
-        )
+def _check_possible(where: str, law: type[AbstractSpringLaw], highest: Mapping[str, float]) -> None:
+    """Refuse what the law says is impossible wherever the parameters are; parts of a prior are failures of those simulations."""
+    if fault := law.impossible(highest):
+        name, words = fault
+        raise UserError(f"{where}.{name}: {words}")
 
 
-def parameter_units(names: tuple[str, ...], constants: Mapping[str, float], catalogue: Catalogue) -> dict[str, str]:
+def parameter_units(
+    names: tuple[str, ...], constants: Mapping[str, float], law: type[AbstractSpringLaw], catalogue: Catalogue
+) -> dict[str, str]:
     """SI unit of every named parameter."""
     units = {}
     for name in names:
         effect, _, rest = name.rpartition(".")
-        known = parameters_of(catalogue[effect]) if effect else parameters_of(BoucWen)
+        known = parameters_of(catalogue[effect]) if effect else parameters_of(law)
         physical = {p.physical.name: p.physical.unit for p in known.values() if p.physical is not None}
         unit = known[rest].unit if rest in known else physical[rest]
         # With n = 1 the unit of β and γ is an ordinary one.
         units[name] = "1/m" if unit == "N^(1-n)/m" and constants.get("n", 1.0) == 1 and "n" not in names else unit
     return units
-
-
-def plain_scales(
-    structure: Structure | None,
-    excitation: Parametrised | None,
-    timeline: Timeline,
-    parameters: tuple[dict[str, Prior], dict[str, float]],
-    experiments: Sequence[Conditions],
-) -> Scales:
-    """What the model without effects does in the middle of its priors, the median over experiments, to two digits.
-
-    Raises:
-        UserError: it does nothing, or its simulation diverges.
-    """
-    free, fixed = parameters
-    law = {name: float(prior.quantile(0.5)) for name, prior in free.items() if "." not in name}
-    law |= {name: value for name, value in fixed.items() if "." not in name}
-    plain, rows = Simulator(structure, excitation, timeline), []
-    for conditions in experiments:
-        response = plain.respond(law, conditions, ("elongation_rate",))
-        peaks = (response.quantities[name] for name in ("peak_force", "peak_elongation"))
-        rate = np.abs(response.channels["elongation_rate"]).max()
-        rows.append([float(value) for value in (*peaks, rate, response.quantities["dissipated_energy"])])
-    found = [float(f"{value:.2g}") for value in np.median(rows, axis=0)]
-    if not all(math.isfinite(value) and value > 0 for value in found):
-        raise UserError(
-            "scales: in the middle of its priors the model without effects stays at rest or diverges, so nothing tells "
-            "the characteristic values of effects; check structure and priors, or give scales"
-        )
-    return Scales(*found)
-
-
-def middle_of(space: InputSpace) -> Conditions:
-    """An experiment in the middle of the inputs."""
-    middle = space.si(space.declared(np.full((1, len(space.names)), 0.5)))
-    return Conditions({name: jnp.asarray(values[0]) for name, values in middle.items()})
 
 
 def planned_timeline(entry: ExcitationEntry, folder: Path, step: float, histories: bool) -> Timeline:
@@ -239,15 +211,27 @@ def planned_timeline(entry: ExcitationEntry, folder: Path, step: float, historie
     return Timeline(duration / steps, steps, every)
 
 
+def law_parameters(
+    parameters: tuple[Mapping[str, Prior], Mapping[str, float]], quantiles: Mapping[str, float] | None = None
+) -> dict[str, float]:
+    """Parameters of the law in the middle of their priors, or where quantiles are given at these; the fixed ones as they are.
+
+    Arguments:
+        parameters: free ones of the model with their priors, and fixed ones; those of effects are left out.
+        quantiles: by name.
+    """
+    free, fixed = parameters
+    values = {
+        name: float(prior.quantile((quantiles or {}).get(name, 0.5))) for name, prior in free.items() if "." not in name
+    }
+    return values | {name: value for name, value in fixed.items() if "." not in name}
+
+
 def longest_step(
-    structure: Structure | None,
-    parameters: tuple[dict[str, Prior], dict[str, float]],
-    entry: ExcitationEntry | None,
-    space: InputSpace,
+    structure: Structure | None, steepest: AbstractSpringLaw, entry: ExcitationEntry | None, space: InputSpace
 ) -> float:
     """The step that resolves the structure, its specimen at the upper end of its stiffness, and the pulse [s]."""
-    free, fixed = parameters
-    stiffest = fixed["A"] if "A" in fixed else float(free["A"].quantile(0.999))
+    stiffest = float(steepest.stiffness)
     assert structure is not None
     # Compiled: one program is ready sooner than each of its operations.
     periods = [1 / float(jax.jit(lambda: structure.frequencies(stiffest))()[-1])]
@@ -261,23 +245,20 @@ def longest_step(
     return min(periods) / _STEPS_PER_PERIOD
 
 
-def longest_increment(free: Mapping[str, Prior], fixed: Mapping[str, float]) -> float:
-    """The longest step of an imposed elongation that resolves the spring at the upper ends of its priors [m]."""
-    law: dict[str, Any] = {name: value for name, value in fixed.items() if "." not in name}
-    for name, prior in free.items():
-        if "." not in name:
-            law[name] = float(prior.quantile(0.999 if name in ("A", "beta") else 0.5))
-    return RESOLVED / float(BoucWen(**law).steepness())
-
-
 def effect_parameters(
-    where: str, effect: str, entries: Mapping[str, Any], catalogue: Catalogue
+    where: str, effect: str, entries: Mapping[str, Any], law: type[AbstractSpringLaw], catalogue: Catalogue
 ) -> dict[str, Parameter]:
-    """Parameters of an effect under both their names, the dimensionless and the physical one."""
+    """Parameters of an effect under both their names, the dimensionless and the physical one.
+
+    Raises:
+        UserError: there is no such effect or parameter, or the law cannot have the effect.
+    """
     if effect not in catalogue:
         close = difflib.get_close_matches(effect, catalogue, n=1)
         hint = f" (did you mean {close[0]}?)" if close else ""
         raise UserError(f"{where}.{effect}: there is no such effect{hint}; the catalogue has {', '.join(catalogue)}")
+    if missing := unserved(catalogue[effect], law):
+        raise UserError(f"{where}.{effect}: {missing}")
     known = parameters_of(catalogue[effect])
     forms = {**known, **{p.physical.name: p for p in known.values() if p.physical is not None}}
     check_names(f"{where}.{effect}", entries, forms)

@@ -8,13 +8,15 @@ from hsed_jax.config.schema import ModelEntry, Study
 from hsed_jax.errors import UserError
 from hsed_jax.memory import check_memory
 from hsed_jax.physics.effects import Catalogue
+from hsed_jax.physics.laws import AbstractSpringLaw
+from hsed_jax.physics.specimen import unserved
 
 # An experiment as an object, with its inputs and quantities [bytes].
 _EXPERIMENT = 1000
 ORDER = ["design", "calibrate", "compare", "diagnose", "improve"]
 
 
-def check_plan(study: Study, catalogue: Catalogue) -> None:
+def check_plan(study: Study, law: type[AbstractSpringLaw], catalogue: Catalogue) -> None:
     """Refuse steps that cannot be done one after the other, and a design that cannot be made.
 
     Raises:
@@ -32,7 +34,7 @@ def check_plan(study: Study, catalogue: Catalogue) -> None:
         raise UserError("steps: improve needs diagnose before it, or improve.add with the effects to add")
     if study.experiments.folder is not None and "design" not in steps:
         raise UserError("steps: experiments.folder is asked by the step design; put design first")
-    check_added(study.model, study.improve.add or [], catalogue, "improve.add: ")
+    check_added(study.model, study.improve.add or [], law, catalogue, "improve.add: ")
     _check_sizes(study)
     if study.experiments.laboratory is not None or "design" in steps:
         _check_design(study)
@@ -61,11 +63,13 @@ def _check_sizes(study: Study) -> None:
         check_memory(f"{key}: {count}", count * each)
 
 
-def check_added(model: ModelEntry, effects: Sequence[str], catalogue: Catalogue, where: str = "") -> None:
+def check_added(
+    model: ModelEntry, effects: Sequence[str], law: type[AbstractSpringLaw], catalogue: Catalogue, where: str = ""
+) -> None:
     """Refuse effects that cannot be added to a model.
 
     Raises:
-        UserError: one is unknown, there already, or given twice.
+        UserError: one is unknown, there already, given twice, or nothing that the law can have.
     """
     for name in effects:
         if name not in catalogue:
@@ -76,6 +80,8 @@ def check_added(model: ModelEntry, effects: Sequence[str], catalogue: Catalogue,
             )
         if name in model.effects:
             raise UserError(f"{where}the model has {name} already")
+        if missing := unserved(catalogue[name], law):
+            raise UserError(f"{where}{name} cannot be added: {missing}")
         if list(effects).count(name) > 1:
             raise UserError(f"{where}{name} is to be added twice")
 

@@ -2,16 +2,16 @@
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hsed_jax.config.parts import longest_increment
 from hsed_jax.inference.observation import Grid
-from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Characteristics, Record
 from hsed_jax.measurements.thinning import loss
+from hsed_jax.physics.laws import AbstractSpringLaw
+from hsed_jax.physics.systems import RESOLVED
 
 if TYPE_CHECKING:
     from hsed_jax.config.build import Built
@@ -38,33 +38,24 @@ def divided(samples: int, needed: float, least: float = 1.0) -> Grid:
 def imposed_grid(
     records: Sequence[Record],
     found: Characteristics,
-    parameters: tuple[Mapping[str, Prior], Mapping[str, float]],
+    middle: AbstractSpringLaw,
+    steepest: AbstractSpringLaw,
 ) -> Grid:
     """The grid of imposed elongations.
 
     Arguments:
         records: the longest first or not, each with its elongation.
         found: characteristic values of the campaign.
-        parameters: free ones of the model with their priors, and fixed ones.
+        middle, steepest: the law in the middle of its priors, and where they make it yield soonest.
     """
     steps = [
         float(np.max(np.abs(np.diff(r["elongation"])), initial=0.0)) for r in records if "elongation" in r.channels
     ]
-    yields = [found.force / found.stiffness, _yielding(parameters)]
+    yields = [found.force / found.stiffness, float(middle.yield_elongation)]
     yielding = min((value for value in yields if math.isfinite(value) and value > 0), default=math.inf)
     longest = max(steps, default=0.0)
-    needed = max(longest / (STEP_PER_YIELD * yielding), longest / longest_increment(*parameters))
+    needed = max(longest / (STEP_PER_YIELD * yielding), longest * float(steepest.steepness) / RESOLVED)
     return divided(max(len(record) for record in records), needed, longest / yielding)
-
-
-def _yielding(parameters: tuple[Mapping[str, Prior], Mapping[str, float]]) -> float:
-    """Strength over stiffness of the law in the middle of its priors [m]; infinite where it never yields."""
-    free, fixed = parameters
-    law = {"gamma": 0.0, "n": 1.0, **fixed, **{name: float(prior.quantile(0.5)) for name, prior in free.items()}}
-    softening = law["beta"] + law["gamma"]
-    if softening <= 0 or law["A"] <= 0:
-        return math.inf
-    return (law["A"] / softening) ** (1 / law["n"]) / law["A"]
 
 
 def thinning_notes(built: "Built", campaign: Campaign) -> list[str]:

@@ -12,7 +12,7 @@ from pydantic import (
 )
 
 from hsed_jax.config.experiments import ExperimentsEntry
-from hsed_jax.config.sections import ErrorsEntry, Positive, Section
+from hsed_jax.config.sections import ErrorsEntry, OwnLawEntry, Positive, Section, SpringEntry
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
 from hsed_jax.measurements.checks import DoubtKind
@@ -28,7 +28,7 @@ Value = Number | str
 """A number, or the name of an input."""
 
 
-class SpringEntry(Section):
+class LinearSpringEntry(Section):
     """A linear spring of the structure."""
 
     between: tuple[End, End]
@@ -49,7 +49,7 @@ class Rayleigh(Section):
 
 
 class Damping(Section):
-    """Modal or Rayleigh damping; the specimen counts with `specimen_stiffness` [N/m], or with the model's own A (`model`)."""
+    """Modal or Rayleigh damping; the specimen counts with `specimen_stiffness` [N/m], or with that of the model (`model`)."""
 
     modal: Ratio | list[Ratio] | None = None
     rayleigh: Rayleigh | None = None
@@ -66,7 +66,7 @@ class StructureEntry(Section):
     """Masses [kg], linear springs [N/m], the specimen and the damping."""
 
     masses: Annotated[list[Positive], Field(min_length=1)]
-    springs: list[SpringEntry]
+    springs: list[LinearSpringEntry]
     specimen: SpecimenEntry
     damping: Damping
 
@@ -110,9 +110,13 @@ def _prior(value: Any) -> Any:
     return value
 
 
+def _prior_or_default(value: Any) -> Any:
+    return value if value == {} else _prior(value)
+
+
 PriorEntry = Annotated[dict[str, Any], BeforeValidator(_prior)]
-ParameterEntry = Number | PriorEntry
-"""A fixed number, or a prior."""
+ParameterEntry = Number | Annotated[dict[str, Any], BeforeValidator(_prior_or_default)]
+"""A fixed number, or a prior; `{}` is the prior that law or catalogue have for it."""
 
 
 class InputEntry(Section):
@@ -141,7 +145,7 @@ class InputEntry(Section):
 class ModelEntry(Section):
     """The computational simulator: the spring law, its parameters, its effects."""
 
-    spring: Literal["bouc_wen"] = "bouc_wen"
+    spring: SpringEntry = "bouc_wen"
     parameters: dict[str, ParameterEntry]
     effects: dict[str, dict[str, ParameterEntry]] = {}
     own_effects: list[str] = []
@@ -338,9 +342,12 @@ class Study(Tabular, Section):
 
     @property
     def code(self) -> list[str]:
-        """Files that are executed where the study is built: its effects, and its laboratory that is a Python function."""
-        python = self.experiments.python
-        return [*self.model.own_effects, *([python.file] if python is not None and python.file is not None else [])]
+        """Files that are executed where the study is built: its laws, its effects, its laboratory that is a Python function."""
+        python, virtual = self.experiments.python, self.experiments.virtual
+        springs = [self.model.spring, *([] if virtual is None else [virtual.spring])]
+        laws = [spring.file for spring in springs if isinstance(spring, OwnLawEntry)]
+        functions = [python.file] if python is not None and python.file is not None else []
+        return [*dict.fromkeys(laws), *self.model.own_effects, *functions]
 
     def _table(self) -> Table:
         def words(name: str, given: Any) -> str:
@@ -350,7 +357,7 @@ class Study(Tabular, Section):
             return f"{name} {given}"
 
         rows = [
-            ("law", self.model.spring),
+            ("law", spring.law if isinstance(spring := self.model.spring, OwnLawEntry) else spring),
             *(("parameter", words(name, given)) for name, given in self.model.parameters.items()),
             *(
                 ("effect", " ".join([name, *(words(k, v) for k, v in given.items())]))
@@ -368,6 +375,8 @@ class Study(Tabular, Section):
         plain["inputs"] = {name: entry.written() for name, entry in self.inputs.items()}
         plain["experiments"] = self.experiments.located(self.folder).model_dump(mode="json", exclude_none=True)
         # Written elsewhere, a relative path would lead elsewhere.
+        if isinstance(self.model.spring, OwnLawEntry):
+            plain["model"]["spring"]["file"] = str((self.folder / self.model.spring.file).resolve())
         plain["model"]["own_effects"] = [str((self.folder / name).resolve()) for name in self.model.own_effects]
         if self.excitation is not None and self.excitation.recorded is not None:
             plain["excitation"]["recorded"]["file"] = str((self.folder / self.excitation.recorded.file).resolve())

@@ -1,10 +1,21 @@
 """What sections of a study are made of: the section itself, kinds of numbers, and errors of what is measured."""
 
+import difflib
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    model_serializer,
+    model_validator,
+)
 
-from hsed_jax.plain import Number
+from hsed_jax.physics.laws import LAWS
+from hsed_jax.plain import Number, shown
 
 Positive = Annotated[Number, Field(gt=0)]
 
@@ -71,3 +82,28 @@ NoisesEntry = Annotated[
     Annotated[NoiseEntry, Tag(TAGS[0])] | Annotated[dict[str, NoiseEntry], Tag(TAGS[1])], Discriminator(_kind)
 ]
 """One noise for all outputs, or one per output."""
+
+
+def _known_law(name: str) -> str:
+    if name not in LAWS:
+        close = difflib.get_close_matches(name, LAWS, n=1)
+        hint = f" (did you mean {close[0]}?)" if close else ""
+        raise ValueError(
+            f"there is no spring law {shown(name)}{hint}; laws are {', '.join(LAWS)}, or {{file: mine.py, class: MyLaw}}"
+        )
+    return name
+
+
+class OwnLawEntry(Section):
+    """A spring law of the user's own: a class in a Python file, relative to the study."""
+
+    file: str
+    law: str = Field(alias="class")
+
+    @model_serializer
+    def _as_written(self) -> dict[str, str]:
+        return {"file": self.file, "class": self.law}
+
+
+SpringEntry = Annotated[str, AfterValidator(_known_law)] | OwnLawEntry
+"""A spring law by its name, or a user's own."""

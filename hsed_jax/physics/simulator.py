@@ -89,7 +89,7 @@ class Simulator(eqx.Module):
     law: type[AbstractSpringLaw] = eqx.field(static=True, default=BoucWen)
 
     def specimen(self, parameters: Mapping[str, Scalar]) -> Specimen:
-        """The spring law with its effects; parameters of effects are named `effect.parameter`, in dimensionless or physical form."""
+        """The law with its effects; parameters of effects are named `effect.parameter`, in dimensionless or physical form."""
         law, effects = self._given(parameters)
         of_spring = tuple(effect for effect in effects if isinstance(effect, AbstractSpringEffect))
         return Specimen(self.law(**law), of_spring, self.scales)

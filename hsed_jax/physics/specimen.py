@@ -2,17 +2,18 @@ r"""The specimen: a spring law with any number of effects around it.
 
 $$r = f(\Delta u, \text{states}) + \sum \text{force},\qquad \dot e = r\,\Delta\dot u$$
 
-with f the force of the law's element, whose slots effects write to, and `force` what they add beside it.  Inside a slack s there is
-no force, and the element beyond it feels the elongation less the slack, $\Delta u - \mathrm{clip}(\Delta u, -s, s)$.
+with f the force of the law's element, whose slots effects write to, and `force` what they add beside it.  Inside a slack s there
+is no force, and the element beyond it feels the elongation less the slack, $\Delta u - \mathrm{clip}(\Delta u, -s, s)$.
 """
 
+from collections.abc import Iterable
 from typing import final
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from hsed_jax.physics.effects.base import AbstractSpringEffect, SpringPoint, combine
+from hsed_jax.physics.effects.base import AbstractEffect, AbstractSpringEffect, SpringPoint, combine, slots_of
 from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, Turn, is_zero
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.states import SharedState
@@ -93,14 +94,10 @@ class Specimen(eqx.Module):
         return SpringPoint(elongation, rate, memory["hysteretic"], memory, self.scales, self.law.strength)
 
     def _slots(self, point: SpringPoint) -> Slots:
-        served = (*ALWAYS, *self.law.slots)
         contributions = [effect.contribute(point) for effect in self.effects]
         for effect, contribution in zip(self.effects, contributions, strict=True):
-            if missing := [slot for slot in contribution if slot not in served]:
-                raise ValueError(
-                    f"{effect.name} writes to the slot {missing[0]}, which {self.law.name} does not serve; it serves "
-                    f"{', '.join(served)}"
-                )
+            if missing := _missing(contribution, type(self.law)):
+                raise ValueError(f"{effect.name}: {missing}")
         return combine(contributions)
 
     def _force(self, point: SpringPoint, slots: Slots) -> Scalar:
@@ -109,6 +106,19 @@ class Specimen(eqx.Module):
             # A law of paths knows its force only now; forces beside it may depend on it.
             slots = self._slots(point._replace(hysteretic=element))
         return _outside(point.elongation, slots, element) + slots("force")
+
+
+def unserved(effect: type[AbstractEffect], law: type[AbstractSpringLaw]) -> str:
+    """Why a law cannot have an effect, in words; empty where it can."""
+    return _missing(slots_of(effect), law) if issubclass(effect, AbstractSpringEffect) else ""
+
+
+def _missing(written: Iterable[str], law: type[AbstractSpringLaw]) -> str:
+    served = (*ALWAYS, *law.slots)
+    missing = [slot for slot in written if slot not in served]
+    if not missing:
+        return ""
+    return f"it writes to the slot {missing[0]}, which the law {law.name} has no place for; its slots are {', '.join(served)}"
 
 
 def _beyond(elongation: Scalar, slots: Slots) -> Scalar:

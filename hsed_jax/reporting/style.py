@@ -22,8 +22,8 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
-from hsed_jax.physics.bouc_wen import BoucWen
 from hsed_jax.physics.effects import EFFECTS
+from hsed_jax.physics.laws import LAWS
 from hsed_jax.physics.outputs import output
 from hsed_jax.physics.parameters import parameters_of
 
@@ -203,8 +203,8 @@ def label(name: str, unit: str) -> str:
 def symbol(name: str) -> str:
     """The symbol that a parameter declares, in dollars; else a short name as it is set, V_P; else the name as words."""
     effect, _, own = name.rpartition(".")
-    owner = EFFECTS.get(effect) if effect else BoucWen
-    declared = parameters_of(owner).get(own) if owner else None
+    owners = [EFFECTS[effect]] if effect in EFFECTS else [] if effect else LAWS.values()
+    declared = next((known[own] for owner in owners if own in (known := parameters_of(owner))), None)
     if declared:
         return f"${declared.symbol}$"
     if match := re.fullmatch(r"([A-Za-z])(?:_([A-Za-z0-9]+))?", name):

@@ -1,15 +1,18 @@
 """What every physical effect is: parameters with a neutral value, states it needs, contributions to named slots."""
 
 from abc import abstractmethod
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from types import ModuleType
 from typing import Any, ClassVar, Literal, NamedTuple, final
 
 import equinox as eqx
+import jax
 from jaxtyping import Array, Float
 
+from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.states import SharedState
 
@@ -32,7 +35,8 @@ class SpringPoint(NamedTuple):
     Attributes:
         elongation: Δu [m].
         rate: Δu̇ [m/s].
-        hysteretic: z [N], the force of the law's element; to slots other than `force` a law of paths shows that of its last commit.
+        hysteretic: z [N], the force of the law's element; of a law of paths, what writes to another slot than `force` sees that
+            of its last commit.
         memory: further states by name, among them `energy` e [J].
         scales: characteristic values.
         strength: force at which the virgin element yields, or its bound, $[A/(\beta+\gamma)]^{1/n}$ of Bouc–Wen [N].
@@ -185,6 +189,18 @@ class Catalogue(Mapping[str, type[AbstractEffect]]):
     def joined(self, effects: Iterable[type[AbstractEffect]]) -> "Catalogue":
         """The catalogue with further effects at its end."""
         return Catalogue((*self.effects, *effects))
+
+
+@cache
+def slots_of(effect: type[AbstractSpringEffect]) -> tuple[str, ...]:
+    """The slots that an effect writes to: what it contributes, traced without computing anything."""
+
+    def contributions(value):
+        values = {name: value for name in parameters_of(effect)}
+        point = SpringPoint(value, value, value, defaultdict(lambda: value), Scales(*[value] * 4), value)
+        return effect(**values).contribute(point)
+
+    return tuple(jax.eval_shape(contributions, 1.0))
 
 
 def combine(contributions: list[dict[str, Any]]) -> Callable[[str], Any]:

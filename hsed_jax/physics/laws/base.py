@@ -3,7 +3,7 @@ r"""What every spring law is: the force of an element from its elongation and it
 Two kinds of laws fit.  A law of **rates** integrates its force, $\dot z = g(\Delta u, \Delta\dot u, z)\,\Delta\dot u$ (Bouc–Wen):
 its `force` is a state and its `flow` is g Δu̇.  A law of **paths** (bilinear, Menegotto–Pinto, Takeda) knows its force as a
 continuous function of the elongation, given the states committed at the end of the last step; it has no `flow`, and its
-`settle` commits.  Between two commits the elongation goes one way: where it turns within a step, the integrator commits at the turn.
+`settle` commits.  Between two commits the elongation goes one way: where it turns within a step, the commit is at the turn.
 
 What effects add to a law (forces beside it, a slack before it, energy and other states) is not the law's business
 (`hsed_jax.physics.specimen`).
@@ -103,7 +103,7 @@ class AbstractSpringLaw(eqx.Module):
 
     @abstractmethod
     def start(self) -> Memory:
-        """The states of a virgin element by name, `hysteretic` among them: its force as integrated, or when last committed [N]."""
+        """The states of a virgin element by name; one is `hysteretic`, its force as integrated or when last committed [N]."""
 
     @abstractmethod
     def force(self, elongation: Scalar, memory: Memory, slots: Slots) -> Scalar:

@@ -18,8 +18,8 @@ class BoucWen(AbstractSpringLaw):
     $$\dot z = h\,\frac{a A - \nu\,(\beta\,\mathrm{sign}(\Delta\dot u\,z)+\gamma)\,|z|^n}{\eta}\,\Delta\dot u$$
 
     An element in series with compliance c turns the slope $dz/d\Delta u = g$ into $g/(1+cg)$.  With nothing in the slots
-    (a = ν = η = h = 1) it is Eq. 15 of Abbiati & Marelli without the degradation.  The force z is in newtons, so A is a stiffness;
-    the force tends to $[A/(\beta+\gamma)]^{1/n}$.
+    (a = ν = η = h = 1) it is Eq. 15 of Abbiati & Marelli without the degradation.  The force z is in newtons, so A is a
+    stiffness; the force tends to $[A/(\beta+\gamma)]^{1/n}$.
     """
 
     name: ClassVar[str] = "bouc_wen"

@@ -11,7 +11,8 @@ $$\Delta z = h\,\big(g_b\,\tfrac12\theta v_0 + g_a\,\tfrac12(1-\theta)v_1\big).$
 The classical Runge–Kutta method integrates a right-hand side that does not depend on the state by **Simpson's rule**, which
 takes the middle of the step, v = (v₀+v₁)/2, with the slope of the side it is on,
 
-$$\Delta z_S = \tfrac h6\big(g_b v_0 + 4\,g_m\tfrac{v_0+v_1}2 + g_a v_1\big),\qquad g_m = g_b\ \text{if}\ \theta>\tfrac12\ \text{else}\ g_a.$$
+$$\Delta z_S = \tfrac h6\big(g_b v_0 + 4\,g_m\tfrac{v_0+v_1}2 + g_a v_1\big),\qquad
+  g_m = g_b\ \text{if}\ \theta>\tfrac12\ \text{else}\ g_a.$$
 
 In both, the factors of g_b and g_a add up to h(v₀+v₁)/2, so the difference is a multiple of the jump of the slope:
 
@@ -39,7 +40,7 @@ def mended_force(
     after: Memory,
     rates: Callable[[Scalar, Scalar, Memory], Memory],
 ) -> tuple[Memory, Memory]:
-    """States at the turn (or else the end), and at the end of the step with z corrected; arguments as of `AbstractSpringLaw.mended`."""
+    """States at the turn (or else the end), and at the end of the step, z mended; arguments as of `AbstractSpringLaw.mended`."""
     loading = flow["hysteretic"] / jnp.where(turn.happens, turn.before, 1.0)
     z_turn = before["hysteretic"] + loading * (turn.elongation - turn.start)
     at_turn = {**after, "hysteretic": z_turn}

@@ -1,0 +1,48 @@
+"""The linear elastic law."""
+
+from collections.abc import Mapping
+from typing import ClassVar, final
+
+import jax.numpy as jnp
+
+from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, still
+from hsed_jax.physics.parameters import parameter
+
+
+@final
+class Elastic(AbstractSpringLaw):
+    r"""A linear spring, which never yields: $f = k\,\Delta u$."""
+
+    name: ClassVar[str] = "elastic"
+    title: ClassVar[str] = "a linear elastic spring"
+    reference: ClassVar[str] = "Hooke 1678"
+    steepest: ClassVar[Mapping[str, float]] = {"k": 0.999}
+
+    k: Scalar = parameter("k", "N/m", "stiffness", lower=0.0)
+
+    @property
+    def stiffness(self) -> Scalar:
+        """k [N/m]."""
+        return self.k
+
+    @property
+    def strength(self) -> Scalar:
+        """Infinite."""
+        return jnp.inf
+
+    @property
+    def steepness(self) -> Scalar:
+        """Nothing limits the force."""
+        return 0.0
+
+    def start(self) -> Memory:
+        """No force."""
+        return still("hysteretic")
+
+    def force(self, elongation: Scalar, memory: Memory, slots: Slots) -> Scalar:
+        """K Δu [N]."""
+        return self.k * elongation
+
+    def settle(self, elongation: Scalar, memory: Memory, slots: Slots) -> Memory:
+        """The force."""
+        return {"hysteretic": self.force(elongation, memory, slots)}

@@ -1,0 +1,109 @@
+"""The peak-oriented law of reinforced concrete: Takeda's unloading, Clough's reloading."""
+
+from collections.abc import Mapping
+from typing import ClassVar, final
+
+import jax.numpy as jnp
+
+from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, still
+from hsed_jax.physics.parameters import parameter
+
+
+@final
+class Takeda(AbstractSpringLaw):
+    r"""Reloading aims at the furthest point reached on the side that is loaded; unloading gets softer with it.
+
+    $$F(u) = \frac{\min(k u,\ F_y + b k (u-u_y))}{\nu},\qquad
+      k_u = k\,\Big(\frac{u_m}{u_y}\Big)^{-\alpha},\qquad
+      f = \min\Big(f_c + k_u\,(\Delta u-u_c),\ F(u_m)\frac{\Delta u-u_z}{u_m-u_z}\Big)$$
+
+    for loading towards the positive side, with the backbone F, the point $(u_c, f_c)$ that was committed, the furthest elongation
+    $u_m$ of that side (at least $u_y = F_y/k$) and the elongation $u_z$ at which the force last passed zero on its way up; beyond
+    $u_m$ the second is the backbone itself.  From a negative force it first unloads with the $k_u$ of the negative side to
+    zero, at $u_z = u_c - f_c/k_u$.  The negative side mirrors it.  A step commits its end.
+
+    Where reloading starts from a force, it goes with $k_u$ until it meets the line to the furthest point (Mahin & Bertero 1976).
+    α = 0 is Clough's law; Takeda, Sozen & Nielsen take 0.4 and a trilinear backbone.  OpenSees has it as Hysteretic without
+    pinching and damage.
+    """
+
+    name: ClassVar[str] = "takeda"
+    title: ClassVar[str] = "a peak-oriented spring of Takeda's kind"
+    reference: ClassVar[str] = "Clough 1966; Takeda, Sozen & Nielsen 1970; Mahin & Bertero 1976"
+    slots: ClassVar[tuple[str, ...]] = ("nu",)
+    steepest: ClassVar[Mapping[str, float]] = {"k": 0.999, "F_y": 0.001}
+
+    k: Scalar = parameter("k", "N/m", "initial stiffness", lower=0.0)
+    F_y: Scalar = parameter("F_y", "N", "yield force", lower=0.0)
+    b: Scalar = parameter(
+        "b", "1", "stiffness after yielding over initial stiffness", neutral=0.0, lower=0.0, upper=0.95,
+        prior={"uniform": [0.0, 0.2]},
+    )  # fmt: skip
+    alpha: Scalar = parameter(
+        r"\alpha", "1", "exponent with which unloading softens", neutral=0.0, lower=0.0, upper=1.0,
+        prior={"uniform": [0.0, 0.6]},
+    )  # fmt: skip
+
+    @property
+    def stiffness(self) -> Scalar:
+        """Before it yields [N/m]."""
+        return self.k
+
+    @property
+    def strength(self) -> Scalar:
+        """The yield force [N]."""
+        return self.F_y
+
+    def start(self) -> Memory:
+        """At rest; the furthest points of a virgin element are those of yielding."""
+        u_y = jnp.asarray(self.yield_elongation)
+        rest = still("hysteretic", "elongation", "zero_up", "zero_down")
+        return {**rest, "highest": u_y, "lowest": -u_y}
+
+    def force(self, elongation: Scalar, memory: Memory, slots: Slots) -> Scalar:
+        """On the way from what is committed [N]."""
+        return self._way(elongation, memory, slots)[0]
+
+    def settle(self, elongation: Scalar, memory: Memory, slots: Slots) -> Memory:
+        """The point, the furthest ones, and where the force passes zero on this way."""
+        force, zero = self._way(elongation, memory, slots)
+        goes_up = elongation >= memory["elongation"]
+        return {
+            "hysteretic": force,
+            "elongation": elongation,
+            "zero_up": jnp.where(goes_up, zero, memory["zero_up"]),
+            "zero_down": jnp.where(goes_up, memory["zero_down"], zero),
+            "highest": jnp.maximum(memory["highest"], elongation),
+            "lowest": jnp.minimum(memory["lowest"], elongation),
+        }
+
+    def _way(self, elongation: Scalar, memory: Memory, slots: Slots) -> tuple[Scalar, Scalar]:
+        """Force [N], and the elongation at which it passes zero on this way [m]."""
+        goes_up = elongation >= memory["elongation"]
+        sign = jnp.where(goes_up, 1.0, -1.0)
+        # The way down is the way up in a mirror.
+        u, u_c, f_c = sign * elongation, sign * memory["elongation"], sign * memory["hysteretic"]
+        ahead = jnp.where(goes_up, memory["highest"], -memory["lowest"])
+        behind = jnp.where(goes_up, -memory["lowest"], memory["highest"])
+        k_ahead, k_behind = self._unloading(ahead), self._unloading(behind)
+        unloads = f_c < 0
+        zero = jnp.where(
+            unloads, u_c - f_c / k_behind, sign * jnp.where(goes_up, memory["zero_up"], memory["zero_down"])
+        )
+        elastic = jnp.where(unloads, k_ahead * (u - zero), f_c + k_ahead * (u - u_c))
+        # The furthest point lies ahead by at least its own unloading; the bound is for states that no path has.
+        reach = jnp.maximum(ahead - zero, 1e-6 * self.yield_elongation)
+        strength = 1 / slots("nu")
+        line = jnp.where(u < ahead, strength * self._yielded(ahead) * (u - zero) / reach, strength * self._yielded(u))
+        force = jnp.where(unloads & (u < zero), f_c + k_behind * (u - u_c), jnp.minimum(elastic, line))
+        return sign * force, sign * zero
+
+    def _yielded(self, elongation: Scalar) -> Scalar:
+        """The backbone beyond yielding [N]."""
+        return self.F_y + self.b * (self.k * elongation - self.F_y)
+
+    def _unloading(self, furthest: Scalar) -> Scalar:
+        """Stiffness of unloading from a side [N/m]."""
+        if isinstance(self.alpha, int | float) and self.alpha == 0:
+            return self.k
+        return self.k * jnp.exp(-self.alpha * jnp.log(furthest / self.yield_elongation))
