@@ -24,6 +24,7 @@ from hsed_jax.measurements import Campaign, Experiment, Record
 from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.simulator import Conditions
+from hsed_jax.physics.specimen import unserved
 
 # Experiments that could be made, to look for one that tells rivals apart.
 _CANDIDATES = 32
@@ -39,10 +40,19 @@ def applicable(built: Built, campaign: Campaign) -> list[str]:
         name
         for name, effect in built.catalogue.items()
         if name not in built.study.model.effects
+        and not unserved(effect, built.law)
         and (has_time or not effect.needs_time)
         and not (quantities and effect.histories_only)
         and not (built.component_test and effect.shaken_only)
     ]
+
+
+def left_out(built: Built) -> list[str]:
+    """What the law of the model keeps out of a diagnosis, in a sentence; nothing where it has a place for every effect."""
+    out = [name for name, effect in built.catalogue.items() if unserved(effect, built.law)]
+    if not out:
+        return []
+    return [f"not looked for, as the law {built.law.name} has no place for them: {', '.join(out)}"]
 
 
 def with_effects(built: Built, effects: Sequence[str]) -> Study:
@@ -119,6 +129,7 @@ def problem_of(
         candidates=inputs,
         seed=built.study.seed,
         start=start,
+        notes=left_out(built),
     )
 
 

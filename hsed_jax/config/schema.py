@@ -351,7 +351,9 @@ class Study(Tabular, Section):
 
     def _table(self) -> Table:
         def words(name: str, given: Any) -> str:
-            if isinstance(given, dict):
+            if given == {}:
+                given = "its default prior"
+            elif isinstance(given, dict):
                 ((kind, numbers),) = given.items()
                 given = f"{kind} {', '.join(map(str, numbers)) if isinstance(numbers, list) else numbers}"
             return f"{name} {given}"

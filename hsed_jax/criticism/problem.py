@@ -29,6 +29,7 @@ class Problem(NamedTuple):
         candidates: inputs of experiments that could be made, in declared units; the rows after those measured.
         seed: of random numbers.
         start: the model as it is, as a calibration left it, (P,); None where there was none.
+        notes: what a reader should know of the candidates, in sentences.
     """
 
     models: NestedModels
@@ -45,6 +46,7 @@ class Problem(NamedTuple):
     candidates: Sequence[dict[str, float]]
     seed: int
     start: np.ndarray | None = None
+    notes: Sequence[str] = ()
 
     @property
     def rows(self) -> int:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hsed_jax.measurements import Campaign
+from hsed_jax.physics.laws import LAWS
 from hsed_jax.reporting.page_tables import unit_words
 
 _LABORATORIES = {
@@ -55,6 +56,8 @@ def _excitation(study: Mapping[str, Any]) -> str:
 def _prior(prior: Any) -> str:
     if not isinstance(prior, Mapping):
         return f"= {prior:g}"
+    if not prior:
+        return "by its default prior"
     ((kind, given),) = prior.items()
     numbers = list(given.values()) if isinstance(given, Mapping) else given if isinstance(given, list) else [given]
     if kind == "uniform":
@@ -67,7 +70,12 @@ def _model(study: Mapping[str, Any]) -> str:
     parameters = ", ".join(f"{name} {_prior(prior)}" for name, prior in model["parameters"].items())
     effects = list(model.get("effects") or {})
     known = f" with {_listed(effects)}" if effects else " without further effects"
-    return f"Model: the Bouc–Wen spring{known}; {parameters} (SI)."
+    return f"Model: {_law(model['spring'])}{known}; {parameters} (SI)."
+
+
+def _law(spring: str | Mapping[str, str]) -> str:
+    """A spring law in words; of a user's own nothing is executed to know it."""
+    return LAWS[spring].title if isinstance(spring, str) else f"the spring law {spring['class']} of {spring['file'].rpartition('/')[2]}"
 
 
 def _experiments(study: Mapping[str, Any], campaign: Campaign) -> str:
@@ -81,9 +89,8 @@ def _experiments(study: Mapping[str, Any], campaign: Campaign) -> str:
         return f"Experiments: performed by {_LABORATORIES[kind]}, {', '.join(counts)}."
     virtual = study["experiments"]["virtual"]
     effects = _listed(list(virtual.get("effects") or {})) or "no further effects"
-    return (
-        f"Experiments: a virtual laboratory, {', '.join(counts)}, whose specimen has {effects}, unknown to the model."
-    )
+    law = f"is {_law(virtual['spring'])} and " if virtual.get("spring") else ""
+    return f"Experiments: a virtual laboratory, {', '.join(counts)}, whose specimen {law}has {effects}, unknown to the model."
 
 
 def _observed(study: Mapping[str, Any]) -> str:

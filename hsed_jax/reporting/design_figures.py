@@ -48,7 +48,7 @@ def _of_specimen(outcome: Outcome, laboratory: VirtualLaboratory) -> Iterator[tu
     space = outcome.space
     middle = space.declared(np.full((1, len(space.names)), 0.5))[0]
     truth = {name: value for name, value in laboratory.parameters.items() if "." not in name}
-    if not outcome.simulator.effects:
+    if not outcome.simulator.effects and outcome.simulator.law is laboratory.simulator.law:
         measured = _response(laboratory.simulator, laboratory.parameters, space, middle)
         predicted = _response(outcome.simulator, truth, space, middle)
         yield "fig4_loops_and_energy", figures.loops_and_energy(measured, predicted)
