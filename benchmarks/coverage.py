@@ -8,7 +8,8 @@ Results go to `coverage.json` beside this file, from which `--markdown` prints t
 
 import argparse
 import json
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from functools import cache
 from multiprocessing import get_context
@@ -72,7 +73,7 @@ INTERVALS = [
     *(Case(noise, 4, 6.0, ETA) for noise in (WHITE, *(Noise("histories", 0.05, _memory(t)) for t in (82, 33, 10)))),
 ]
 TRUE_MODEL = [
-    *(Case(Noise("quantities", level), 12, 10.0) for level in (0.05, 0.1, 0.2)),
+    *(Case(Noise("quantities", level), 6, 6.0) for level in (0.05, 0.1, 0.2)),
     *(Case(Noise("histories", 0.05, colour), 4, 6.0) for colour in ("white", "t5", 0.1, 0.5, 0.9)),
 ]
 POWER = [Case(WHITE, 4, 6.0, eta) for eta in (5e-8, 1e-7, 2e-7, 4e-7, 1e-6)]
@@ -174,14 +175,19 @@ PARTS = {
 }
 
 
-def measured(parts: list[str], campaigns: int) -> dict[str, list[dict]]:
-    """What was found of each case of these parts, on all cores."""
+def measured(parts: list[str], campaigns: int) -> Iterator[dict[str, list[dict]]]:
+    """What has been found of the cases of these parts, on all cores, after each case anew."""
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
         asked = {
-            part: [(case, pool.submit(PARTS[part][0], case, range(campaigns))) for case in PARTS[part][1]]
+            pool.submit(PARTS[part][0], case, range(campaigns)): (part, number)
             for part in parts
+            for number, case in enumerate(PARTS[part][1])
         }
-        return {part: [_about(case) | job.result() for case, job in jobs] for part, jobs in asked.items()}
+        found: dict[str, dict[int, dict]] = {part: {} for part in parts}
+        for job in as_completed(asked):
+            part, number = asked[job]
+            found[part][number] = _about(PARTS[part][1][number]) | job.result()
+            yield {part: [rows[k] for k in sorted(rows)] for part, rows in found.items()}
 
 
 def _about(case: Case) -> dict:
@@ -229,8 +235,9 @@ def main() -> None:
     options = parser.parse_args()
     known = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
     if not options.markdown:
-        known |= measured(options.only, options.campaigns)
-        RESULTS.write_text(json.dumps(known, indent=1))
+        for found in measured(options.only, options.campaigns):
+            known |= found
+            RESULTS.write_text(json.dumps(known, indent=1))
     print(tables(known))
 
 
