@@ -105,7 +105,13 @@ class Built:
     @cached_property
     def parameters(self) -> tuple[dict[str, Prior], dict[str, float]]:
         """Free parameters of the model with their priors, and the fixed ones with their values."""
-        return parts.model_parameters(self.study.model, self.catalogue)
+        return parts.model_parameters(self.study.model, self.catalogue, self._of_structure)
+
+    @cached_property
+    def _of_structure(self) -> dict[str, Prior]:
+        """Priors of the structure's numbers that are calibrated."""
+        entry = self.study.structure
+        return {} if self.component_test or entry is None else parts.structure_priors(entry)
 
     @cached_property
     def units(self) -> dict[str, str]:
@@ -216,7 +222,7 @@ class Built:
     def specimen(self) -> dict[str, float]:
         """The parameters of the virtual specimen."""
         assert self.study.experiments.virtual is not None
-        return parts.true_parameters(self.study.experiments.virtual, self.catalogue)
+        return parts.true_parameters(self.study.experiments.virtual, self.catalogue, self._of_structure)
 
     @cached_property
     def laboratory(self) -> Laboratory:
@@ -227,7 +233,8 @@ class Built:
             self.programme,
             self.structure,
             lambda effects: self._simulator(effects, ()),
-            self.catalogue,
+            lambda: self.specimen,
+            self._of_structure,
             self.workspace,
             self.function,
         )

@@ -17,6 +17,7 @@ from hsed_jax.config.experiments import (
 )
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
+from hsed_jax.inference.priors import Prior
 from hsed_jax.laboratories import opensees
 from hsed_jax.laboratories.base import Laboratory
 from hsed_jax.laboratories.command import CommandLaboratory, check_template
@@ -28,7 +29,6 @@ from hsed_jax.laboratories.sensors import Sensors
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.measurements import Channel, Noise
 from hsed_jax.measurements.declaration import declared_channel
-from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.outputs import CHANNELS, PER_MASS, output
 from hsed_jax.physics.simulator import Simulator
 from hsed_jax.physics.structures import Structure
@@ -53,7 +53,8 @@ class Site:
         programme: what the experiments have in common.
         structure: the numerical substructure.
         simulator: of the given effects, for a virtual specimen.
-        catalogue: the effects that it may have.
+        specimen: the parameters of a virtual one.
+        of_structure: priors of the structure's numbers that are calibrated.
         workspace: folder for the folders of experiments; None: a temporary one.
         function: given from Python, for a laboratory that is a function.
     """
@@ -63,7 +64,8 @@ class Site:
     programme: Programme
     structure: Structure | None
     simulator: Callable[[tuple[str, ...]], Simulator]
-    catalogue: Catalogue
+    specimen: Callable[[], dict[str, float]]
+    of_structure: Mapping[str, Prior]
     workspace: Path | None
     function: Callable[..., Any] | None
 
@@ -184,7 +186,7 @@ def _virtual(site: Site, entry: VirtualEntry) -> VirtualLaboratory:
     sensors, study = site.sensors, site.study
     return VirtualLaboratory(
         site.simulator(tuple(entry.effects)),
-        parts.true_parameters(entry, site.catalogue),
+        site.specimen(),
         tuple(study.quantities),
         tuple(name for name in sensors.channels if name not in IMPOSED),
         _noise(sensors),
@@ -206,7 +208,8 @@ def _opensees(site: Site, entry: OpenSeesEntry) -> OpenSeesLaboratory:
         material = parts.at("experiments.opensees", opensees.built_in, entry.material, entry.parameters)
     opensees.require_openseespy()
     step = site.programme.timeline.step / opensees.STEPS_PER_STEP if entry.step is None else entry.step
-    files = {"model.json": opensees.as_json(opensees.model(site.structure, material, step))}
+    told = parts.true_numbers("experiments.opensees.structure", entry.structure, site.of_structure)
+    files = {"model.json": opensees.as_json(opensees.model(site.structure.told(told), material, step))}
     command = CommandLaboratory(opensees.program(), site.programme, site.sensors, entry.timeout, site.workspace, files)
     return OpenSeesLaboratory(command, _noise(site.sensors), site.study.seed)
 

@@ -28,7 +28,7 @@ def _specimen(study: Mapping[str, Any], campaign: Campaign) -> str:
     masses = structure["masses"]
     ends = " and ".join(_end(end) for end in structure["specimen"]["between"])
     many = f"{len(masses)} masses" if len(masses) > 1 else "one mass"
-    sizes = ", ".join(f"{mass:g} kg" for mass in masses)
+    sizes = ", ".join("calibrated" if isinstance(mass, Mapping) else f"{mass:g} kg" for mass in masses)
     return f"A specimen between {ends} of a structure of {many} ({sizes})."
 
 
