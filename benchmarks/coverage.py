@@ -23,6 +23,8 @@ RESULTS = Path(__file__).with_suffix(".json")
 STUDY = Path(__file__).parents[1] / "configs" / "paper.yaml"
 TRUE = {"A": 5e5, "beta": 1.0}
 ETA = 2e-5
+# Campaigns that one job looks at.
+CHUNK = 10
 
 
 class Noise(NamedTuple):
@@ -176,18 +178,20 @@ PARTS = {
 
 
 def measured(parts: list[str], campaigns: int) -> Iterator[dict[str, list[dict]]]:
-    """What has been found of the cases of these parts, on all cores, after each case anew."""
+    """What has been found of the cases of these parts, on all cores; every few campaigns of a case anew."""
+    found: dict[str, list[dict]] = {part: [_about(case) for case in PARTS[part][1]] for part in parts}
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+        # All cases go on side by side, so that tables of a run that was stopped are whole.
         asked = {
-            pool.submit(PARTS[part][0], case, range(campaigns)): (part, number)
+            pool.submit(PARTS[part][0], case, range(first, min(first + CHUNK, campaigns))): row
+            for first in range(0, campaigns, CHUNK)
             for part in parts
-            for number, case in enumerate(PARTS[part][1])
+            for case, row in zip(PARTS[part][1], found[part], strict=True)
         }
-        found: dict[str, dict[int, dict]] = {part: {} for part in parts}
         for job in as_completed(asked):
-            part, number = asked[job]
-            found[part][number] = _about(PARTS[part][1][number]) | job.result()
-            yield {part: [rows[k] for k in sorted(rows)] for part, rows in found.items()}
+            for key, values in job.result().items():
+                asked[job].setdefault(key, []).extend(values)
+            yield {part: [row for row in rows if len(row) > 3] for part, rows in found.items()}
 
 
 def _about(case: Case) -> dict:
