@@ -8,7 +8,8 @@ Results go to `coverage.json` beside this file, from which `--markdown` prints t
 
 import argparse
 import json
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from functools import cache
 from multiprocessing import get_context
@@ -22,6 +23,8 @@ RESULTS = Path(__file__).with_suffix(".json")
 STUDY = Path(__file__).parents[1] / "configs" / "paper.yaml"
 TRUE = {"A": 5e5, "beta": 1.0}
 ETA = 2e-5
+# Campaigns that one job looks at.
+CHUNK = 10
 
 
 class Noise(NamedTuple):
@@ -72,7 +75,7 @@ INTERVALS = [
     *(Case(noise, 4, 6.0, ETA) for noise in (WHITE, *(Noise("histories", 0.05, _memory(t)) for t in (82, 33, 10)))),
 ]
 TRUE_MODEL = [
-    *(Case(Noise("quantities", level), 12, 10.0) for level in (0.05, 0.1, 0.2)),
+    *(Case(Noise("quantities", level), 6, 6.0) for level in (0.05, 0.1, 0.2)),
     *(Case(Noise("histories", 0.05, colour), 4, 6.0) for colour in ("white", "t5", 0.1, 0.5, 0.9)),
 ]
 POWER = [Case(WHITE, 4, 6.0, eta) for eta in (5e-8, 1e-7, 2e-7, 4e-7, 1e-6)]
@@ -174,14 +177,21 @@ PARTS = {
 }
 
 
-def measured(parts: list[str], campaigns: int) -> dict[str, list[dict]]:
-    """What was found of each case of these parts, on all cores."""
+def measured(parts: list[str], campaigns: int) -> Iterator[dict[str, list[dict]]]:
+    """What has been found of the cases of these parts, on all cores; every few campaigns of a case anew."""
+    found: dict[str, list[dict]] = {part: [_about(case) for case in PARTS[part][1]] for part in parts}
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+        # All cases go on side by side, so that tables of a run that was stopped are whole.
         asked = {
-            part: [(case, pool.submit(PARTS[part][0], case, range(campaigns))) for case in PARTS[part][1]]
+            pool.submit(PARTS[part][0], case, range(first, min(first + CHUNK, campaigns))): row
+            for first in range(0, campaigns, CHUNK)
             for part in parts
+            for case, row in zip(PARTS[part][1], found[part], strict=True)
         }
-        return {part: [_about(case) | job.result() for case, job in jobs] for part, jobs in asked.items()}
+        for job in as_completed(asked):
+            for key, values in job.result().items():
+                asked[job].setdefault(key, []).extend(values)
+            yield {part: [row for row in rows if len(row) > 3] for part, rows in found.items()}
 
 
 def _about(case: Case) -> dict:
@@ -229,8 +239,9 @@ def main() -> None:
     options = parser.parse_args()
     known = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
     if not options.markdown:
-        known |= measured(options.only, options.campaigns)
-        RESULTS.write_text(json.dumps(known, indent=1))
+        for found in measured(options.only, options.campaigns):
+            known |= found
+            RESULTS.write_text(json.dumps(known, indent=1))
     print(tables(known))
 
 

@@ -9,7 +9,6 @@ from tqdm import tqdm
 from hsed_jax.analysis import Calibration, calibrate_built, compare, locate
 from hsed_jax.conduct import Asked, Conduct
 from hsed_jax.config.build import Built
-from hsed_jax.config.candidates import with_effects
 from hsed_jax.config.records import forecast
 from hsed_jax.config.schema import Study
 from hsed_jax.criticism import locate as locating
@@ -201,7 +200,7 @@ class Run:
         if self.improvement is not None:
             return self.improvement.calibration.built.scales
         if self.diagnosis is not None and self.diagnosis.ranking:
-            return Built(with_effects(self.built, [self.diagnosis.ranking[0].effect]), self.built.campaign).scales
+            return self.diagnosis.scales
         return self.built.scales if self.study.model.effects else None
 
     # The design: Steps 1 to 8 of the paper.

@@ -246,7 +246,7 @@ def test_a_relative_error_of_a_quantity_is_one_of_its_logarithm():
     assert float(found.covariance[0, 0]) == pytest.approx((mode * sd) ** 2 / 3, rel=1e-2)
 
 
-@pytest.mark.parametrize("s", [0.05, 0.2])
+@pytest.mark.parametrize("s", [pytest.param(0.05, marks=pytest.mark.slow), 0.2])
 def test_estimates_from_relative_errors_are_not_biased(s):
     random, x, campaigns = np.random.default_rng(2), np.ones(40), 12
     posterior = Posterior(

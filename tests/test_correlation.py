@@ -168,9 +168,8 @@ def covered(errors: list[Error], rho: float) -> float:
     return float(np.mean(inside))
 
 
-@pytest.mark.parametrize(
-    "times", [pytest.param(10, marks=pytest.mark.slow), 33, pytest.param(82, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("times", [10, 33, 82])
 def test_intervals_cover_where_the_noise_has_a_memory(times):
     # So many correlation times to a record: τ = (1 + ρ)/(1 − ρ).
     tau = SAMPLES / times

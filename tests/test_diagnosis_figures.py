@@ -14,6 +14,7 @@ from test_misfit_figures import histories, quantities
 from hsed_jax.criticism.compare import compare
 from hsed_jax.criticism.findings import Candidate, Diagnosis
 from hsed_jax.criticism.improve import Step, Trail
+from hsed_jax.physics.scales import Scales
 from hsed_jax.reporting import diagnosis_figures
 from hsed_jax.reporting.diagnosis_figures import before_after, error_fall, parameters_before_after, ranking
 from hsed_jax.reporting.outcome import Outcome
@@ -40,7 +41,7 @@ def candidate(effect, gain, probability=0.0):
 def diagnosis(candidates, effects=(), look_alikes=()):
     return Diagnosis("missing_effects", list(effects), list(candidates), [list(g) for g in look_alikes],
                      None, None, np.zeros(0), 0.0,
-                     0.5, (0.3, 0.3), (0.05, 0.05), 0.05, {}, {}, histories(1, 0, 6)[1].train_prediction)  # fmt: skip
+                     0.5, (0.3, 0.3), (0.05, 0.05), 0.05, {}, {}, histories(1, 0, 6)[1].train_prediction, Scales())  # fmt: skip
 
 
 def improved(comparison, factors):

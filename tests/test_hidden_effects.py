@@ -19,7 +19,13 @@ def result(tmp_path, kind, effects, noise=0.05, size=0.10, experiments=6, test=4
     return score(diagnosed(campaign), json.loads(truth.read_text(encoding="utf-8")))
 
 
-@pytest.mark.parametrize("effect", ["strength_degradation", "slip", "quadratic_stiffness", "stribeck_friction"])
+@pytest.mark.parametrize(
+    "effect",
+    [
+        "strength_degradation",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("slip", "quadratic_stiffness", "stribeck_friction")),
+    ],
+)
 def test_a_hidden_effect_is_named_in_a_component_test(tmp_path, effect):
     found = result(tmp_path, "component", ((effect, "same"),))
     assert (found["verdict"], found["named"]) == ("missing_effects", [effect])
@@ -35,12 +41,16 @@ def test_another_formula_of_the_same_physics_is_named_by_its_family(tmp_path, ef
     assert found["family"], found
 
 
-@pytest.mark.parametrize(("noise", "experiments"), [(0.02, 3), (0.05, 6), (0.10, 6)])
+@pytest.mark.parametrize(
+    ("noise", "experiments"),
+    [(0.02, 3), pytest.param(0.05, 6, marks=pytest.mark.slow), pytest.param(0.10, 6, marks=pytest.mark.slow)],
+)
 def test_nothing_is_named_where_nothing_is_missing(tmp_path, noise, experiments):
     found = result(tmp_path, "component", (), noise=noise, experiments=experiments, size=0.0, seed=experiments)
     assert (found["verdict"], found["named"]) == ("adequate", [])
 
 
+@pytest.mark.slow
 def test_two_hidden_effects_are_both_named(tmp_path):
     effects = (("quadratic_stiffness", "same"), ("coulomb_friction", "same"))
     found = result(tmp_path, "component", effects, noise=0.02)

@@ -456,8 +456,10 @@ def quick(built, monkeypatch):
 
 @pytest.mark.parametrize(
     "overrides",
-    [("design.iterations=2",), ("design.stop.expected_improvement=10.0",)],
-    ids=["iterations", "expected_improvement"],
+    [
+        pytest.param(("design.iterations=2",), id="iterations", marks=pytest.mark.slow),
+        pytest.param(("design.stop.expected_improvement=10.0",), id="expected_improvement"),
+    ],
 )
 def test_a_run_stopped_after_any_line_of_its_journal_ends_as_if_it_had_not_been(quick, tmp_path, overrides):
     done, expected = quick(tmp_path / "whole", *overrides)

@@ -140,3 +140,14 @@ def test_wrong_ends_are_refused(springs, specimen, message):
 def test_a_mass_that_is_not_positive_is_refused(mass):
     with pytest.raises(ValueError, match="mass 2"):
         Structure((1e3, mass), (), (0, 1), ModalDamping(0.05))
+
+
+def test_numbers_that_are_told_replace_those_of_the_structure():
+    told = {"mass_2": 2e3, "stiffness_1": 3e5, "ratio_1": 0.07}
+    structure = chain(2, ModalDamping(np.asarray([0.05, 0.02]), 1e5)).told(told)
+    springs = [Spring((0, 1), 3e5), Spring((1, None), 3e5)]
+    expected = Structure([1e3, 2e3], springs, (None, 0), ModalDamping(np.asarray([0.07, 0.02]), 1e5))
+    np.testing.assert_allclose(structure.damping_matrix(), expected.damping_matrix())
+    np.testing.assert_allclose(structure.frequencies(1e5), expected.frequencies(1e5))
+    rayleigh = chain(2, RayleighDamping(0.1, 1e-3)).told({"beta": 2e-3}).damping
+    assert (rayleigh.alpha, rayleigh.beta) == (0.1, 2e-3)

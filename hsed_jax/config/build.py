@@ -112,12 +112,24 @@ class Built:
     @cached_property
     def parameters(self) -> tuple[dict[str, Prior], dict[str, float]]:
         """Free parameters of the model with their priors, and the fixed ones with their values."""
-        return parts.model_parameters(self.study.model, self.law, self.catalogue)
+        return parts.model_parameters(self.study.model, self.law, self.catalogue, self._of_structure)
+
+    @cached_property
+    def _of_structure(self) -> dict[str, Prior]:
+        """Priors of the structure's numbers that are calibrated."""
+        entry = self.study.structure
+        return {} if self.component_test or entry is None else parts.structure_priors(entry)
 
     @cached_property
     def _steepest(self) -> AbstractSpringLaw:
         """The law where its priors make it stiffest and let it yield soonest."""
         return self.law(**parts.law_parameters(self.parameters, self.law.steepest))
+
+    @cached_property
+    def _stiffest(self) -> Structure:
+        """The structure where its priors make its shortest period shortest."""
+        assert self.structure is not None
+        return self.structure.told(parts.stiffest(self._of_structure))
 
     @cached_property
     def units(self) -> dict[str, str]:
@@ -154,7 +166,7 @@ class Built:
             middle = self.law(**parts.law_parameters(self.parameters))
             return records_of.imposed_grid(records, self.characteristics, middle, self._steepest)
         longest = max(float(np.max(np.diff(record.time), initial=0.0)) for record in records)
-        needed = longest / parts.longest_step(self.structure, self._steepest, self.study.excitation, self.space)
+        needed = longest / parts.longest_step(self._stiffest, self._steepest, self.study.excitation, self.space)
         return records_of.divided(max(len(record) for record in records), needed)
 
     @cached_property
@@ -172,7 +184,7 @@ class Built:
             raise UserError("excitation: give near_fault_pulse or recorded, where no record tells the motion")
         step = entry.step
         if step is None:
-            step = parts.longest_step(self.structure, self._steepest, entry, self.space)
+            step = parts.longest_step(self._stiffest, self._steepest, entry, self.space)
         return parts.planned_timeline(entry, self.study.folder, step, self.study.observe == "histories")
 
     @cached_property
@@ -209,7 +221,8 @@ class Built:
     def specimen(self) -> dict[str, float]:
         """The parameters of the virtual specimen."""
         assert self.study.experiments.virtual is not None
-        return parts.true_parameters(self.study.experiments.virtual, self.specimen_law, self.catalogue)
+        virtual = self.study.experiments.virtual
+        return parts.true_parameters(virtual, self.specimen_law, self.catalogue, self._of_structure)
 
     def _virtual(self) -> tuple[Simulator, dict[str, float]]:
         assert self.study.experiments.virtual is not None
@@ -225,6 +238,7 @@ class Built:
             self.programme,
             self.structure,
             self._virtual,
+            self._of_structure,
             self.workspace,
             self.function,
         )

@@ -12,11 +12,13 @@ from hsed_jax.plain import Number, Whole, is_file
 
 
 class VirtualEntry(Section):
-    """A virtual laboratory: its specimen's law (by default the model's), true parameters, effects, and the noise of sensors."""
+    """A virtual laboratory: its specimen's law (by default the model's), its true parameters and effects, and sensors' noise."""
 
     spring: SpringEntry | None = None
     parameters: dict[str, Number]
     effects: dict[str, dict[str, Number]] = {}
+    structure: dict[str, Number] = {}
+    """Numbers of the structure that the study gives priors, such as mass_2 (SI)."""
     noise: NoisesEntry | None = None
     test: Annotated[Whole, Field(ge=0)] = 0
     """Experiments at further inputs that are performed for testing and never fitted."""
@@ -85,6 +87,8 @@ class OpenSeesEntry(Section):
 
     material: Literal["BoucWen", "BWBN", "Steel02"] | OwnMaterialEntry
     parameters: dict[str, Number] = {}
+    structure: dict[str, Number] = {}
+    """Numbers of the structure that the study gives priors, such as mass_2 (SI)."""
     noise: NoisesEntry | None = None
     step: Positive | None = None
     """Of the analysis [s]; by default a fiftieth of that of the simulator."""

@@ -17,6 +17,7 @@ from hsed_jax.config.experiments import (
 )
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
+from hsed_jax.inference.priors import Prior
 from hsed_jax.laboratories import opensees
 from hsed_jax.laboratories.base import Laboratory
 from hsed_jax.laboratories.command import CommandLaboratory, check_template
@@ -52,6 +53,7 @@ class Site:
         programme: what the experiments have in common.
         structure: the numerical substructure.
         virtual: gives the simulator and the true parameters of a virtual specimen.
+        of_structure: priors of the structure's numbers that are calibrated.
         workspace: folder for the folders of experiments; None: a temporary one.
         function: given from Python, for a laboratory that is a function.
     """
@@ -61,6 +63,7 @@ class Site:
     programme: Programme
     structure: Structure | None
     virtual: Callable[[], tuple[Simulator, dict[str, float]]]
+    of_structure: Mapping[str, Prior]
     workspace: Path | None
     function: Callable[..., Any] | None
 
@@ -202,7 +205,8 @@ def _opensees(site: Site, entry: OpenSeesEntry) -> OpenSeesLaboratory:
         material = parts.at("experiments.opensees", opensees.built_in, entry.material, entry.parameters)
     opensees.require_openseespy()
     step = site.programme.timeline.step / opensees.STEPS_PER_STEP if entry.step is None else entry.step
-    files = {"model.json": opensees.as_json(opensees.model(site.structure, material, step))}
+    told = parts.true_numbers("experiments.opensees.structure", entry.structure, site.of_structure)
+    files = {"model.json": opensees.as_json(opensees.model(site.structure.told(told), material, step))}
     command = CommandLaboratory(opensees.program(), site.programme, site.sensors, entry.timeout, site.workspace, files)
     return OpenSeesLaboratory(command, _noise(site.sensors), site.study.seed)
 

@@ -24,7 +24,7 @@ from hsed_jax.physics.laws import AbstractSpringLaw
 from hsed_jax.physics.parameters import Parameter, parameters_of
 from hsed_jax.physics.simulator import Parametrised, Timeline
 from hsed_jax.physics.specimen import unserved
-from hsed_jax.physics.structures import ModalDamping, RayleighDamping, Spring, Structure
+from hsed_jax.physics.structures import OWNER, ModalDamping, RayleighDamping, Spring, Structure, parameter_of
 
 # The integration resolves the shortest period with this many steps; peaks are then good to 1e-4 (tests/test_response.py).
 _STEPS_PER_PERIOD = 24
@@ -33,23 +33,73 @@ _VIRTUAL_SAMPLES = 400
 
 
 def structure(entry: StructureEntry) -> Structure:
-    """The numerical substructure."""
+    """The numerical substructure; what has a prior is at its median."""
+    priors = structure_priors(entry)
+
+    def number(name: str, given: Any) -> float:
+        return float(priors[f"{OWNER}.{name}"].quantile(0.5)) if isinstance(given, dict) else float(given)
+
     stiffness = entry.damping.specimen_stiffness
     reference = 1.0 if stiffness == "model" else float(stiffness)
+    numbers = {name: number(name, given) for name, (_, given) in _numbers(entry).items()}
     if entry.damping.rayleigh is not None:
-        damping: Any = RayleighDamping(entry.damping.rayleigh.alpha, entry.damping.rayleigh.beta, reference)
-    else:
-        ratios = entry.damping.modal
-        if isinstance(ratios, list) and len(ratios) != len(entry.masses):
+        damping: Any = RayleighDamping(numbers["alpha"], numbers["beta"], reference)
+    elif isinstance(ratios := entry.damping.modal, list):
+        if len(ratios) != len(entry.masses):
             raise UserError(
                 f"structure.damping.modal: {len(ratios)} ratios for {len(entry.masses)} modes; give one, or one per mode"
             )
-        damping = ModalDamping(jnp.asarray(ratios), reference)
-    springs = [Spring(ends(s.between), s.stiffness) for s in entry.springs]
+        damping = ModalDamping(jnp.asarray([numbers[f"ratio_{i + 1}"] for i in range(len(ratios))]), reference)
+    else:
+        damping = ModalDamping(jnp.asarray(numbers["ratio"]), reference)
+    masses = [numbers[f"mass_{i + 1}"] for i in range(len(entry.masses))]
+    springs = [Spring(ends(s.between), numbers[f"stiffness_{i + 1}"]) for i, s in enumerate(entry.springs)]
     try:
-        return Structure(entry.masses, springs, ends(entry.specimen.between), damping)
+        return Structure(masses, springs, ends(entry.specimen.between), damping)
     except ValueError as error:
         raise UserError(f"structure: {error}") from None
+
+
+def structure_priors(entry: StructureEntry) -> dict[str, Prior]:
+    """Priors of the numbers of the structure that are calibrated, by the name of the parameter."""
+    priors = {}
+    for name, (where, given) in _numbers(entry).items():
+        if not isinstance(given, dict):
+            continue
+        known = parameter_of(name)
+        made = priors[f"{OWNER}.{name}"] = prior(where, given)
+        # With a negative mass or stiffness there is no structure; a mass that a billionth of the prior puts there never occurs.
+        lowest, highest = (float(made.quantile(share)) for share in (1e-9, 1 - 1e-9))
+        if lowest < known.lower or highest > known.upper or (name.startswith("mass_") and not lowest > 0):
+            allowed = "positive" if name.startswith("mass_") else _possible(known)
+            raise UserError(f"{where}: this prior reaches from {lowest:.3g} to {highest:.3g}; it must be {allowed}")
+    return priors
+
+
+def stiffest(of_structure: Mapping[str, Prior]) -> dict[str, float]:
+    """Numbers of a structure at which its periods are shortest: the stiffest springs, the lightest masses that priors allow."""
+    return {
+        name.removeprefix(f"{OWNER}."): float(prior.quantile(0.001 if "mass_" in name else 0.999))
+        for name, prior in of_structure.items()
+        if name.startswith((f"{OWNER}.mass_", f"{OWNER}.stiffness_"))
+    }
+
+
+def _numbers(entry: StructureEntry) -> dict[str, tuple[str, Any]]:
+    """The numbers of a structure by the names of their parameters: where each stands, and what was given."""
+    damping = entry.damping
+    found: dict[str, tuple[str, Any]]
+    found = {f"mass_{i}": (f"structure.masses[{i}]", given) for i, given in enumerate(entry.masses, 1)}
+    for i, spring in enumerate(entry.springs, 1):
+        found[f"stiffness_{i}"] = (f"structure.springs[{i}].stiffness", spring.stiffness)
+    if damping.rayleigh is not None:
+        shares = damping.rayleigh
+        found |= {name: (f"structure.damping.rayleigh.{name}", getattr(shares, name)) for name in ("alpha", "beta")}
+    elif isinstance(damping.modal, list):
+        found |= {f"ratio_{i}": (f"structure.damping.modal[{i}]", given) for i, given in enumerate(damping.modal, 1)}
+    else:
+        found["ratio"] = ("structure.damping.modal", damping.modal)
+    return found
 
 
 def ends(between: tuple[Any, Any]) -> tuple[int | None, int | None]:
@@ -102,9 +152,9 @@ def recorded_motion(entry: ExcitationEntry, folder: Path) -> tuple[np.ndarray, n
 
 
 def model_parameters(
-    model: ModelEntry, law: type[AbstractSpringLaw], catalogue: Catalogue
+    model: ModelEntry, law: type[AbstractSpringLaw], catalogue: Catalogue, of_structure: Mapping[str, Prior]
 ) -> tuple[dict[str, Prior], dict[str, float]]:
-    """Free parameters of the model with their priors, and the fixed ones with their values."""
+    """Free parameters of the model with their priors, those of the structure last, and the fixed ones with their values."""
     of_law = parameters_of(law)
     check_names("model.parameters", model.parameters, of_law)
     given: dict[str, tuple[str, Parameter, Any]] = {}
@@ -138,6 +188,7 @@ def model_parameters(
             fixed[name] = within(where, float(entry), known)
     highest = dict(fixed) | {name: math.inf if p.bounds[1] is None else p.bounds[1] for name, p in free.items()}
     _check_possible("model.parameters", law, highest)
+    free |= of_structure
     if not free:
         first = next(iter(of_law))
         raise UserError(
@@ -146,8 +197,17 @@ def model_parameters(
     return free, fixed
 
 
-def true_parameters(entry: VirtualEntry, law: type[AbstractSpringLaw], catalogue: Catalogue) -> dict[str, float]:
-    """The parameters of a virtual specimen."""
+def true_parameters(
+    entry: VirtualEntry, law: type[AbstractSpringLaw], catalogue: Catalogue, of_structure: Mapping[str, Prior]
+) -> dict[str, float]:
+    """The parameters of a virtual specimen and of the structure that it is in.
+
+    Arguments:
+        entry: of the virtual laboratory.
+        law: of the specimen.
+        catalogue: the effects there are.
+        of_structure: priors of the structure's numbers that are calibrated: each needs a true value.
+    """
     of_law, where = parameters_of(law), "experiments.virtual"
     check_names(f"{where}.parameters", entry.parameters, of_law)
     truth = {
@@ -161,7 +221,21 @@ def true_parameters(entry: VirtualEntry, law: type[AbstractSpringLaw], catalogue
         forms = effect_parameters(f"{where}.effects", effect, values, law, catalogue)
         for name, value in values.items():
             truth[f"{effect}.{name}"] = within(f"{where}.effects.{effect}.{name}", value, forms[name])
-    return truth
+    told = true_numbers(f"{where}.structure", entry.structure, of_structure)
+    return truth | {f"{OWNER}.{name}": value for name, value in told.items()}
+
+
+def true_numbers(where: str, given: Mapping[str, float], of_structure: Mapping[str, Prior]) -> dict[str, float]:
+    """The true numbers of the structure where a laboratory of this program performs an experiment, for each with a prior."""
+    calibrated = [name.removeprefix(f"{OWNER}.") for name in of_structure]
+    for name in given:
+        if name not in calibrated:
+            known = f"with one are {', '.join(calibrated)}" if calibrated else "none has one"
+            raise UserError(f"{where}.{name}: this is for numbers that the study gives priors; {known}")
+    for name in calibrated:
+        if name not in given:
+            raise UserError(f"{where}.{name}: this key is required, as the study gives it a prior")
+    return {name: within(f"{where}.{name}", value, parameter_of(name)) for name, value in given.items()}
 
 
 def _check_possible(where: str, law: type[AbstractSpringLaw], highest: Mapping[str, float]) -> None:
@@ -178,6 +252,9 @@ def parameter_units(
     units = {}
     for name in names:
         effect, _, rest = name.rpartition(".")
+        if effect == OWNER:
+            units[name] = parameter_of(rest).unit
+            continue
         known = parameters_of(catalogue[effect]) if effect else parameters_of(law)
         physical = {p.physical.name: p.physical.unit for p in known.values() if p.physical is not None}
         unit = known[rest].unit if rest in known else physical[rest]
@@ -228,11 +305,10 @@ def law_parameters(
 
 
 def longest_step(
-    structure: Structure | None, steepest: AbstractSpringLaw, entry: ExcitationEntry | None, space: InputSpace
+    structure: Structure, steepest: AbstractSpringLaw, entry: ExcitationEntry | None, space: InputSpace
 ) -> float:
     """The step that resolves the structure, its specimen at the upper end of its stiffness, and the pulse [s]."""
     stiffest = float(steepest.stiffness)
-    assert structure is not None
     # Compiled: one program is ready sooner than each of its operations.
     periods = [1 / float(jax.jit(lambda: structure.frequencies(stiffest))()[-1])]
     pulse = entry.near_fault_pulse if entry else None

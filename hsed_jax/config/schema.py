@@ -28,11 +28,27 @@ Value = Number | str
 """A number, or the name of an input."""
 
 
+def _prior(value: Any) -> Any:
+    if isinstance(value, dict) and len(value) != 1:
+        raise ValueError("a prior is one distribution with its arguments, such as {uniform: [0.0, 1.0]}")
+    return value
+
+
+def _prior_or_default(value: Any) -> Any:
+    return value if value == {} else _prior(value)
+
+
+PriorEntry = Annotated[dict[str, Any], BeforeValidator(_prior)]
+ParameterEntry = Number | Annotated[dict[str, Any], BeforeValidator(_prior_or_default)]
+"""A fixed number, or a prior; `{}` is the prior that law or catalogue have for it."""
+NotNegative = Annotated[Number, Field(ge=0)]
+
+
 class LinearSpringEntry(Section):
     """A linear spring of the structure."""
 
     between: tuple[End, End]
-    stiffness: Annotated[Number, Field(ge=0)]
+    stiffness: NotNegative | PriorEntry
 
 
 class SpecimenEntry(Section):
@@ -44,14 +60,14 @@ class SpecimenEntry(Section):
 class Rayleigh(Section):
     """Rayleigh damping C = alpha M + beta K."""
 
-    alpha: Annotated[Number, Field(ge=0)]
-    beta: Annotated[Number, Field(ge=0)]
+    alpha: NotNegative | PriorEntry
+    beta: NotNegative | PriorEntry
 
 
 class Damping(Section):
     """Modal or Rayleigh damping; the specimen counts with `specimen_stiffness` [N/m], or with that of the model (`model`)."""
 
-    modal: Ratio | list[Ratio] | None = None
+    modal: Ratio | PriorEntry | list[Ratio | PriorEntry] | None = None
     rayleigh: Rayleigh | None = None
     specimen_stiffness: Positive | Literal["model"]
 
@@ -63,9 +79,9 @@ class Damping(Section):
 
 
 class StructureEntry(Section):
-    """Masses [kg], linear springs [N/m], the specimen and the damping."""
+    """Masses [kg], linear springs [N/m], the specimen and the damping; a number with a prior is calibrated with the law."""
 
-    masses: Annotated[list[Positive], Field(min_length=1)]
+    masses: Annotated[list[Positive | PriorEntry], Field(min_length=1)]
     springs: list[LinearSpringEntry]
     specimen: SpecimenEntry
     damping: Damping
@@ -102,21 +118,6 @@ class ExcitationEntry(Section):
         if self.near_fault_pulse is not None and self.duration is None:
             raise ValueError("a near_fault_pulse needs a duration [s]")
         return self
-
-
-def _prior(value: Any) -> Any:
-    if isinstance(value, dict) and len(value) != 1:
-        raise ValueError("a prior is one distribution with its arguments, such as {uniform: [0.0, 1.0]}")
-    return value
-
-
-def _prior_or_default(value: Any) -> Any:
-    return value if value == {} else _prior(value)
-
-
-PriorEntry = Annotated[dict[str, Any], BeforeValidator(_prior)]
-ParameterEntry = Number | Annotated[dict[str, Any], BeforeValidator(_prior_or_default)]
-"""A fixed number, or a prior; `{}` is the prior that law or catalogue have for it."""
 
 
 class InputEntry(Section):

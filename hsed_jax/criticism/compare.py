@@ -195,7 +195,7 @@ def _split(prediction: Prediction, declared: np.ndarray) -> Split:
         if not used.any():
             continue
         tables = (prediction.measured, predicted, prediction.mean, prediction.sd)
-        noise = noise_of(prediction, output, bool(declared[number]))
+        noise = noise_sizes(prediction, output, bool(declared[number]))
         every = tuple(np.where(used, table, np.nan) for table in (*(t[:, columns] for t in tables), noise))
         per_output[output] = _errors(every)
         for row, experiment in enumerate(prediction.experiments):
@@ -246,7 +246,7 @@ def normalised_error(measured: np.ndarray, predicted: np.ndarray, used: np.ndarr
     return float(np.sqrt(np.mean(squares))) if squares else float("nan")
 
 
-def noise_of(prediction: Prediction, output: str, declared: bool) -> np.ndarray:
+def noise_sizes(prediction: Prediction, output: str, declared: bool) -> np.ndarray:
     """Sd of the noise of an output, (n, J): declared, or for histories estimated from what no smooth signal explains."""
     columns = prediction.columns(output)
     sigma = prediction.sigma[:, columns].copy()

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hsed_jax.criticism.compare import noise_of
+from hsed_jax.criticism.compare import noise_sizes
 from hsed_jax.criticism.cycles import absorbed_energy, branches, cycle_numbers, frequencies, half_cycles
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.errors import UserError
@@ -122,7 +122,7 @@ def _beyond_noise(prediction: Prediction, output: str) -> tuple[float, float]:
     residual = prediction.residual[:, columns][used]
     scale = float(np.std(prediction.measured[:, columns][used])) or float(np.sqrt(np.mean(residual**2))) or 1.0
     # The inferred error holds the misfit too; what no smooth signal explains is noise.
-    noise = np.fmin(noise_of(prediction, output, False), prediction.sigma[:, columns])[used]
+    noise = np.fmin(noise_sizes(prediction, output, False), prediction.sigma[:, columns])[used]
     size, floor = float(np.mean(residual**2)), float(np.mean(noise**2))
     return (np.sqrt(1 - floor / size) / scale, floor / size) if size > _NOISE_FACTOR * floor else (0.0, 1.0)
 

@@ -98,6 +98,7 @@ def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None
         },
         optimum={problem.names[k]: float(theta[k]) for k in best.fit.free},
         prediction=_prediction(problem, best.fit, search.target.sigma),
+        scales=problem.scales,
         notes=[*problem.notes, *([_MISSED] if search.missed > _APART else [])],
     )
 

@@ -10,6 +10,7 @@ import numpy as np
 from hsed_jax.criticism.compare import is_material
 from hsed_jax.criticism.prediction import Prediction, error_cell
 from hsed_jax.inference.correlation import SIGNIFICANT
+from hsed_jax.physics.scales import Scales
 from hsed_jax.tables import Table, Tabular, cell
 
 # Of so many likely effects it is said why they are not named.
@@ -66,6 +67,7 @@ class Diagnosis(Tabular):
         parameters: of the law, before and with the named effects.
         optimum: θ of the model with the named effects at its best fit, by name, SI: where an improvement starts.
         prediction: of the training experiments with the named effects.
+        scales: characteristic values that amplitudes of the candidates are relative to.
         notes: sentences on how the diagnosis was made.
     """
 
@@ -84,6 +86,7 @@ class Diagnosis(Tabular):
     parameters: dict[str, dict[str, dict[str, float]]]
     optimum: Mapping[str, float]
     prediction: Prediction
+    scales: Scales
     notes: Sequence[str] = ()
 
     def summary(self) -> dict[str, Any]:

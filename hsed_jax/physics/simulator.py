@@ -23,7 +23,7 @@ from hsed_jax.physics.response import Response
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.sensors import felt, measured
 from hsed_jax.physics.specimen import Specimen
-from hsed_jax.physics.structures import Structure
+from hsed_jax.physics.structures import OWNER, Structure
 from hsed_jax.physics.systems import AbstractSystem, DrivenSpring, ShakenStructure
 
 Scalar = Float[Array, ""] | float
@@ -90,7 +90,7 @@ class Simulator(eqx.Module):
 
     def specimen(self, parameters: Mapping[str, Scalar]) -> Specimen:
         """The law with its effects; parameters of effects are named `effect.parameter`, in dimensionless or physical form."""
-        law, effects = self._given(parameters)
+        law, effects, _ = self._given(parameters)
         of_spring = tuple(effect for effect in effects if isinstance(effect, AbstractSpringEffect))
         return Specimen(self.law(**law), of_spring, self.scales)
 
@@ -99,7 +99,7 @@ class Simulator(eqx.Module):
         specimen = self.specimen(parameters)
         if self.structure is None:
             return DrivenSpring(specimen)
-        structure = self.structure
+        structure = self.structure.told(self._given(parameters)[2])
         if self.damping_follows_model:
             structure = eqx.tree_at(lambda s: s.damping.specimen_stiffness, structure, specimen.law.stiffness)
         slots = self._setup(parameters)
@@ -152,17 +152,22 @@ class Simulator(eqx.Module):
         response = self.respond(parameters, conditions)
         return jax.numpy.stack([response.quantities[name] for name in names]), response.ok
 
-    def _given(self, parameters: Mapping[str, Scalar]) -> tuple[dict[str, Scalar], list[AbstractEffect]]:
-        """Parameters of the spring law, and the effects."""
+    def _given(
+        self, parameters: Mapping[str, Scalar]
+    ) -> tuple[dict[str, Scalar], list[AbstractEffect], dict[str, Scalar]]:
+        """Parameters of the spring law, the effects, and numbers of the structure."""
         law: dict[str, Scalar] = {}
+        of_structure: dict[str, Scalar] = {}
         of_effects: dict[str, dict[str, Scalar]] = {effect: {} for effect in self.effects}
         for name, value in {**dict(self.constants), **parameters}.items():
             effect, _, rest = name.rpartition(".")
-            if effect:
+            if effect == OWNER:
+                of_structure[rest] = value
+            elif effect:
                 of_effects[effect].update(dimensionless(self.effects[effect], rest, value, self.scales))
             else:
                 law[name] = value
-        return law, [self.effects[effect](**values) for effect, values in of_effects.items()]
+        return law, [self.effects[effect](**values) for effect, values in of_effects.items()], of_structure
 
     def _setup(self, parameters: Mapping[str, Scalar]) -> Callable[[str], Any] | None:
         """The slots of structure and test rig; None where no effect writes to them."""

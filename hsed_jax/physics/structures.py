@@ -5,7 +5,8 @@ $$M\ddot u + C\dot u + K u + b\,r = -M\,1\,a_g,\qquad \Delta u = b^\top u$$
 with b = +1 at the specimen's second end and −1 at its first (0 for the ground).
 """
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from typing import final
 
 import equinox as eqx
@@ -13,8 +14,13 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from hsed_jax.physics.parameters import Parameter
+
 Scalar = Float[Array, ""] | float
 End = int | None
+
+OWNER = "structure"
+"""What stands before the name of a parameter of the structure, as the name of an effect before one of an effect."""
 
 
 @final
@@ -47,6 +53,16 @@ class ModalDamping(eqx.Module):
         modal = 2 * jnp.asarray(self.ratios) * _circular(eigenvalues)
         return jnp.outer(root, root) * ((modes * modal) @ modes.T)
 
+    def told(self, values: Mapping[str, Scalar]) -> "ModalDamping":
+        """The damping with some of its ratios replaced, by name."""
+        if "ratio" in values:
+            return ModalDamping(values["ratio"], self.specimen_stiffness)
+        if not any(name.startswith("ratio_") for name in values):
+            return self
+        own = tuple(jnp.asarray(self.ratios))
+        ratios = jnp.stack([jnp.asarray(values.get(f"ratio_{i + 1}", ratio)) for i, ratio in enumerate(own)])
+        return ModalDamping(ratios, self.specimen_stiffness)
+
 
 @final
 class RayleighDamping(eqx.Module):
@@ -59,6 +75,11 @@ class RayleighDamping(eqx.Module):
     def matrix(self, masses: Float[Array, " m"], stiffness: Float[Array, "m m"]) -> Float[Array, "m m"]:
         """C [N·s/m] from the masses [kg] and the stiffness matrix with the specimen [N/m]."""
         return self.alpha * jnp.diag(masses) + self.beta * stiffness
+
+    def told(self, values: Mapping[str, Scalar]) -> "RayleighDamping":
+        """The damping with α, β or both replaced, by name."""
+        alpha, beta = values.get("alpha", self.alpha), values.get("beta", self.beta)
+        return RayleighDamping(alpha, beta, self.specimen_stiffness)
 
 
 @final
@@ -123,6 +144,21 @@ class Structure(eqx.Module):
         """Δu [m] of the specimen from the displacements [m]; likewise its rate from the velocities."""
         return difference(displacement, self.specimen)
 
+    def told(self, values: Mapping[str, Scalar]) -> "Structure":
+        """The structure with some of its numbers replaced.
+
+        Arguments:
+            values: by the names that `parameter_of` knows, SI.
+        """
+        if not values:
+            return self
+        masses = [values.get(f"mass_{i + 1}", mass) for i, mass in enumerate(self.masses)]
+        springs = [
+            Spring(spring.ends, values.get(f"stiffness_{i + 1}", spring.stiffness))
+            for i, spring in enumerate(self.springs)
+        ]
+        return Structure(masses, springs, self.specimen, self.damping.told(values))
+
     @property
     def supports(self) -> tuple[int, ...]:
         """Which of the springs go to the ground."""
@@ -161,6 +197,33 @@ def difference(values: Sequence[Scalar], ends: tuple[End, End]) -> Scalar:
         assert second is not None
         return values[second]
     return -values[first] if second is None else values[second] - values[first]
+
+
+_KINDS = {
+    "mass": (r"m_{{{}}}", "kg", "mass {}"),
+    "stiffness": (r"k_{{{}}}", "N/m", "stiffness of spring {}"),
+    "ratio": (r"\zeta_{{{}}}", "1", "damping ratio of mode {}"),
+}
+_DAMPING = {
+    "ratio": Parameter("ratio", r"\zeta", "1", "damping ratio of all modes", lower=0.0, upper=1.0),
+    "alpha": Parameter("alpha", r"\alpha", "1/s", "share of the masses in the damping", lower=0.0),
+    "beta": Parameter("beta", r"\beta_C", "s", "share of the stiffness in the damping", lower=0.0),
+}
+
+
+def parameter_of(name: str) -> Parameter:
+    """What is known of a number of a structure: `mass_1`, `stiffness_1`, `ratio`, `ratio_1`, `alpha`, `beta`.
+
+    Raises:
+        KeyError: there is none of that name.
+    """
+    if name in _DAMPING:
+        return _DAMPING[name]
+    match = re.fullmatch(r"(mass|stiffness|ratio)_([1-9]\d*)", name)
+    if match is None:
+        raise KeyError(name)
+    symbol, unit, meaning = (text.format(match[2]) for text in _KINDS[match[1]])
+    return Parameter(name, symbol, unit, meaning, lower=0.0, upper=1.0 if match[1] == "ratio" else float("inf"))
 
 
 def _label(end: End) -> str:

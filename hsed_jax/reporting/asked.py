@@ -29,7 +29,7 @@ def _specimen(study: Mapping[str, Any], campaign: Campaign) -> str:
     masses = structure["masses"]
     ends = " and ".join(_end(end) for end in structure["specimen"]["between"])
     many = f"{len(masses)} masses" if len(masses) > 1 else "one mass"
-    sizes = ", ".join(f"{mass:g} kg" for mass in masses)
+    sizes = ", ".join("calibrated" if isinstance(mass, Mapping) else f"{mass:g} kg" for mass in masses)
     return f"A specimen between {ends} of a structure of {many} ({sizes})."
 
 
@@ -75,7 +75,11 @@ def _model(study: Mapping[str, Any]) -> str:
 
 def _law(spring: str | Mapping[str, str]) -> str:
     """A spring law in words; of a user's own nothing is executed to know it."""
-    return LAWS[spring].title if isinstance(spring, str) else f"the spring law {spring['class']} of {spring['file'].rpartition('/')[2]}"
+    return (
+        LAWS[spring].title
+        if isinstance(spring, str)
+        else f"the spring law {spring['class']} of {spring['file'].rpartition('/')[2]}"
+    )
 
 
 def _experiments(study: Mapping[str, Any], campaign: Campaign) -> str:

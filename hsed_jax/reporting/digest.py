@@ -71,12 +71,13 @@ def warnings(run: FinishedRun) -> Iterator[str]:
     if run.summary["status"] != "complete":
         yield f"The run is not complete ({run.summary['status']}); what follows is what there was when it stopped."
     yield from (f"{words}: {text}." for words, texts in diverged(run).items() for text in texts)
-    for words, part in (("the calibration", "calibration"), ("the improved model's calibration", "improvement")):
+    first = "the model as it was" if "improvement" in run.summary else "the model"
+    for model, part in ((first, "calibration"), ("the improved model", "improvement")):
         found = run.summary.get(part, {})
         if text := found.get("warning"):
-            yield f"The draws of {words} have not converged: {text}."
+            yield f"The draws of the posterior of {model} have not converged: {text}."
         if doubt := found.get("doubt"):
-            yield sentence(doubt)
+            yield sentence(doubt.replace("the model", model, 1))
     for finding in run.findings[:_QUOTED]:
         yield sentence(f"the data check has {'an' if finding.level == 'error' else 'a'} {finding}")
     if rest := len(run.findings[_QUOTED:]):

@@ -26,6 +26,7 @@ from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.laws import LAWS
 from hsed_jax.physics.outputs import output
 from hsed_jax.physics.parameters import parameters_of
+from hsed_jax.physics.structures import OWNER, parameter_of
 
 WIDTH = 7.0
 """Width of every figure [inch]: a page of text."""
@@ -203,6 +204,8 @@ def label(name: str, unit: str) -> str:
 def symbol(name: str) -> str:
     """The symbol that a parameter declares, in dollars; else a short name as it is set, V_P; else the name as words."""
     effect, _, own = name.rpartition(".")
+    if effect == OWNER:
+        return f"${parameter_of(own).symbol}$"
     owners = [EFFECTS[effect]] if effect in EFFECTS else [] if effect else LAWS.values()
     declared = next((known[own] for owner in owners if own in (known := parameters_of(owner))), None)
     if declared:

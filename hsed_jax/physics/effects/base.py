@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.states import SharedState
+from hsed_jax.physics.structures import OWNER
 
 Scalar = Float[Array, ""] | float
 
@@ -155,7 +156,7 @@ class Catalogue(Mapping[str, type[AbstractEffect]]):
         effects: their classes.
 
     Raises:
-        ValueError: two of them have one name.
+        ValueError: two of them have one name, or one has that of the structure.
     """
 
     effects: tuple[type[AbstractEffect], ...] = ()
@@ -165,6 +166,8 @@ class Catalogue(Mapping[str, type[AbstractEffect]]):
         names = [effect.name for effect in self.effects]
         if twice := [name for name in names if names.count(name) > 1]:
             raise ValueError(f"two effects are named {twice[0]!r}")
+        if OWNER in names:
+            raise ValueError(f"no effect can be named {OWNER!r}, which stands before the numbers of the structure")
 
     @cached_property
     def _by_name(self) -> dict[str, type[AbstractEffect]]:
