@@ -25,6 +25,7 @@ from hsed_jax.inference.fit import Fit, fit
 from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Campaign, stop_at_errors
 from hsed_jax.physics.batch import tiled_map
+from hsed_jax.physics.outputs import further
 from hsed_jax.physics.response import Response
 from hsed_jax.physics.simulator import Conditions, Simulator
 from hsed_jax.tables import Table, Tabular
@@ -184,7 +185,7 @@ def simulate(
         channels: histories to keep; none for quantities alone, which is faster.
 
     Returns:
-        The response; in a batch every array has a leading axis.
+        The response, with the quantities of Eq. 18 and those that the study names; in a batch every array has a leading axis.
 
     Raises:
         UserError: an input or parameter is missing or unknown, or lengths differ.
@@ -211,8 +212,9 @@ def simulate(
 
     # The study may be of records; what is simulated here has none.
     parameters, inputs = lanes
+    more = further(tuple(study.quantities))
     if not sizes:
-        return built.planned_simulator.respond(parameters, Conditions(inputs), channels)
+        return built.planned_simulator.respond(parameters, Conditions(inputs), channels, more)
     ((size,),) = sizes
     if size == 0:
         raise UserError("there is nothing to simulate: inputs and parameters are arrays of length 0")
@@ -221,7 +223,7 @@ def simulate(
     def chunk(begin: int) -> Response:
         count = min(_CHUNK, size - begin)
         part = jax.tree.map(lambda x: np.pad(x[begin : begin + count], (0, _CHUNK - count), mode="edge"), batch)
-        found = _simulated(built.planned_simulator, channels, part, jnp.asarray(count))
+        found = _simulated(built.planned_simulator, channels, more, part, jnp.asarray(count))
         return jax.tree.map(lambda x: np.asarray(x)[:count], found)
 
     # The first compiles, the others run on all cores.
@@ -231,10 +233,12 @@ def simulate(
 
 
 @eqx.filter_jit
-def _simulated(simulator: Simulator, channels: tuple[str, ...], lanes: Any, count: Array) -> Response:
+def _simulated(
+    simulator: Simulator, channels: tuple[str, ...], quantities: tuple[str, ...], lanes: Any, count: Array
+) -> Response:
     def one(lane):
         parameters, inputs = lane
-        return simulator.respond(parameters, Conditions(inputs), channels)
+        return simulator.respond(parameters, Conditions(inputs), channels, quantities)
 
     found = tiled_map(jax.vmap(one), lanes, count=count)
     return found._replace(ok=found.ok.astype(bool))

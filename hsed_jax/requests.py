@@ -21,8 +21,7 @@ from hsed_jax.laboratories.answer import QUANTITIES, RECORD, is_answered, left, 
 from hsed_jax.laboratories.base import ExperimentFailed, Measured
 from hsed_jax.laboratories.request import Request
 from hsed_jax.measurements import Record, parse_unit
-from hsed_jax.physics.outputs import QUANTITIES as PEAKS
-from hsed_jax.physics.outputs import output
+from hsed_jax.physics.outputs import EQ_18, further, output
 from hsed_jax.physics.simulator import Conditions
 
 BAND = (0.05, 0.5, 0.95)
@@ -82,7 +81,7 @@ class Requests:
         return Expected(
             step * every * np.arange(steps // every + 1),
             {name: band(values) for name, values in channels.items()},
-            {name: band(quantities[name]) for name in PEAKS},
+            {name: band(values) for name, values in quantities.items()},
         )
 
     @cached_property
@@ -90,11 +89,12 @@ class Requests:
         names = tuple(self.built.parameters[0])
         wanted = [name for name in self.built.sensors.channels if name not in ("time", "ground_acceleration")]
         wanted = list(dict.fromkeys([*wanted, "elongation", "force"]))
-        simulator = self.built.planned_simulator
+        simulator, more = self.built.planned_simulator, further(tuple(self.built.study.quantities))
 
         def one(theta, inputs):
-            response = simulator.respond(dict(zip(names, theta, strict=False)), Conditions(inputs), tuple(wanted))
-            quantities = {name: response.quantities[name] for name in PEAKS}
+            parameters = dict(zip(names, theta, strict=False))
+            response = simulator.respond(parameters, Conditions(inputs), tuple(wanted), more)
+            quantities = {name: response.quantities[name] for name in (*EQ_18, *more)}
             return {name: response.channels[name] for name in wanted}, quantities, response.ok
 
         return jax.jit(lambda inputs, draws: jax.vmap(lambda theta: one(theta, inputs))(jnp.asarray(draws)))
@@ -117,7 +117,7 @@ class Requests:
                 columns[f"{name} {share:.0%} [{unit}]"] = parse_unit(unit).from_si(values)
         pd.DataFrame(columns).to_csv(folder / "expected.csv", index=False)
         peaks = {
-            name: {"unit": PEAKS[name].unit, **{f"{s:.0%}": float(v) for s, v in zip(BAND, values, strict=True)}}
+            name: {"unit": output(name).unit, **{f"{s:.0%}": float(v) for s, v in zip(BAND, values, strict=True)}}
             for name, values in expected.quantities.items()
         }
         more: dict[str, Any] = {"attempt": asked.attempt, "expected": peaks}

@@ -14,24 +14,22 @@ from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator, Timeline
 from hsed_jax.physics.structures import ModalDamping, Spring, Structure
 
+REFERENCE = Path(__file__).with_name("data") / "reference_quantities.csv"
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
-    """The folder of shared data and the paper's reference values, beside the repository."""
+    """The folder of measured data, beside the repository."""
     if not SHARED.is_dir():
         pytest.skip(f"there is no folder {SHARED}")
     return SHARED
 
 
 @pytest.fixture(scope="session")
-def reference_table(shared) -> pd.DataFrame:
+def reference_table() -> pd.DataFrame:
     """600 independent simulations (DOP853, rtol 1e-12, events at the kinks), C formed with each row's own A."""
-    path = shared / "paper" / "reference_quantities.csv"
-    if not path.is_file():
-        pytest.skip(f"there is no file {path}")
-    return pd.read_csv(path).astype({"A": float, "beta": float})
+    return pd.read_csv(REFERENCE).astype({"A": float, "beta": float})
 
 
 @pytest.fixture(scope="session")

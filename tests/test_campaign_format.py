@@ -41,6 +41,9 @@ UNITS = {
     "peak_force": ["kN", "N", "kip"],
     "peak_elongation": ["mm", "m"],
     "dissipated_energy": ["J", "kJ", "kN*mm", "kip*inch"],
+    "residual_elongation": ["mm", "m"],
+    "peak_absolute_acceleration": ["g", "m/s^2"],
+    "energy_at_5s": ["J", "kJ"],
 }
 numbers = st.floats(-1e30, 1e30, allow_nan=False)
 texts = st.text(st.characters(exclude_categories=("Cs", "Cc")), min_size=1, max_size=12)

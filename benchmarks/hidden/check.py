@@ -16,7 +16,7 @@ from .sensors import Program
 from .specimen import DURATION, Frame, Scales, Specimen, driven_rates, modal_damping, pulse, shake, shaken_rates
 
 UNITS = np.array([0.1, 0.1, 1.0, 1.0, 1e5, 1e4, 1e4, 1.0])  # of the states, for the tolerance
-REFERENCE = Path(__file__).resolve().parents[3] / "shared" / "paper" / "reference_quantities.csv"
+REFERENCE = Path(__file__).resolve().parents[2] / "tests" / "data" / "reference_quantities.csv"
 
 
 def against_reference(path: Path = REFERENCE) -> dict[str, float]:

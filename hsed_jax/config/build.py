@@ -1,6 +1,7 @@
 """From what a user said to the objects that compute: no `None` reaches the numerics."""
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -200,7 +201,7 @@ class Built:
     @cached_property
     def sensors(self) -> Sensors:
         """What the laboratory measures."""
-        return laboratories.sensors_of(self.study, self.outputs)
+        return laboratories.sensors_of(self.study, self.outputs, self.structure)
 
     @cached_property
     def programme(self) -> Programme:
@@ -248,6 +249,10 @@ class Built:
     def outputs(self) -> tuple[str, ...]:
         """Names of the observed quantities or channels."""
         if self.study.observe == "quantities":
+            # A record that is too short for one tells it not, and is passed over.
+            duration = self.planned.step * self.planned.steps if self.grid is None else math.inf
+            for name in self.study.quantities:
+                parts.at("quantities", laboratories.check_quantity, name, self.structure, duration)
             return tuple(self.study.quantities)
         if self.measured is None:
             known = laboratories.declared_responses(self.study)
@@ -270,7 +275,8 @@ class Built:
     def observation(self) -> Observation:
         """What is compared with the model."""
         if self.study.observe == "quantities":
-            return Quantities(self.outputs, self.grid, self.excitation)
+            masses = 0 if self.structure is None else len(self.structure.masses)
+            return Quantities(self.outputs, self.grid, self.excitation, masses)
         samples = self.timeline.steps // self.timeline.every + 1
         return Histories(self.outputs, samples, self.grid, self.excitation)
 
@@ -285,7 +291,7 @@ class Built:
             # Of a history the model may miss as much as there is; a quantity off by half is already a poor model.
             unknown = Prior("half_normal", 0.3 if self.study.observe == "quantities" else 1.0)
             told = unknown if size.unknown else float(size.relative or size.absolute or 0.0)
-            errors.append(Error(told, size.absolute is None, entry.correlated, entry.inflate))
+            errors.append(parts.error(name, told, size.absolute is None, entry))
         return tuple(errors)
 
     @cached_property

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from shutil import which
 from typing import Any
@@ -29,18 +30,12 @@ from hsed_jax.laboratories.sensors import Sensors
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.measurements import Channel, Noise
 from hsed_jax.measurements.declaration import declared_channel
-from hsed_jax.physics.outputs import CHANNELS, PER_MASS, output
+from hsed_jax.physics.outputs import CHANNELS, PER_MASS, output, quantity
 from hsed_jax.physics.simulator import Simulator
 from hsed_jax.physics.structures import Structure
 from hsed_jax.plain import shown
 
 IMPOSED = ("time", "ground_acceleration")
-# What a quantity is taken from, where it is not measured by itself.
-_SOURCES = {
-    "peak_force": ("force",),
-    "peak_elongation": ("elongation",),
-    "dissipated_energy": ("force", "elongation"),
-}
 
 
 @dataclass(frozen=True)
@@ -78,7 +73,7 @@ def check_response(name: str, structure: Structure | None) -> None:
     Raises:
         UserError: there is no such channel, it is imposed, or it is of a mass that does not exist.
     """
-    masses = range(1, 1 if structure is None else len(structure.masses) + 1)
+    masses = range(1, _masses(structure) + 1)
     kinds = [*(f"{kind}_{{}}" for kind in PER_MASS), "acceleration_{}_absolute"]
     given = [
         *(name for name in CHANNELS if name not in IMPOSED),
@@ -86,6 +81,28 @@ def check_response(name: str, structure: Structure | None) -> None:
     ]
     if name not in given:
         raise UserError(f"there is no channel {shown(name)} that the model gives; it gives {', '.join(given)}")
+
+
+def check_quantity(name: str, structure: Structure | None, duration: float) -> None:
+    """Refuse a quantity that the model does not give.
+
+    Arguments:
+        name: of the quantity.
+        structure: that the specimen is in; None: the specimen is alone.
+        duration: of the experiments [s].
+
+    Raises:
+        UserError: it is one of masses, and there are none, or of a time after the end.
+    """
+    known = quantity(name)
+    if not known.channels(_masses(structure)):
+        raise UserError(f"{name} is one of masses, and a component test has none; leave it out")
+    if known.until > duration:
+        raise UserError(f"{name} lies beyond the end of the experiments, which last {duration:g} s")
+
+
+def _masses(structure: Structure | None) -> int:
+    return 0 if structure is None else len(structure.masses)
 
 
 def declared_responses(study: Study) -> tuple[str, ...] | None:
@@ -96,12 +113,13 @@ def declared_responses(study: Study) -> tuple[str, ...] | None:
     return tuple(name for name in entry.channels if name not in IMPOSED)
 
 
-def sensors_of(study: Study, outputs: tuple[str, ...]) -> Sensors:
+def sensors_of(study: Study, outputs: tuple[str, ...], structure: Structure | None) -> Sensors:
     """What the laboratory of a study measures.
 
     Arguments:
         study: the study.
         outputs: the quantities or channels that it observes.
+        structure: that the specimen is in.
 
     Raises:
         UserError: a channel or unit that is none, or something observed that is not measured.
@@ -109,8 +127,11 @@ def sensors_of(study: Study, outputs: tuple[str, ...]) -> Sensors:
     entry, where = study.experiments.laboratory, f"experiments.{study.experiments.kind}"
     histories = study.observe == "histories"
     channels, quantities = (outputs, ()) if histories else ((), outputs)
+    sources = {name: quantity(name).channels(_masses(structure)) for name in quantities}
     if isinstance(entry, OpenSeesEntry) and not histories:
-        channels = ("elongation", "force")
+        # What its program does not take from all its steps is taken from the record.
+        channels = tuple(dict.fromkeys(["elongation", "force", *chain(*sources.values())]))
+        quantities = tuple(name for name in quantities if name in opensees.QUANTITIES)
     if isinstance(entry, VirtualEntry | OpenSeesEntry):
         noise = sensor_noise(f"{where}.noise", entry, (*channels, *quantities))
         recorded = (*IMPOSED, *(name for name in channels if name not in IMPOSED)) if channels else ()
@@ -127,10 +148,10 @@ def sensors_of(study: Study, outputs: tuple[str, ...]) -> Sensors:
     columns = {name: given.column or name for name, given in entry.channels.items()}
     found = parts.at(where, Sensors, made["channels"], made["quantities"], columns, histories)
     for name in quantities:
-        if name not in entry.quantities and not set(_SOURCES[name]) <= set(entry.channels):
+        if name not in entry.quantities and not set(sources[name]) <= set(entry.channels):
             raise UserError(
                 f"{where}: {name} is observed and not measured; declare it in quantities, or its source in channels "
-                f"({', '.join(_SOURCES[name])})"
+                f"({', '.join(sources[name])})"
             )
     if histories and not entry.channels:
         raise UserError(f"{where}.channels: histories are observed, and the laboratory declares no channels")

@@ -6,7 +6,7 @@ from hsed_jax.config.schema import LimitsEntry
 from hsed_jax.design.feasible import Limits
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
-from hsed_jax.physics.outputs import QUANTITIES
+from hsed_jax.physics.outputs import QUANTITIES, further
 from hsed_jax.physics.simulator import Conditions, Simulator
 
 
@@ -22,17 +22,18 @@ def limits_of(entry: LimitsEntry, simulator: Simulator, names: tuple[str, ...], 
     Raises:
         UserError: no limit is given.
     """
-    known = (entry.force, entry.stroke, entry.energy)
-    most = {name: limit for name, limit in zip(QUANTITIES, known, strict=True) if limit is not None}
+    known = {known.limit: name for name, known in QUANTITIES.items() if known.limit is not None}
+    most = {known[limit]: value for limit, value in entry.model_dump(include=set(known), exclude_none=True).items()}
+    quantities = further(tuple(most))
     if entry.velocity is not None:
         most["velocity"] = entry.velocity
     if not most:
-        raise UserError("design.limits: give at least one of stroke, force, velocity, energy")
+        raise UserError(f"design.limits: give at least one of {', '.join([*known, 'velocity'])}")
     channels = ("elongation_rate",) if "velocity" in most else ()
 
     def respond(theta, point):
         parameters = dict(zip(names, theta, strict=False))
-        response = simulator.respond(parameters, Conditions(space.inputs(point)), channels)
+        response = simulator.respond(parameters, Conditions(space.inputs(point)), channels, quantities)
         values = dict(response.quantities)
         if channels:
             values["velocity"] = jnp.max(jnp.abs(response.channels["elongation_rate"]))

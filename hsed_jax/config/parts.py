@@ -12,15 +12,17 @@ import numpy as np
 
 from hsed_jax.config.experiments import VirtualEntry
 from hsed_jax.config.schema import ExcitationEntry, ModelEntry, StructureEntry
-from hsed_jax.config.sections import NoiseEntry
+from hsed_jax.config.sections import ErrorEntry, NoiseEntry
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
+from hsed_jax.inference.likelihood import Error
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import parse_unit, read_at2
 from hsed_jax.measurements.units import TIME, VELOCITY
 from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.excitations import NearFaultPulse, RecordedMotion
 from hsed_jax.physics.laws import AbstractSpringLaw
+from hsed_jax.physics.outputs import is_quantity, output, quantity
 from hsed_jax.physics.parameters import Parameter, parameters_of
 from hsed_jax.physics.simulator import Parametrised, Timeline
 from hsed_jax.physics.specimen import unserved
@@ -377,6 +379,20 @@ def per_output[Entry: NoiseEntry](
         if name not in outputs:
             raise UserError(f"{where}.{name}: this is not observed; observed are {', '.join(outputs)}")
     return dict(entry)
+
+
+def error(name: str, size: float | Prior, is_relative: bool, entry: ErrorEntry) -> Error:
+    """The error of an output.
+
+    Raises:
+        UserError: it is relative to a quantity that may be negative or zero.
+    """
+    if is_relative and is_quantity(name) and quantity(name).is_signed:
+        raise UserError(
+            f"error.{name}: {name} may be negative or zero, and no error is relative to that; give it an absolute one "
+            f"[{output(name).unit}], such as error: {{{name}: {{absolute: 0.001}}}}"
+        )
+    return Error(size, is_relative, entry.correlated, entry.inflate)
 
 
 def prior(where: str, entry: Mapping[str, Any]) -> Prior:

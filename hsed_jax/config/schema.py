@@ -7,6 +7,7 @@ from pydantic import (
     BeforeValidator,
     Field,
     PrivateAttr,
+    create_model,
     field_validator,
     model_validator,
 )
@@ -17,7 +18,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
 from hsed_jax.measurements.checks import DoubtKind
 from hsed_jax.physics.effects.base import AbstractEffect
-from hsed_jax.physics.outputs import QUANTITIES
+from hsed_jax.physics.outputs import ALLOWED, EQ_18, QUANTITIES, is_quantity
 from hsed_jax.plain import Number, Whole, name_fault, shown
 from hsed_jax.tables import Table, Tabular
 
@@ -174,17 +175,18 @@ class StopEntry(Section):
     """Stop when the diagnosis, made after every step, names what is missing."""
 
 
-class LimitsEntry(Section):
-    """What specimen and actuator can bear (SI): inputs whose predicted response exceeds it are not asked."""
+_Limit: Any = Positive
+_LIMITS: Any = {known.limit: (_Limit | None, None) for known in QUANTITIES.values() if known.limit is not None}
 
-    stroke: Positive | None = None
-    """Largest elongation [m]."""
-    force: Positive | None = None
-    """Largest force [N]."""
+
+class LimitsEntry(create_model("LimitsEntry", __base__=Section, **_LIMITS)):
+    """What specimen, actuator and masses can bear (SI): inputs whose predicted response exceeds it are not asked.
+
+    Besides those below, the limits of the quantities that have one (`hsed_jax.physics.outputs`).
+    """
+
     velocity: Positive | None = None
     """Largest rate of the elongation [m/s]."""
-    energy: Positive | None = None
-    """Energy that the specimen may absorb in one experiment [J]."""
     probability: Annotated[Number, Field(gt=0, lt=1)] = 0.05
     """Of exceeding a limit that is accepted."""
 
@@ -280,7 +282,7 @@ class Study(Tabular, Section):
     observe: Literal["quantities", "histories"] = "quantities"
     channels: Annotated[list[str], Field(min_length=1)] | None = None
     """Channels to fit and compare when histories are observed; by default all that were measured."""
-    quantities: Annotated[list[str], Field(min_length=1)] = list(QUANTITIES)
+    quantities: Annotated[list[str], Field(min_length=1)] = list(EQ_18)
     error: ErrorsEntry | None = None
     scales: ScalesEntry | None = None
     steps: Annotated[list[Step], Field(min_length=1)] = ["design", "calibrate"]
@@ -299,8 +301,8 @@ class Study(Tabular, Section):
     @classmethod
     def _known_quantities(cls, names: list[str]) -> list[str]:
         for name in names:
-            if name not in QUANTITIES:
-                raise ValueError(f"there is no quantity {shown(name)}; allowed are {', '.join(QUANTITIES)}")
+            if not is_quantity(name):
+                raise ValueError(f"there is no quantity {shown(name)}; allowed are {ALLOWED}")
         return names
 
     @field_validator("quantities", "channels")

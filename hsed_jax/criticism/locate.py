@@ -21,6 +21,7 @@ import numpy as np
 from hsed_jax.criticism.coordinates import UNITS, Samples, quantities_of, samples_of
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.measurements import Campaign
+from hsed_jax.physics.outputs import output
 from hsed_jax.tables import Table, Tabular
 
 _READABLE = {"J": (("kJ", 1e-3), ("J", 1.0)), "m": (("mm", 1e3),), "m/s": (("mm/s", 1e3),), "1": (("", 1.0),)}
@@ -165,7 +166,7 @@ def locate(prediction: Prediction, campaign: Campaign) -> Location:
     """
     histories = prediction.groups.size > len(prediction.outputs)
     samples = samples_of(prediction, campaign) if histories else quantities_of(prediction)
-    of_force = all(output in ("force", "peak_force", "dissipated_energy") for output in prediction.outputs)
+    of_force = all(output(name).is_strength for name in prediction.outputs)
     found = [_best_limit(name, UNITS[name], values, samples) for name, values in samples.numbers.items()]
     found += [_best_word(name, words, samples) for name, words in samples.words.items()]
     for name in campaign.inputs:

@@ -44,11 +44,13 @@ class Quantities:
         names: of the quantities.
         grid: where the excitation is recorded; None where the inputs define it.
         excitation: from inputs to a ground motion, for records that have none.
+        masses: how many the structure has.
     """
 
     names: tuple[str, ...]
     grid: Grid | None = None
     excitation: Excite = None
+    masses: int = 0
 
     @property
     def groups(self) -> np.ndarray:
@@ -61,7 +63,7 @@ class Quantities:
 
     def measured(self, experiment: Experiment) -> np.ndarray:
         """The measured outputs of one experiment, SI, (J,); NaN where there is none."""
-        return np.asarray([_quantity(experiment, name) for name in self.names])
+        return np.asarray([experiment.quantity(name, self.masses) for name in self.names])
 
     def weights(self, experiment: Experiment) -> np.ndarray:
         """1 where there is a measurement to use, (J,)."""
@@ -291,20 +293,3 @@ def _arrays(samples: Any) -> Any:
 def stacked(conditions: Sequence[Conditions]) -> Conditions:
     """Conditions of several experiments, leading axis n."""
     return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf, dtype=float) for leaf in leaves]), *conditions)
-
-
-def _quantity(experiment: Experiment, name: str) -> float:
-    """A quantity as given, or from the record."""
-    if name in experiment.quantities:
-        return experiment.quantities[name]
-    record = experiment.record
-    if record is None:
-        return float("nan")
-    force, elongation = record.channels.get("force"), record.channels.get("elongation")
-    if name == "peak_force" and force is not None:
-        return float(np.max(np.abs(force)))
-    if name == "peak_elongation" and elongation is not None:
-        return float(np.max(np.abs(elongation)))
-    if name == "dissipated_energy" and force is not None and elongation is not None:
-        return float(np.trapezoid(force, elongation))
-    return float("nan")

@@ -42,6 +42,8 @@ MATERIALS: dict[str, dict[str, float | None]] = {
     },
 }  # fmt: skip
 _WHOLE = ("maxIter",)
+QUANTITIES = ("peak_force", "peak_elongation", "dissipated_energy")
+"""What `opensees_model.py` takes from all its steps, which are finer than its record."""
 
 STEPS_PER_STEP = 50
 """Steps of OpenSees to one of the study's integration, some 1200 to the shortest period.

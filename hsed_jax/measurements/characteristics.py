@@ -49,22 +49,15 @@ def initial_stiffness(record: Record) -> float:
 
 
 def _of(experiment: Experiment) -> tuple[float, ...]:
-    given, record, nothing = experiment.quantities, experiment.record, float("nan")
-    channels = {} if record is None else record.channels
-    force, elongation = channels.get("force"), channels.get("elongation")
-    largest = nothing if force is None else float(np.max(np.abs(force)))
-    longest = nothing if elongation is None else float(np.max(np.abs(elongation)))
-    rate = energy = stiffness = nothing
-    if record is not None and elongation is not None:
+    record, rate, stiffness = experiment.record, float("nan"), float("nan")
+    if record is not None and "elongation" in record.channels:
         # A high quantile: single noisy differences are no rates.
-        rate = float(np.quantile(np.abs(np.gradient(elongation, record.time)), 0.98))
-        if force is not None:
-            energy = abs(float(np.trapezoid(force, elongation)))
-            stiffness = initial_stiffness(record)
+        rate = float(np.quantile(np.abs(np.gradient(record["elongation"], record.time)), 0.98))
+        stiffness = initial_stiffness(record)
     return (
-        given.get("peak_force", largest),
-        given.get("peak_elongation", longest),
+        experiment.quantity("peak_force"),
+        experiment.quantity("peak_elongation"),
         rate,
-        given.get("dissipated_energy", energy),
+        abs(experiment.quantity("dissipated_energy")),
         stiffness,
     )

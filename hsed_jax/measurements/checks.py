@@ -12,6 +12,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.measurements.campaign import Campaign
 from hsed_jax.measurements.experiment import Experiment, Record
 from hsed_jax.measurements.units import channel_dimension, quantity_dimension
+from hsed_jax.physics.outputs import quantity
 
 PLAUSIBLE = {"length": (1e-6, 5.0), "velocity": (1e-5, 50.0), "acceleration": (1e-3, 500.0), "force": (1e-2, 1e9)}
 """Range of the largest magnitude [SI] by dimension; outside, the unit is suspect."""
@@ -117,6 +118,7 @@ def _experiment(campaign: Campaign, experiment: Experiment) -> Iterator[Finding]
     id, record = experiment.id, experiment.record
     for name, value in experiment.quantities.items():
         low, high = PLAUSIBLE.get(quantity_dimension(name).name, (0.0, np.inf))
+        low = 0.0 if quantity(name).is_signed else low
         if not low <= abs(value) <= high:
             yield Finding("doubt", id, name, None, _absurd(abs(value), quantity_dimension(name).si, low, high), "unit")
     if record is None:

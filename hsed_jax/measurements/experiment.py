@@ -7,6 +7,7 @@ import numpy as np
 
 from hsed_jax.errors import UserError
 from hsed_jax.measurements.units import parse_unit
+from hsed_jax.physics.outputs import quantity
 from hsed_jax.plain import MOST, name_fault, shown
 
 Status = Literal["completed", "pending", "failed", "abandoned"]
@@ -177,6 +178,21 @@ class Experiment:
             )
         if not self.in_window.any():
             raise UserError(f"{where}no sample lies in the window from {start:g} to {end:g}; widen 'from' and 'to'")
+
+    def quantity(self, name: str, masses: int = 0) -> float:
+        """Return a quantity [SI] as it was given, or else as the record tells it; NaN where neither does.
+
+        Args:
+            name: Of the quantity (`hsed_jax.physics.outputs`).
+            masses: How many masses the structure has; without them none of their quantities can be told.
+        """
+        if name in self.quantities:
+            return self.quantities[name]
+        known = quantity(name)
+        needed = known.channels(masses)
+        if self.record is None or not needed or not set(needed) <= self.record.channels.keys():
+            return float("nan")
+        return known.measured(self.record.time, {channel: self.record[channel] for channel in needed})
 
     @property
     def in_window(self) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 
 from hsed_jax.backend import cache_folder
 from hsed_jax.errors import UserError
-from hsed_jax.physics.outputs import CHANNELS, PER_MASS, QUANTITIES, channel
+from hsed_jax.physics.outputs import ALLOWED, CHANNELS, PER_MASS, channel, is_quantity, quantity
 from hsed_jax.plain import shown
 
 
@@ -56,9 +56,9 @@ def quantity_dimension(name: str) -> Dimension:
     Raises:
         UserError: `name` is no canonical quantity.
     """
-    if name in QUANTITIES:
-        return _BY_UNIT[QUANTITIES[name].unit]
-    raise UserError(f"unknown quantity {name!r}; allowed: {', '.join(QUANTITIES)}")
+    if is_quantity(name):
+        return _BY_UNIT[quantity(name).unit]
+    raise UserError(f"unknown quantity {name!r}; allowed: {ALLOWED}")
 
 
 @dataclass(frozen=True)

@@ -15,24 +15,25 @@ from jaxtyping import Array, Float, PyTree
 
 from hsed_jax.physics.excitations import AbstractForcing
 from hsed_jax.physics.laws.base import Turn
+from hsed_jax.physics.outputs import EQ_18, quantity
 from hsed_jax.physics.response import Response
+from hsed_jax.physics.steps import Step
 from hsed_jax.physics.systems import RESOLVED, AbstractSystem, State
 
 Scalar = Float[Array, ""] | float
 
 
-class Peaks(NamedTuple):
-    """Largest absolute force [N] and elongation [m] so far."""
-
-    force: Scalar
-    elongation: Scalar
-
-
 class Progress(NamedTuple):
-    """What travels through the integration: the state, the peaks so far, and the channels at the end of the last step."""
+    """What travels through the integration.
+
+    Attributes:
+        state: at the end of the last step.
+        kept: what the quantities keep (`hsed_jax.physics.outputs.Kept`), by name.
+        channels: at the end of the last step.
+    """
 
     state: State
-    peaks: Peaks
+    kept: dict[str, tuple[Scalar, ...]]
     channels: dict[str, Scalar]
 
 
@@ -95,10 +96,11 @@ class RungeKutta4(diffrax.AbstractSolver):
         )
         end = jax.lax.optimization_barrier(end)
         end, force, elongation = _turned(system, (start, first), (end, last), flow, h)
-        peaks = Peaks(
-            jnp.maximum(y0.peaks.force, jnp.abs(force)), jnp.maximum(y0.peaks.elongation, jnp.abs(elongation))
-        )
-        y1 = Progress(end, peaks, system.channels(end, last, self.channel_names))
+        # Each of the two stages is off by h²/8 ÿ, one this way and one that.
+        halfway = jax.tree.map(lambda b, c: 0.5 * (b + c), second, third)
+        passed = Step(system, (start, first), (halfway, middle), (end, last), h, force, elongation)
+        kept = {name: quantity(name).kept.after(before, passed) for name, before in y0.kept.items()}
+        y1 = Progress(end, kept, system.channels(end, last, self.channel_names))
         return y1, None, {"y0": y0, "y1": y1}, (carry, last), diffrax.RESULTS.successful
 
 
@@ -139,6 +141,7 @@ def integrate(
     steps: int,
     *,
     channels: tuple[str, ...] = (),
+    quantities: tuple[str, ...] = (),
     every: int = 1,
     adjoint: diffrax.AbstractAdjoint | None = None,
 ) -> Response:
@@ -150,6 +153,7 @@ def integrate(
         step_length: [s], one number or one per step, shape (steps,).
         steps: number of steps.
         channels: names of the histories to keep.
+        quantities: names of those to keep beside the ones of Eq. 18.
         every: keep the histories at every so many steps (and at t = 0); divides `steps`.
         adjoint: how derivatives pass through; by default forward mode, which suits few parameters.
 
@@ -159,25 +163,28 @@ def integrate(
     """
     _, sample = forcing.start()
     still = system.start()
-    zero = jnp.zeros(())
+    names = (*EQ_18, *quantities)
+    begin: dict[str, tuple[Scalar, ...]] = {
+        name: tuple(jnp.asarray(number) for number in quantity(name).kept.start) for name in names
+    }
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(_vector_field),
         RungeKutta4(forcing, step_length, channels),
         t0=0.0,
         t1=float(steps),
         dt0=None,
-        y0=Progress(still, Peaks(zero, zero), system.channels(still, sample, channels)),
+        y0=Progress(still, begin, system.channels(still, sample, channels)),
         args=(system, sample),
         stepsize_controller=diffrax.StepTo(jnp.arange(steps + 1.0)),
-        saveat=diffrax.SaveAt(subs=_saves(channels, every)),
+        saveat=diffrax.SaveAt(subs=_saves(names, channels, every)),
         adjoint=diffrax.ForwardMode() if adjoint is None else adjoint,
         max_steps=steps,
     )
     assert solution.ys is not None
     histories = solution.ys.get("histories", {})
-    quantities = {name: kept[-1] for name, kept in solution.ys["end"].items()}
-    finite = jnp.isfinite(sum(jnp.abs(value) for value in quantities.values()))
-    return Response(quantities, histories, finite & (system.steepness(forcing, step_length) < RESOLVED))
+    values = {name: kept[-1] for name, kept in solution.ys["end"].items()}
+    finite = jnp.isfinite(sum(jnp.abs(value) for value in values.values()))
+    return Response(values, histories, finite & (system.steepness(forcing, step_length) < RESOLVED))
 
 
 def _vector_field(number: Any, progress: Progress, args: Any) -> Progress:
@@ -186,18 +193,20 @@ def _vector_field(number: Any, progress: Progress, args: Any) -> Progress:
     return still._replace(state=system.rates(progress.state, sample))
 
 
-def _quantities(number: Any, progress: Progress, args: Any) -> dict[str, Scalar]:
-    # Not the whole state: without masses it holds empty tuples, which diffrax cannot save.
-    del number, args
-    return {
-        "peak_force": progress.peaks.force,
-        "peak_elongation": progress.peaks.elongation,
-        "dissipated_energy": progress.state.memory["energy"],
-    }
+@final
+class _Values(eqx.Module):
+    """The quantities at the end.  Compared by value, so that what is equal is compiled once."""
+
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    def __call__(self, number: Any, progress: Progress, args: Any) -> dict[str, Scalar]:
+        # Not the whole state: without masses it holds empty tuples, which diffrax cannot save.
+        del number, args
+        return {name: quantity(name).kept.value(progress.kept[name], progress.state) for name in self.names}
 
 
-def _saves(channels: tuple[str, ...], every: int) -> dict[str, diffrax.SubSaveAt]:
-    saves = {"end": diffrax.SubSaveAt(t1=True, fn=_quantities)}
+def _saves(quantities: tuple[str, ...], channels: tuple[str, ...], every: int) -> dict[str, diffrax.SubSaveAt]:
+    saves = {"end": diffrax.SubSaveAt(t1=True, fn=_Values(quantities))}
     if channels:
         saves["histories"] = diffrax.SubSaveAt(t0=True, steps=every, fn=lambda t, y, args: y.channels)
     return saves

@@ -1,36 +1,204 @@
-"""The canonical names of what is measured and predicted, with symbol, SI unit and meaning.  No other list exists."""
+r"""What is measured and predicted, channels and quantities: the only list of either.
 
+A further quantity is one entry of `QUANTITIES`: symbol, unit and meaning, how it follows from a record, and how it is kept while
+an experiment is integrated.  It may then stand in a campaign and in a study, and has its place in reports.
+
+Peaks in a simulation are those of the continuous response.  Work in between the ends of a step, of length h, is the cubic of the
+work e and the power $r\,\Delta\dot u$ at both ends (Hermite).
+"""
+
+import functools
 import re
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from dataclasses import KW_ONLY, dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from hsed_jax.physics.steps import Step
+    from hsed_jax.physics.systems import State
+
+Scalar = Any
+Channels = Mapping[str, np.ndarray]
+_FORCE, _ELONGATION = ("force_gain",), ("elongation_gain",)
 
 
-class Output(NamedTuple):
-    """A channel (a history) or a quantity (one number per experiment)."""
+@dataclass(frozen=True)
+class Output:
+    """A channel (a history) or a quantity (one number per experiment).
+
+    Attributes:
+        symbol: in LaTeX.
+        unit: SI.
+        meaning: in words.
+        gains: slots of the test rig whose product it is measured with.
+        is_strength: whether more of it is a stronger specimen, and not a larger motion.
+    """
 
     symbol: str
     unit: str
     meaning: str
+    gains: tuple[str, ...] = ()
+    is_strength: bool = False
 
 
-QUANTITIES: dict[str, Output] = {
-    "peak_force": Output(r"\max|r|", "N", "largest restoring force of the specimen"),
-    "peak_elongation": Output(r"\max|\Delta u|", "m", "largest elongation of the specimen"),
-    "dissipated_energy": Output(r"e(t_{end})", "J", "work done on the specimen until the end"),
+class Kept(NamedTuple):
+    """How a quantity is kept during an integration.
+
+    Attributes:
+        start: numbers that travel with the integration, at its start.
+        after: those numbers after a step, from those before it.
+        value: the quantity, from those numbers and the state at the end.
+    """
+
+    start: tuple[float, ...]
+    after: Callable[[tuple[Scalar, ...], "Step"], tuple[Scalar, ...]]
+    value: Callable[[tuple[Scalar, ...], "State"], Scalar]
+
+
+@dataclass(frozen=True)
+class Quantity(Output):
+    """One number per experiment.
+
+    Attributes:
+        channels: of a record that tell it, from the number of masses; none where it cannot be told.
+        measured: from the time (n,) [s] and those channels, each (n,) [SI]; NaN where the record does not tell it.
+        kept: how it is kept during an integration.
+        is_signed: whether it may be negative, or zero; no error is relative to that.
+        until: the experiment must last so long [s].
+        limit: its key in `design.limits`, where it has one.
+    """
+
+    _: KW_ONLY
+    channels: Callable[[int], tuple[str, ...]]
+    measured: Callable[[np.ndarray, Channels], float]
+    kept: Kept
+    is_signed: bool = False
+    until: float = 0.0
+    limit: str | None = None
+
+
+def _largest(of: Callable[["Step"], Scalar]) -> Kept:
+    """The largest magnitude."""
+
+    def after(kept: tuple[Scalar, ...], step: "Step") -> tuple[Scalar, ...]:
+        import jax.numpy as jnp  # here: who reads a campaign needs no JAX
+
+        return (jnp.maximum(kept[0], jnp.abs(of(step))),)
+
+    return Kept((0.0,), after, lambda kept, end: kept[0])
+
+
+def _last(of: Callable[["Step"], Scalar]) -> Kept:
+    """What it is at the end of the last step."""
+    return Kept((0.0,), lambda kept, step: (of(step),), lambda kept, end: kept[0])
+
+
+def _energy(time: np.ndarray, channels: Channels) -> np.ndarray:
+    """Work [J] done until each sample, (n,)."""
+    force, elongation = channels["force"], channels["elongation"]
+    return np.concatenate([[0.0], np.cumsum(0.5 * (force[1:] + force[:-1]) * np.diff(elongation))])
+
+
+@functools.cache
+def _energy_at(until: float) -> Quantity:
+    """The work done until a time [s] after the start."""
+
+    def measured(time: np.ndarray, channels: Channels) -> float:
+        elapsed = time - time[0]
+        return float(np.interp(until, elapsed, _energy(time, channels))) if elapsed[-1] >= until else float("nan")
+
+    def after(kept: tuple[Scalar, ...], step: "Step") -> tuple[Scalar, ...]:
+        import jax.numpy as jnp
+
+        time, energy = kept
+        return time + step.length, jnp.where(time < until, step.energy(until - time), energy)
+
+    return Quantity(
+        rf"e({until:g}\,\mathrm{{s}})",
+        "J",
+        f"work done on the specimen within {until:g} s of the start",
+        (*_FORCE, *_ELONGATION),
+        channels=lambda masses: ("force", "elongation"),
+        measured=measured,
+        kept=Kept((0.0, 0.0), after, lambda kept, end: kept[1]),
+        is_strength=True,
+        until=until,
+    )
+
+
+QUANTITIES: dict[str, Quantity] = {
+    "peak_force": Quantity(
+        r"\max|r|",
+        "N",
+        "largest restoring force of the specimen",
+        _FORCE,
+        channels=lambda masses: ("force",),
+        measured=lambda time, channels: float(np.max(np.abs(channels["force"]))),
+        kept=_largest(lambda step: step.force),
+        is_strength=True,
+        limit="force",
+    ),
+    "peak_elongation": Quantity(
+        r"\max|\Delta u|",
+        "m",
+        "largest elongation of the specimen",
+        _ELONGATION,
+        channels=lambda masses: ("elongation",),
+        measured=lambda time, channels: float(np.max(np.abs(channels["elongation"]))),
+        kept=_largest(lambda step: step.elongation),
+        limit="stroke",
+    ),
+    "dissipated_energy": Quantity(
+        r"e(t_{end})",
+        "J",
+        "work done on the specimen until the end",
+        (*_FORCE, *_ELONGATION),
+        channels=lambda masses: ("force", "elongation"),
+        measured=lambda time, channels: float(np.trapezoid(channels["force"], channels["elongation"])),
+        kept=Kept((), lambda kept, step: (), lambda kept, end: end.memory["energy"]),
+        is_strength=True,
+        limit="energy",
+    ),
+    "residual_elongation": Quantity(
+        r"\Delta u(t_{end})",
+        "m",
+        "elongation of the specimen at the end",
+        _ELONGATION,
+        channels=lambda masses: ("elongation",),
+        measured=lambda time, channels: float(channels["elongation"][-1]),
+        kept=_last(lambda step: step.last_elongation),
+        is_signed=True,
+    ),
+    "peak_absolute_acceleration": Quantity(
+        r"\max_i|\ddot u_i + a_g|",
+        "m/s^2",
+        "largest absolute acceleration of any mass",
+        channels=lambda masses: tuple(f"acceleration_{i + 1}_absolute" for i in range(masses)),
+        measured=lambda time, channels: float(max(np.max(np.abs(values)) for values in channels.values())),
+        kept=_largest(lambda step: step.absolute_acceleration),
+        limit="acceleration",
+    ),
 }
+EQ_18 = ("peak_force", "peak_elongation", "dissipated_energy")
+"""The quantities of the paper, Eq. 18: every response has them, and a study that names none observes them."""
 
 CHANNELS: dict[str, Output] = {
     "time": Output("t", "s", "time"),
     "ground_acceleration": Output("a_g", "m/s^2", "acceleration of the ground"),
-    "elongation": Output(r"\Delta u", "m", "elongation of the specimen"),
-    "elongation_rate": Output(r"\Delta\dot u", "m/s", "rate of the elongation"),
-    "force": Output("r", "N", "restoring force of the specimen"),
-    "energy": Output("e", "J", "work done on the specimen so far"),
+    "elongation": Output(r"\Delta u", "m", "elongation of the specimen", _ELONGATION),
+    "elongation_rate": Output(r"\Delta\dot u", "m/s", "rate of the elongation", _ELONGATION),
+    "force": Output("r", "N", "restoring force of the specimen", _FORCE, is_strength=True),
+    "energy": Output("e", "J", "work done on the specimen so far", (*_FORCE, *_ELONGATION)),
 }
 PER_MASS: dict[str, Output] = {
     "displacement": Output("u", "m", "displacement relative to the ground"),
     "velocity": Output(r"\dot u", "m/s", "velocity relative to the ground"),
     "acceleration": Output(r"\ddot u", "m/s^2", "acceleration relative to the ground"),
 }
+ALLOWED = ", ".join([*QUANTITIES, "energy_at_TIME (a whole number of s or ms: energy_at_5s, energy_at_500ms)"])
+"""The names that a quantity may have, for messages."""
 
 
 def output(name: str) -> Output:
@@ -39,7 +207,37 @@ def output(name: str) -> Output:
     Raises:
         KeyError: there is no such channel or quantity.
     """
-    return QUANTITIES[name] if name in QUANTITIES else channel(name)
+    return quantity(name) if is_quantity(name) else channel(name)
+
+
+def is_quantity(name: str) -> bool:
+    """Whether this is the name of a quantity."""
+    return name in QUANTITIES or _time_of(name) is not None
+
+
+def quantity(name: str) -> Quantity:
+    """What there is to know of a quantity.
+
+    Raises:
+        KeyError: there is no such quantity.
+    """
+    if name in QUANTITIES:
+        return QUANTITIES[name]
+    until = _time_of(name)
+    if until is None:
+        raise KeyError(name)
+    return _energy_at(until)
+
+
+def further(names: tuple[str, ...]) -> tuple[str, ...]:
+    """The quantities beyond those that every response has."""
+    return tuple(name for name in names if name not in EQ_18)
+
+
+def _time_of(name: str) -> float | None:
+    """The time [s] in the name of an energy at a time."""
+    match = re.fullmatch(r"energy_at_([1-9]\d{0,8})(m?)s", name)
+    return None if match is None else int(match[1]) / (1000 if match[2] else 1)
 
 
 def channel(name: str) -> Output:
@@ -54,8 +252,7 @@ def channel(name: str) -> Output:
     if match is None:
         raise KeyError(name)
     kind, mass, absolute = match.groups()
-    symbol, unit, meaning = PER_MASS[kind]
-    if absolute:
-        meaning = meaning.replace("relative to the ground", "absolute")
+    of_mass = PER_MASS[kind]
+    meaning = of_mass.meaning.replace("relative to the ground", "absolute") if absolute else of_mass.meaning
     mark = r",abs" if absolute else ""
-    return Output(f"{symbol}_{{{mass}{mark}}}", unit, f"{meaning}, mass {mass}")
+    return Output(f"{of_mass.symbol}_{{{mass}{mark}}}", of_mass.unit, f"{meaning}, mass {mass}")

@@ -15,7 +15,7 @@ class Response(NamedTuple):
     """What one experiment did.
 
     Attributes:
-        quantities: by name, SI (`hsed_jax.physics.outputs.QUANTITIES`).
+        quantities: by name, SI (`hsed_jax.physics.outputs`).
         channels: histories by name, SI, shape (samples,), the first at t = 0; empty where none were asked for.
         ok: False where the integration diverged; its numbers are then meaningless.
     """

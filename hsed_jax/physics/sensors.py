@@ -7,6 +7,7 @@ $\Delta u_{meas}(t-\tau_F+\tau_u)/g_u$, on the clock of the force.  Gains act on
 zero act on histories alone, and none of them on energy.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -15,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hsed_jax.physics.excitations import Imposed, Tabulated
+from hsed_jax.physics.outputs import output
 from hsed_jax.physics.response import Response
 
 Scalar = Float[Array, ""] | float
@@ -37,16 +39,6 @@ def measured(
         every: histories are kept at every so many steps.
         is_imposed: the elongation is imposed (a component test), as `felt` says.
     """
-    of_force, of_elongation = slots("force_gain"), slots("elongation_gain")
-    gains = {
-        "force": of_force,
-        "elongation": of_elongation,
-        "elongation_rate": of_elongation,
-        "energy": of_force * of_elongation,
-        "peak_force": of_force,
-        "peak_elongation": of_elongation,
-        "dissipated_energy": of_force * of_elongation,
-    }
     lag = slots("elongation_delay")
     if is_imposed:
         # Back from what the specimen felt to what was imposed.
@@ -55,15 +47,18 @@ def measured(
     else:
         delays = {"force": slots("force_delay"), "elongation": lag, "elongation_rate": lag}
 
+    def gain(name: str) -> Scalar:
+        return math.prod(slots(slot) for slot in output(name).gains)
+
     def sensed(name: str, values: Float[Array, " samples"]) -> Float[Array, " samples"]:
         time = _times(step_length, every, values.shape[0])
         delay = delays.get(name, 0.0)
         if not (isinstance(delay, int | float) and delay == 0):
             values = shifted(values, time, delay)
-        values = values * gains.get(name, 1.0)
+        values = values * gain(name)
         return values + slots("force_offset") + slots("force_drift") * time if name == "force" else values
 
-    quantities = {name: value * gains[name] for name, value in response.quantities.items()}
+    quantities = {name: value * gain(name) for name, value in response.quantities.items()}
     channels = {name: sensed(name, values) for name, values in response.channels.items()}
     return response._replace(quantities=quantities, channels=channels)
 

@@ -18,6 +18,7 @@ from hsed_jax.physics.effects.base import (
 from hsed_jax.physics.excitations import AbstractExcitation, AbstractForcing, Scaled, Tabulated
 from hsed_jax.physics.laws import BoucWen
 from hsed_jax.physics.laws.base import AbstractSpringLaw
+from hsed_jax.physics.outputs import further
 from hsed_jax.physics.parameters import dimensionless
 from hsed_jax.physics.response import Response
 from hsed_jax.physics.scales import Scales
@@ -115,6 +116,7 @@ class Simulator(eqx.Module):
         parameters: Mapping[str, Scalar],
         conditions: Conditions,
         channels: tuple[str, ...] = (),
+        quantities: tuple[str, ...] = (),
     ) -> Response:
         """The response of one experiment, as the test rig measures it.
 
@@ -124,6 +126,7 @@ class Simulator(eqx.Module):
             parameters: by name, SI.
             conditions: inputs and record of the experiment.
             channels: names of the histories to keep.
+            quantities: names of those to keep beside the ones of Eq. 18.
         """
         # Here and not above: what only builds or checks a simulator does without diffrax.
         from hsed_jax.physics.integrate import integrate
@@ -140,7 +143,8 @@ class Simulator(eqx.Module):
         elif slots is not None:
             assert isinstance(forcing, Tabulated)
             forcing = felt(forcing, slots, jax.numpy.asarray(length))
-        response = integrate(self.system(parameters), forcing, length, steps, channels=channels, every=every)
+        system = self.system(parameters)
+        response = integrate(system, forcing, length, steps, channels=channels, quantities=quantities, every=every)
         response = response._replace(ok=response.ok & self.specimen(parameters).law.is_bounded)
         if slots is None:
             return response
@@ -149,7 +153,7 @@ class Simulator(eqx.Module):
     @eqx.filter_jit
     def quantities(self, parameters: Mapping[str, Scalar], conditions: Conditions, names: tuple[str, ...]):
         """The named quantities of one experiment, shape (len(names),), and whether it converged."""
-        response = self.respond(parameters, conditions)
+        response = self.respond(parameters, conditions, quantities=further(names))
         return jax.numpy.stack([response.quantities[name] for name in names]), response.ok
 
     def _given(

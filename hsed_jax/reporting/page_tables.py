@@ -9,7 +9,7 @@ import numpy as np
 from hsed_jax.criticism.coordinates import UNITS, coordinates_of
 from hsed_jax.criticism.prediction import has_diverged
 from hsed_jax.measurements import Record
-from hsed_jax.physics.outputs import QUANTITIES, output
+from hsed_jax.physics.outputs import output
 from hsed_jax.reporting import style
 from hsed_jax.reporting.finished import SPLITS, FinishedRun
 
@@ -135,7 +135,7 @@ def quantities_table(run: FinishedRun) -> Table:
             dataset = tree.dataset
             if "experiment" not in dataset.dims:
                 continue
-            for name in (name for name in QUANTITIES if f"{name}_predicted" in dataset):
+            for name in (str(name).removesuffix("_predicted") for name in dataset if str(name).endswith("_predicted")):
                 measured, predicted, mean, sd = (
                     np.asarray(dataset[f"{name}_{kind}"]) / axes[name].divisor
                     for kind in ("measured", "predicted", "mean", "sd")
