@@ -114,7 +114,9 @@ def shaken(law, mass, damping, ground, step, steps, **slots):
         work += 0.5 * (last + force) * (u - before)
         peak_force, peak = max(peak_force, abs(force)), max(peak, abs(u))
         pushed = -mass * ground(number * step) - force
-        after = (pushed * step**2 + 2 * mass * u - (mass - 0.5 * damping * step) * before) / (mass + 0.5 * damping * step)
+        after = (pushed * step**2 + 2 * mass * u - (mass - 0.5 * damping * step) * before) / (
+            mass + 0.5 * damping * step
+        )
         before, u = u, after
     assert math.isfinite(u)
     return {"peak_force": peak_force, "peak_elongation": peak, "dissipated_energy": work}

@@ -75,7 +75,11 @@ def _model(study: Mapping[str, Any]) -> str:
 
 def _law(spring: str | Mapping[str, str]) -> str:
     """A spring law in words; of a user's own nothing is executed to know it."""
-    return LAWS[spring].title if isinstance(spring, str) else f"the spring law {spring['class']} of {spring['file'].rpartition('/')[2]}"
+    return (
+        LAWS[spring].title
+        if isinstance(spring, str)
+        else f"the spring law {spring['class']} of {spring['file'].rpartition('/')[2]}"
+    )
 
 
 def _experiments(study: Mapping[str, Any], campaign: Campaign) -> str:
