@@ -22,14 +22,15 @@ of them stand behind one seam (`hsed_jax/physics/laws/base.py`): an element with
 
 $$r = f(\Delta u, \text{states}) + \sum \text{force},\qquad \dot e = r\,\Delta\dot u.$$
 
-**Two kinds.** Bouc–Wen integrates its force, ż = g Δu̇. The others know their force as a continuous function of the elongation, given
-the states that were committed at the end of the last step, as materials of finite element programs do; where the elongation turns
-within a step, the states are committed at the turn. On cyclic paths the latter are those of OpenSees to all digits
-(`tests/data/laws.csv`: Steel01, Steel02, Hysteretic); an oscillator with 40 steps to its period has peaks and work within 3e-4 of a
-central-difference solution with 4000. Corners of a law (yielding, zero force) are not looked for within a step.
+**Two kinds.** Bouc–Wen integrates its force, ż = g Δu̇. The others know their force as a continuous function of the elongation,
+given the states that were committed at the end of the last step, as materials of finite element programs do; where the
+elongation turns within a step, the states are committed at the turn. On cyclic paths the latter are those of OpenSees to all
+digits (`tests/data/laws.csv`: Steel01, Steel02, Hysteretic); an oscillator with 40 steps to its period has peaks and work within
+3e-4 of a central-difference solution with 4000. Corners of a law (yielding, zero force) are not looked for within a step.
 
 **Which effects.** Effects write to [places in a law](effects.md), and a law has some of them: all have `force` (what acts
-beside the element) and `slack`. An effect whose place the law lacks is refused in a study; a diagnosis does not look for it, and says so.
+beside the element) and `slack`. An effect whose place the law lacks is refused in a study; a diagnosis does not look for it,
+and says so.
 
 **Parameters** that have a default may be left out; a value, a prior, or `{}` for the prior of the table stand for them in
 `model.parameters`.
@@ -42,8 +43,8 @@ OWN = r"""
 ## A law of your own
 
 `model: {spring: {file: mine.py, class: Cubic}}`, the file relative to the study, takes a class of your own
-([when the file is executed](laboratories.md#what-is-executed-when)). It is an equinox module with parameters as fields; `force` must be continuous in
-the elongation, and both sides of a `jnp.where` finite, for derivatives pass through them.
+([when the file is executed](laboratories.md#what-is-executed-when)). It is an equinox module with parameters as fields; `force`
+must be continuous in the elongation, and both sides of a `jnp.where` finite, for derivatives pass through them.
 
 ```python
 from typing import ClassVar, final
@@ -84,8 +85,8 @@ class Cubic(AbstractSpringLaw):
         return {"hysteretic": self.force(elongation, memory, slots)}
 ```
 
-A law that remembers declares its states in `start` and commits them in `settle` (`hsed_jax/physics/laws/bilinear.py` is the shortest
-example); one that integrates its force has `flow` instead, and mends the kink at a reversal in `mended`
+A law that remembers declares its states in `start` and commits them in `settle` (`hsed_jax/physics/laws/bilinear.py` is the
+shortest example); one that integrates its force has `flow` instead, and mends the kink at a reversal in `mended`
 (`hsed_jax/physics/laws/reversal.py` with its derivation, also in [the equations](equations.md#the-kink-at-a-reversal)).
 """
 
