@@ -63,8 +63,8 @@ The plain law is that of Bouc and Wen with the force $r = z$. Effects write to n
 $$\\dot z = h\\,\\frac{{a A - \\nu\\,(\\beta\\,\\mathrm{{sign}}(\\Delta\\dot u\\,z)+\\gamma)\\,|z|^n}}{{\\eta}}\\,\\Delta\\dot u,
 \\qquad r = z + \\sum \\text{{force}},$$
 
-or to structure and test rig. What several effects write to one place multiplies or adds, so their order does not matter, and
-at its neutral value an effect does exactly nothing.
+or to structure and test rig. [Other laws](laws.md) have some of these places. What several effects write to one place
+multiplies or adds, so their order does not matter, and at its neutral value an effect does exactly nothing.
 
 - **Two forms.** Amplitudes are dimensionless by default, made so by characteristic values of the campaign: force $F_c$ [N],
   elongation $u_c$ [m], rate of elongation $v_c$ [m/s] and absorbed energy $E_c$ [J]. Where a physical form is given, a study may

@@ -51,7 +51,7 @@ def keys(model: type[BaseModel] = Study, path: str = "") -> dict[str, FieldInfo]
     """Every key of a study that holds a value, by dotted path; per output an error is what it is for all."""
     found: dict[str, FieldInfo] = {}
     for name, field in model.model_fields.items():
-        here = f"{path}.{name}".lstrip(".")
+        here = f"{path}.{field.alias or name}".lstrip(".")
         inner = sections(field.annotation)
         if "" in inner:
             inner.pop(".NAME", None)

@@ -55,8 +55,8 @@ def active(name: str):
 
 
 def rates(effects, at: SpringPoint | None = None) -> dict:
-    """Rates and force of the law with these effects at all points, but for the effects' own states."""
-    own = {state for effect in effects for state in effect.states}
+    """Rates and force of the law with these effects at all points, but for states that are there for the effects."""
+    own = {name for effect in effects for name in (*effect.states, *(state.name for state in effect.needs))}
 
     def one(point):
         specimen = Specimen(BoucWen(**LAW), tuple(effects), SCALES)

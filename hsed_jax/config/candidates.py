@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hsed_jax.config.build import Built
-from hsed_jax.config.plan import ORDER, check_added
+from hsed_jax.config.plan import ORDER, check_added, left_out
 from hsed_jax.config.schema import ImproveEntry, ScalesEntry, Study
 from hsed_jax.criticism.compare import compare
 from hsed_jax.criticism.measured import Measured
@@ -45,14 +45,6 @@ def applicable(built: Built, campaign: Campaign) -> list[str]:
         and not (quantities and effect.histories_only)
         and not (built.component_test and effect.shaken_only)
     ]
-
-
-def left_out(built: Built) -> list[str]:
-    """What the law of the model keeps out of a diagnosis, in a sentence; nothing where it has a place for every effect."""
-    out = [name for name, effect in built.catalogue.items() if unserved(effect, built.law)]
-    if not out:
-        return []
-    return [f"not looked for, as the law {built.law.name} has no place for them: {', '.join(out)}"]
 
 
 def with_effects(built: Built, effects: Sequence[str]) -> Study:
@@ -129,7 +121,7 @@ def problem_of(
         candidates=inputs,
         seed=built.study.seed,
         start=start,
-        notes=left_out(built),
+        notes=left_out(built.law, built.catalogue),
     )
 
 

@@ -86,6 +86,12 @@ def check_added(
             raise UserError(f"{where}{name} is to be added twice")
 
 
+def left_out(law: type[AbstractSpringLaw], catalogue: Catalogue) -> list[str]:
+    """What a law keeps out of a diagnosis, in a sentence; nothing where it has a place for every effect."""
+    out = [name for name, effect in catalogue.items() if unserved(effect, law)]
+    return [f"not looked for, as the law {law.name} has no place for them: {', '.join(out)}"] if out else []
+
+
 def _check_design(study: Study) -> None:
     if not study.inputs:
         raise UserError("inputs: a design needs at least one input, such as V_P: {uniform: [1.5, 3.0], unit: m/s}")

@@ -119,18 +119,18 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             "map": dict(zip(outcome.posterior.names, estimates, strict=False)),
             "stop_reason": outcome.stop_reason,
         }
-    # A report is drawn from what is written: it cannot ask the effects, which may be somebody else's code.
-    if references := _references(outcome):
-        content["references"] = references
+    # A report is drawn from what is written: it cannot ask law and effects, which may be somebody else's code.
+    content["references"] = _references(outcome)
     return content
 
 
 def _references(outcome: Outcome) -> dict[str, str]:
-    """Of the effects in the model, of those named and of those added, by name."""
+    """Of the law, of the effects in the model, of those named and of those added, by name."""
     used = [*outcome.simulator.effects]
     used += [] if outcome.diagnosis is None else outcome.diagnosis.effects
     used += [] if outcome.trail is None else [effect for step in outcome.trail.steps for effect in step.effects]
-    return {name: outcome.catalogue[name].reference for name in dict.fromkeys(used)}
+    law = outcome.simulator.law
+    return {law.name: law.reference} | {name: outcome.catalogue[name].reference for name in dict.fromkeys(used)}
 
 
 def _doubts(fit: Fit) -> dict[str, Any]:

@@ -179,7 +179,7 @@ def _size(name: str, estimate: dict[str, Any]) -> str:
 
 
 def _references(run: FinishedRun) -> list[tuple[str, str]]:
-    """Of the effects in the model, of those named and added, and of the design."""
+    """Of the law, of the effects in the model, of those named and added, and of the design."""
     found = [(name.replace("_", " "), text) for name, text in run.summary.get("references", {}).items()]
     if "design" in run.summary:
         found.append(
