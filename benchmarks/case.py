@@ -7,7 +7,10 @@ import numpy as np
 import scipy.linalg
 
 from hsed_jax import load_study
+from hsed_jax.backend import prepare
 from hsed_jax.config.build import Built
+
+prepare()  # some rows compute before they build a study
 
 PAPER = Path(__file__).resolve().parents[1] / "configs" / "paper.yaml"
 QUANTITIES = ("peak_force", "peak_elongation", "dissipated_energy")

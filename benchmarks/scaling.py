@@ -7,8 +7,6 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import hsed_jax  # isort: skip  # first: it sets what JAX must find in its environment
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,8 +20,6 @@ from hsed_jax.design.acquisition import choose, sobol_candidates
 from hsed_jax.design.kriging import fit_kriging
 from hsed_jax.physics.batch import tiled_map
 from hsed_jax.physics.simulator import Conditions
-
-assert hsed_jax
 
 _EXPERIMENTS, _SIMULATIONS = 43, 256
 # One parameter each; the law's two come first.

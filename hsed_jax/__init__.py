@@ -3,10 +3,6 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from hsed_jax import backend
-
-backend.configure()
-
 if TYPE_CHECKING:
     from hsed_jax import plot as plot
     from hsed_jax.analysis import calibrate as calibrate

@@ -1,12 +1,7 @@
-"""JAX as this package needs it: double precision, XLA options for small loops, a persistent compilation cache, one BLAS thread.
-
-Everything here must stand in the environment before JAX computes for the first time, so `hsed_jax/__init__.py` calls
-`configure` before anything imports JAX.  Whatever the user has already set wins.
-"""
+"""JAX as this package needs it: double precision, XLA options for small loops, a lasting compilation cache, one BLAS thread."""
 
 import os
-import sys
-import warnings
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -20,32 +15,33 @@ _FLAGS = (
 _TRIED_FROM, _TRIED_TO = (0, 10), (0, 13)
 
 
-def configure() -> None:
-    """Prepare the environment for JAX; call before the first JAX computation."""
+@cache
+def prepare() -> None:
+    """Prepare this process for work: called where a study is built, and not by an import.
+
+    What stands in the environment is left as it is, and so is a compilation cache that was chosen.  XLA reads its flags when it
+    compiles, so that a process that has used JAX before has them as well.
+    """
+    import jax
+
     if _flags_are_known():
         present = os.environ.get("XLA_FLAGS", "")
         missing = [flag for flag in _FLAGS if flag.split("=")[0] not in present]
         os.environ["XLA_FLAGS"] = " ".join([present, *missing]).strip()
-    # numpyro loads tqdm's bar for notebooks, which without widgets is one for text and warns of it.
-    warnings.filterwarnings("ignore", "IProgress not found")
-    settings = {
-        "JAX_ENABLE_X64": "1",
-        "JAX_COMPILATION_CACHE_DIR": str(cache_folder()),
+    if "JAX_ENABLE_X64" not in os.environ:
+        jax.config.update("jax_enable_x64", True)
+    if not jax.config.jax_compilation_cache_dir:
+        jax.config.update("jax_compilation_cache_dir", str(cache_folder()))
+    if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
         # Everything is worth keeping: a study is many programs of half a second each.
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    if not {"OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"} & set(os.environ):
         # The matrices here are small; on a machine that does other work as well, threads that wait for one another made a
         # Kriging of 43 points forty times slower.
-        "OPENBLAS_NUM_THREADS": "1",
-    }
-    for name, value in settings.items():
-        os.environ.setdefault(name, value)
-    if "jax" in sys.modules:
-        # JAX reads its environment on import, so a notebook that imported it first needs to be told.
-        import jax
+        import scipy.linalg  # noqa: F401  (its BLAS is what JAX uses; a limit is one of what is loaded)
+        from threadpoolctl import threadpool_limits
 
-        jax.config.update("jax_enable_x64", os.environ["JAX_ENABLE_X64"].lower() in ("1", "true"))
-        if not jax.config.jax_compilation_cache_dir:
-            jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
+        threadpool_limits(1, "blas")
 
 
 def _flags_are_known() -> bool:

@@ -1,18 +1,21 @@
 """The paper's structure and simulator, the shared data, the reference table: what several test files use."""
 
-import hsed_jax  # isort: skip  # first: it sets what JAX must find in its environment
-
 from pathlib import Path
 
 import jax.numpy as jnp
 import pandas as pd
 import pytest
 
+import hsed_jax
+from hsed_jax.backend import prepare
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.excitations import NearFaultPulse
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator, Timeline
 from hsed_jax.physics.structures import ModalDamping, Spring, Structure
+
+# Many tests build no study.
+prepare()
 
 REFERENCE = Path(__file__).with_name("data") / "reference_quantities.csv"
 SHARED = Path(__file__).resolve().parents[2] / "shared"

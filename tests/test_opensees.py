@@ -11,6 +11,7 @@ from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
 from hsed_jax.laboratories import opensees
 from hsed_jax.laboratories.base import ExperimentFailed
+from hsed_jax.measurements import Experiment
 from hsed_jax.physics.structures import ModalDamping, Spring, Structure
 from hsed_jax.run import run_main
 
@@ -110,6 +111,19 @@ def test_histories_of_any_structure_are_those_of_our_simulator(openseespy):
 
 def peaks(material, parameters=PAPER):
     return short(specimen(material, parameters)).laboratory.perform(0, INPUTS).quantities
+
+
+def test_further_quantities_are_those_of_its_record(openseespy):
+    names = ["peak_force", "residual_elongation", "peak_absolute_acceleration", "energy_at_2s"]
+    ours = built({"virtual": {"parameters": OURS}}, quantities=names).laboratory.exact(INPUTS)
+    theirs = built(specimen("BoucWen"), quantities=names)
+    assert list(theirs.sensors.quantities) == ["peak_force"]
+    quantities, record = theirs.laboratory.perform(0, INPUTS)
+    measured = Experiment("E01", INPUTS, record=record, quantities=quantities)
+    # Measured: 1.6 µm, 0.07 % (a peak between samples) and 0.18 % (the work between samples).
+    assert measured.quantity("residual_elongation") == pytest.approx(ours["residual_elongation"], abs=1e-5)
+    for name in ("peak_absolute_acceleration", "energy_at_2s"):
+        assert measured.quantity(name, masses=2) == pytest.approx(ours[name], rel=4e-3)
 
 
 def test_bwbn_pinches_as_our_effect(openseespy):

@@ -2,8 +2,6 @@
 
 from typing import Any
 
-import hsed_jax  # isort: skip  # first: it sets what JAX must find in its environment
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,8 +13,6 @@ from peers.surrogate import LENGTHS, NOTE, NUGGETS, STARTS
 from hsed_jax.design.acquisition import choose, sobol_candidates
 from hsed_jax.design.kriging import fit_kriging
 from hsed_jax.physics.simulator import Conditions
-
-assert hsed_jax
 
 
 def measure(quick: bool) -> list[dict[str, Any]]:

@@ -5,8 +5,6 @@ import warnings
 from importlib.util import find_spec
 from typing import Any, NamedTuple
 
-import hsed_jax  # isort: skip  # first: it sets what JAX must find in its environment
-
 import jax
 import numpy as np
 from arviz_stats.base.array import array_stats
@@ -15,8 +13,6 @@ from measure import line
 from peers import jitted, native
 
 from hsed_jax.inference.fit import fit
-
-assert hsed_jax
 
 WALKERS = 32
 NOTE = "emcee is not installed, so it was not measured"

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hsed_jax.backend import prepare
 from hsed_jax.config import laboratories, parts
 from hsed_jax.config import records as records_of
 from hsed_jax.config.laboratories import IMPOSED
@@ -60,6 +61,9 @@ class Built:
     campaign: Campaign | None = None
     workspace: Path | None = None
     function: Callable[..., Any] | None = None
+
+    def __post_init__(self):
+        prepare()
 
     @cached_property
     def catalogue(self) -> Catalogue:
@@ -249,10 +253,9 @@ class Built:
     def outputs(self) -> tuple[str, ...]:
         """Names of the observed quantities or channels."""
         if self.study.observe == "quantities":
-            # A record that is too short for one tells it not, and is passed over.
+            # A record that ends before is passed over.
             duration = self.planned.step * self.planned.steps if self.grid is None else math.inf
-            for name in self.study.quantities:
-                parts.at("quantities", laboratories.check_quantity, name, self.structure, duration)
+            laboratories.check_quantities(self.study.quantities, self.structure, duration)
             return tuple(self.study.quantities)
         if self.measured is None:
             known = laboratories.declared_responses(self.study)

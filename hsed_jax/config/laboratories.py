@@ -1,6 +1,6 @@
 """The laboratory that a study names, and what it measures; each fault names its key."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -83,22 +83,23 @@ def check_response(name: str, structure: Structure | None) -> None:
         raise UserError(f"there is no channel {shown(name)} that the model gives; it gives {', '.join(given)}")
 
 
-def check_quantity(name: str, structure: Structure | None, duration: float) -> None:
+def check_quantities(names: Sequence[str], structure: Structure | None, duration: float) -> None:
     """Refuse a quantity that the model does not give.
 
     Arguments:
-        name: of the quantity.
+        names: of the quantities.
         structure: that the specimen is in; None: the specimen is alone.
         duration: of the experiments [s].
 
     Raises:
-        UserError: it is one of masses, and there are none, or of a time after the end.
+        UserError: one is of masses, and there are none, or of a time after the end.
     """
-    known = quantity(name)
-    if not known.channels(_masses(structure)):
-        raise UserError(f"{name} is one of masses, and a component test has none; leave it out")
-    if known.until > duration:
-        raise UserError(f"{name} lies beyond the end of the experiments, which last {duration:g} s")
+    for name in names:
+        known = quantity(name)
+        if not known.channels(_masses(structure)):
+            raise UserError(f"quantities: {name} is one of masses, and a component test has none; leave it out")
+        if known.until > duration:
+            raise UserError(f"quantities: {name} lies beyond the end of the experiments, which last {duration:g} s")
 
 
 def _masses(structure: Structure | None) -> int:

@@ -2,6 +2,7 @@
 
 import inspect
 import re
+import warnings
 from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
@@ -9,12 +10,16 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import numpyro.distributions as dist
 from jaxtyping import Array, Float
-from numpyro.distributions.transforms import AffineTransform, ComposeTransform, biject_to
 
 from hsed_jax.errors import UserError
 from hsed_jax.plain import in_range, shown
+
+with warnings.catch_warnings():
+    # numpyro loads tqdm's bar for notebooks, which without widgets is one for text and warns of it.
+    warnings.filterwarnings("ignore", "IProgress not found")
+    import numpyro.distributions as dist
+    from numpyro.distributions.transforms import AffineTransform, ComposeTransform, biject_to
 
 _SPELLINGS = {
     "lognormal": "LogNormal",

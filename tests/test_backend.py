@@ -1,0 +1,97 @@
+"""What the package changes in a user's process, and when: nothing by an import, what is said where work starts."""
+
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+from hsed_jax.backend import _TRIED_FROM, _TRIED_TO
+
+ROOT = Path(__file__).parents[1]
+STATE = """
+import os, warnings
+def state():
+    import jax
+    from threadpoolctl import threadpool_info
+    import scipy.linalg
+    settings = ("jax_enable_x64", "jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
+    return {
+        "environment": dict(os.environ),
+        "filters": list(warnings.filters),
+        **{name: getattr(jax.config, name) for name in settings},
+        "threads": sorted(library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"),
+    }
+"""
+ALL = """
+import pkgutil, importlib, hsed_jax
+for module in pkgutil.walk_packages(hsed_jax.__path__, "hsed_jax."):
+    if module.name != "hsed_jax.laboratories.opensees_model":  # a script
+        importlib.import_module(module.name)
+from hsed_jax import *
+"""
+BUILD = """
+import hsed_jax as hx
+from hsed_jax.config.build import Built
+built = Built(hx.load_study("configs/paper.yaml"))
+"""
+
+
+def ran(code: str, **environment: str) -> str:
+    """What a program of a user's prints, in a process with nothing set but this."""
+    settings = {"PATH": "/usr/bin:/bin", "HOME": str(Path.home()), "PYTHONPATH": str(ROOT), **environment}
+    done = subprocess.run([sys.executable, "-c", STATE + code], cwd=ROOT, env=settings, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_importing_changes_nothing():
+    # The imports of numpy, numpyro and so on come first: what they change is theirs.
+    theirs = "import numpy, scipy.stats, jax, equinox, diffrax, numpyro, tinygp, arviz, xarray, pandas, distributed\n"
+    theirs += "import matplotlib.pyplot, optimistix, pydantic, pint\n"
+    changed = "\nafter = state()\nprint([name for name in before if before[name] != after[name]])"
+    assert ran(f"{theirs}before = state()\n{ALL}{changed}") == "[]"
+
+
+def test_building_a_study_prepares_the_process():
+    printed = ran(BUILD + """
+now = state()
+print(now["jax_enable_x64"], now["jax_compilation_cache_dir"], now["threads"])
+print("small_while_loop" in now["environment"].get("XLA_FLAGS", ""))
+print([name for name in ("JAX_ENABLE_X64", "OPENBLAS_NUM_THREADS") if name in now["environment"]])
+""", XDG_CACHE_HOME="/tmp/somewhere")  # fmt: skip
+    first, second, third = printed.splitlines()
+    known = _TRIED_FROM <= tuple(int(part) for part in version("jaxlib").split(".")[:2]) < _TRIED_TO
+    assert first == "True /tmp/somewhere/hsed_jax [1, 1]"
+    assert (second, third) == (str(known), "[]")
+
+
+@pytest.mark.parametrize(
+    ("environment", "code", "expected"),
+    [
+        ({"JAX_ENABLE_X64": "0"}, "print(state()['jax_enable_x64'])", "False"),
+        ({"JAX_COMPILATION_CACHE_DIR": "/tmp/mine"}, "print(state()['jax_compilation_cache_dir'])", "/tmp/mine"),
+        (
+            {"XLA_FLAGS": "--xla_cpu_prefer_vector_width=256"},
+            "print(os.environ['XLA_FLAGS'].count('xla_cpu_prefer_vector_width'), os.environ['XLA_FLAGS'].split()[0][-3:])",
+            "1 256",
+        ),
+        ({"OPENBLAS_NUM_THREADS": "2"}, "print(1 in state()['threads'])", "False"),
+        ({"OMP_NUM_THREADS": "2"}, "print(1 in state()['threads'])", "False"),
+    ],
+    ids=["precision", "cache", "flags", "threads of OpenBLAS", "threads"],
+)
+def test_what_the_user_set_stays(environment, code, expected):
+    assert ran(BUILD + code, **environment) == expected
+
+
+def test_a_cache_that_was_chosen_in_the_program_stays():
+    chosen = "import jax\njax.config.update('jax_compilation_cache_dir', '/tmp/mine')\n"
+    assert ran(chosen + BUILD + "print(state()['jax_compilation_cache_dir'])") == "/tmp/mine"
+
+
+def test_a_process_that_has_used_jax_simulates_in_double_precision():
+    code = "import jax.numpy as jnp\nassert jnp.zeros(3).dtype == 'float32'\n" + BUILD
+    code += "print(hx.simulate(built.study, {'V_P': 2.25, 'T_P': 1.0}).quantities['peak_force'].dtype)"
+    assert ran(code) == "float64"
