@@ -47,7 +47,7 @@ class Specimen(eqx.Module):
     def force(self, elongation: Scalar, rate: Scalar, memory: Memory) -> Scalar:
         """Restoring force r [N] at elongation Δu [m] and its rate [m/s]."""
         point = self._point(elongation, rate, memory)
-        return self._force(point, self._slots(point))
+        return self._force(point, self._slots(point))[0]
 
     def rates(self, elongation: Scalar, rate: Scalar, memory: Memory) -> Memory:
         """Time derivatives of the states."""
@@ -59,7 +59,7 @@ class Specimen(eqx.Module):
         slots = self._slots(point)
         flow = self.law.flow(_beyond(elongation, slots), rate, memory, slots)
         flow = {name: _outside(elongation, slots, value) for name, value in flow.items()}
-        force = self._force(point, slots)
+        force, point = self._force(point, slots)
         rates = {name: jnp.zeros_like(value) for name, value in memory.items()}
         rates |= {**flow, "energy": force * rate}
         rates |= {state.name: state.rate(rate) for state in self._shared if state.rate is not None}
@@ -100,12 +100,14 @@ class Specimen(eqx.Module):
                 raise ValueError(f"{effect.name}: {missing}")
         return combine(contributions)
 
-    def _force(self, point: SpringPoint, slots: Slots) -> Scalar:
+    def _force(self, point: SpringPoint, slots: Slots) -> tuple[Scalar, SpringPoint]:
+        """Restoring force, and the point with the force that the element has now."""
         element = self.law.force(_beyond(point.elongation, slots), point.memory, slots)
         if element is not point.hysteretic:
             # A law of paths knows its force only now; forces beside it may depend on it.
-            slots = self._slots(point._replace(hysteretic=element))
-        return _outside(point.elongation, slots, element) + slots("force")
+            point = point._replace(hysteretic=element)
+            slots = self._slots(point)
+        return _outside(point.elongation, slots, element) + slots("force"), point
 
 
 def unserved(effect: type[AbstractEffect], law: type[AbstractSpringLaw]) -> str:

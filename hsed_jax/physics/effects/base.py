@@ -36,8 +36,8 @@ class SpringPoint(NamedTuple):
     Attributes:
         elongation: Δu [m].
         rate: Δu̇ [m/s].
-        hysteretic: z [N], the force of the law's element; of a law of paths, what writes to another slot than `force` sees that
-            of its last commit.
+        hysteretic: z [N], the force of the law's element; of a law of paths, slots other than `force` see that of its last
+            commit.
         memory: further states by name, among them `energy` e [J].
         scales: characteristic values.
         strength: force at which the virgin element yields, or its bound, $[A/(\beta+\gamma)]^{1/n}$ of Bouc–Wen [N].

@@ -40,7 +40,7 @@ class Elastic(AbstractSpringLaw):
         return still("hysteretic")
 
     def force(self, elongation: Scalar, memory: Memory, slots: Slots) -> Scalar:
-        """K Δu [N]."""
+        """The force k Δu [N]."""
         return self.k * elongation
 
     def settle(self, elongation: Scalar, memory: Memory, slots: Slots) -> Memory:
