@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hsed_jax.backend import prepare
-from hsed_jax.config import laboratories, parts
+from hsed_jax.config import laboratories, parts, structures
 from hsed_jax.config import records as records_of
 from hsed_jax.config.laboratories import IMPOSED
 from hsed_jax.config.limits import limits_of
+from hsed_jax.config.noise import errors_of
 from hsed_jax.config.own_effects import catalogue_of
 from hsed_jax.config.plan import check_plan
 from hsed_jax.config.scales import check_scales, scales_of
 from hsed_jax.config.schema import Study
-from hsed_jax.config.sections import ErrorEntry, NoiseEntry
 from hsed_jax.config.spring_laws import law_of
 from hsed_jax.design.feasible import Limits
 from hsed_jax.design.space import InputSpace
@@ -38,7 +38,7 @@ from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.laws import AbstractSpringLaw
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Parametrised, Simulator, Timeline
-from hsed_jax.physics.structures import Structure
+from hsed_jax.physics.structures import OWNER, Structure
 
 if TYPE_CHECKING:
     # A check of a study samples nothing, and need not wait for what does.
@@ -112,7 +112,7 @@ class Built:
             raise UserError(
                 "structure: this key is required, unless the elongation was imposed (protocol: displacement)"
             )
-        return parts.structure(self.study.structure)
+        return structures.structure(self.study.structure)
 
     @cached_property
     def parameters(self) -> tuple[dict[str, Prior], dict[str, float]]:
@@ -123,7 +123,7 @@ class Built:
     def _of_structure(self) -> dict[str, Prior]:
         """Priors of the structure's numbers that are calibrated."""
         entry = self.study.structure
-        return {} if self.component_test or entry is None else parts.structure_priors(entry)
+        return {} if self.component_test or entry is None else structures.priors_of(entry)
 
     @cached_property
     def _steepest(self) -> AbstractSpringLaw:
@@ -133,8 +133,7 @@ class Built:
     @cached_property
     def _stiffest(self) -> Structure:
         """The structure where its priors make its shortest period shortest."""
-        assert self.structure is not None
-        return self.structure.told(parts.stiffest(self._of_structure))
+        return structures.stiffest(self.structure, self._of_structure)
 
     @cached_property
     def units(self) -> dict[str, str]:
@@ -225,14 +224,15 @@ class Built:
     @cached_property
     def specimen(self) -> dict[str, float]:
         """The parameters of the virtual specimen."""
-        assert self.study.experiments.virtual is not None
         virtual = self.study.experiments.virtual
-        return parts.true_parameters(virtual, self.specimen_law, self.catalogue, self._of_structure)
+        assert virtual is not None
+        told = structures.true_numbers("experiments.virtual.structure", virtual.structure, self._of_structure)
+        of_structure = {f"{OWNER}.{name}": value for name, value in told.items()}
+        return parts.true_parameters(virtual, self.specimen_law, self.catalogue) | of_structure
 
     def _virtual(self) -> tuple[Simulator, dict[str, float]]:
         assert self.study.experiments.virtual is not None
-        effects = tuple(self.study.experiments.virtual.effects)
-        return self._simulator(self.specimen_law, effects, ()), self.specimen
+        return self._simulator(self.specimen_law, tuple(self.study.experiments.virtual.effects), ()), self.specimen
 
     @cached_property
     def laboratory(self) -> Laboratory:
@@ -286,16 +286,9 @@ class Built:
     @cached_property
     def errors(self) -> tuple[Error, ...]:
         """Of each output."""
-        given = parts.per_output("error", self.study.error, list(self.outputs))
-        errors = []
-        for name in self.outputs:
-            entry = given.get(name) or ErrorEntry(inflate=False)
-            size = entry if entry.kinds else self._declared_noise(name)
-            # Of a history the model may miss as much as there is; a quantity off by half is already a poor model.
-            unknown = Prior("half_normal", 0.3 if self.study.observe == "quantities" else 1.0)
-            told = unknown if size.unknown else float(size.relative or size.absolute or 0.0)
-            errors.append(parts.error(name, told, size.absolute is None, entry))
-        return tuple(errors)
+        source = self.sensors if self.measured is None else self.measured
+        declared = source.quantities if self.study.observe == "quantities" else source.channels
+        return errors_of(self.study, self.outputs, declared)
 
     @cached_property
     def posterior(self) -> Posterior:
@@ -398,14 +391,6 @@ class Built:
         except UserError as error:
             file = f"{self.study.file}: " if self.study.file is not None else ""
             raise UserError(f"{file}{error}") from None
-
-    def _declared_noise(self, name: str) -> NoiseEntry:
-        """The noise that the campaign or the laboratory declares, and where they declare none, inferred."""
-        source = self.sensors if self.measured is None else self.measured
-        declared = (source.quantities if self.study.observe == "quantities" else source.channels).get(name)
-        if declared is None or declared.noise is None or not (declared.noise.absolute or declared.noise.relative):
-            return NoiseEntry(unknown=True)
-        return NoiseEntry(absolute=declared.noise.absolute, relative=declared.noise.relative)
 
     def _simulator(
         self, law: type[AbstractSpringLaw], effects: tuple[str, ...], constants: tuple[tuple[str, float], ...]

@@ -7,7 +7,7 @@ from pathlib import Path
 from shutil import which
 from typing import Any
 
-from hsed_jax.config import parts
+from hsed_jax.config import parts, structures
 from hsed_jax.config.experiments import (
     CommandEntry,
     FolderEntry,
@@ -16,6 +16,7 @@ from hsed_jax.config.experiments import (
     OwnMaterialEntry,
     VirtualEntry,
 )
+from hsed_jax.config.noise import per_output
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
@@ -166,7 +167,7 @@ def _si(names: tuple[str, ...], noise: Mapping[str, Noise]) -> dict[str, Channel
 def sensor_noise(where: str, entry: VirtualEntry | OpenSeesEntry, measured: tuple[str, ...]) -> dict[str, Noise]:
     """The noise of a simulated laboratory, per quantity or channel."""
     noise = {}
-    for name, error in parts.per_output(where, entry.noise, list(measured)).items():
+    for name, error in per_output(where, entry.noise, list(measured)).items():
         if error.unknown:
             raise UserError(f"{where}: the noise of {name} must be a number: relative or absolute")
         noise[name] = Noise(absolute=error.absolute, relative=error.relative)
@@ -227,7 +228,7 @@ def _opensees(site: Site, entry: OpenSeesEntry) -> OpenSeesLaboratory:
         material = parts.at("experiments.opensees", opensees.built_in, entry.material, entry.parameters)
     opensees.require_openseespy()
     step = site.programme.timeline.step / opensees.STEPS_PER_STEP if entry.step is None else entry.step
-    told = parts.true_numbers("experiments.opensees.structure", entry.structure, site.of_structure)
+    told = structures.true_numbers("experiments.opensees.structure", entry.structure, site.of_structure)
     files = {"model.json": opensees.as_json(opensees.model(site.structure.told(told), material, step))}
     command = CommandLaboratory(opensees.program(), site.programme, site.sensors, entry.timeout, site.workspace, files)
     return OpenSeesLaboratory(command, _noise(site.sensors), site.study.seed)

@@ -7,107 +7,27 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from hsed_jax.config.experiments import VirtualEntry
-from hsed_jax.config.schema import ExcitationEntry, ModelEntry, StructureEntry
-from hsed_jax.config.sections import ErrorEntry, NoiseEntry
+from hsed_jax.config.schema import ExcitationEntry, ModelEntry
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
-from hsed_jax.inference.likelihood import Error
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import parse_unit, read_at2
 from hsed_jax.measurements.units import TIME, VELOCITY
 from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.excitations import NearFaultPulse, RecordedMotion
 from hsed_jax.physics.laws import AbstractSpringLaw
-from hsed_jax.physics.outputs import is_quantity, output, quantity
 from hsed_jax.physics.parameters import Parameter, parameters_of
 from hsed_jax.physics.simulator import Parametrised, Timeline
 from hsed_jax.physics.specimen import unserved
-from hsed_jax.physics.structures import OWNER, ModalDamping, RayleighDamping, Spring, Structure, parameter_of
+from hsed_jax.physics.structures import OWNER, Structure, parameter_of
 
 # The integration resolves the shortest period with this many steps; peaks are then good to 1e-4 (tests/test_response.py).
 _STEPS_PER_PERIOD = 24
 _MOST_STEPS = 1_000_000
 _VIRTUAL_SAMPLES = 400
-
-
-def structure(entry: StructureEntry) -> Structure:
-    """The numerical substructure; what has a prior is at its median."""
-    priors = structure_priors(entry)
-
-    def number(name: str, given: Any) -> float:
-        return float(priors[f"{OWNER}.{name}"].quantile(0.5)) if isinstance(given, dict) else float(given)
-
-    stiffness = entry.damping.specimen_stiffness
-    reference = 1.0 if stiffness == "model" else float(stiffness)
-    numbers = {name: number(name, given) for name, (_, given) in _numbers(entry).items()}
-    if entry.damping.rayleigh is not None:
-        damping: Any = RayleighDamping(numbers["alpha"], numbers["beta"], reference)
-    elif isinstance(ratios := entry.damping.modal, list):
-        if len(ratios) != len(entry.masses):
-            raise UserError(
-                f"structure.damping.modal: {len(ratios)} ratios for {len(entry.masses)} modes; give one, or one per mode"
-            )
-        damping = ModalDamping(jnp.asarray([numbers[f"ratio_{i + 1}"] for i in range(len(ratios))]), reference)
-    else:
-        damping = ModalDamping(jnp.asarray(numbers["ratio"]), reference)
-    masses = [numbers[f"mass_{i + 1}"] for i in range(len(entry.masses))]
-    springs = [Spring(ends(s.between), numbers[f"stiffness_{i + 1}"]) for i, s in enumerate(entry.springs)]
-    try:
-        return Structure(masses, springs, ends(entry.specimen.between), damping)
-    except ValueError as error:
-        raise UserError(f"structure: {error}") from None
-
-
-def structure_priors(entry: StructureEntry) -> dict[str, Prior]:
-    """Priors of the numbers of the structure that are calibrated, by the name of the parameter."""
-    priors = {}
-    for name, (where, given) in _numbers(entry).items():
-        if not isinstance(given, dict):
-            continue
-        known = parameter_of(name)
-        made = priors[f"{OWNER}.{name}"] = prior(where, given)
-        # With a negative mass or stiffness there is no structure; a mass that a billionth of the prior puts there never occurs.
-        lowest, highest = (float(made.quantile(share)) for share in (1e-9, 1 - 1e-9))
-        if lowest < known.lower or highest > known.upper or (name.startswith("mass_") and not lowest > 0):
-            allowed = "positive" if name.startswith("mass_") else _possible(known)
-            raise UserError(f"{where}: this prior reaches from {lowest:.3g} to {highest:.3g}; it must be {allowed}")
-    return priors
-
-
-def stiffest(of_structure: Mapping[str, Prior]) -> dict[str, float]:
-    """Numbers of a structure at which its periods are shortest: the stiffest springs, the lightest masses that priors allow."""
-    return {
-        name.removeprefix(f"{OWNER}."): float(prior.quantile(0.001 if "mass_" in name else 0.999))
-        for name, prior in of_structure.items()
-        if name.startswith((f"{OWNER}.mass_", f"{OWNER}.stiffness_"))
-    }
-
-
-def _numbers(entry: StructureEntry) -> dict[str, tuple[str, Any]]:
-    """The numbers of a structure by the names of their parameters: where each stands, and what was given."""
-    damping = entry.damping
-    found: dict[str, tuple[str, Any]]
-    found = {f"mass_{i}": (f"structure.masses[{i}]", given) for i, given in enumerate(entry.masses, 1)}
-    for i, spring in enumerate(entry.springs, 1):
-        found[f"stiffness_{i}"] = (f"structure.springs[{i}].stiffness", spring.stiffness)
-    if damping.rayleigh is not None:
-        shares = damping.rayleigh
-        found |= {name: (f"structure.damping.rayleigh.{name}", getattr(shares, name)) for name in ("alpha", "beta")}
-    elif isinstance(damping.modal, list):
-        found |= {f"ratio_{i}": (f"structure.damping.modal[{i}]", given) for i, given in enumerate(damping.modal, 1)}
-    else:
-        found["ratio"] = ("structure.damping.modal", damping.modal)
-    return found
-
-
-def ends(between: tuple[Any, Any]) -> tuple[int | None, int | None]:
-    """Ends as a user numbers them (masses from 1, or the ground) as a structure does (from 0, or None)."""
-    first, second = (None if end == "ground" else int(end) - 1 for end in between)
-    return first, second
 
 
 def excitation(entry: ExcitationEntry | None, inputs: Mapping[str, Any], folder: Path) -> Parametrised | None:
@@ -199,17 +119,8 @@ def model_parameters(
     return free, fixed
 
 
-def true_parameters(
-    entry: VirtualEntry, law: type[AbstractSpringLaw], catalogue: Catalogue, of_structure: Mapping[str, Prior]
-) -> dict[str, float]:
-    """The parameters of a virtual specimen and of the structure that it is in.
-
-    Arguments:
-        entry: of the virtual laboratory.
-        law: of the specimen.
-        catalogue: the effects there are.
-        of_structure: priors of the structure's numbers that are calibrated: each needs a true value.
-    """
+def true_parameters(entry: VirtualEntry, law: type[AbstractSpringLaw], catalogue: Catalogue) -> dict[str, float]:
+    """The parameters of a virtual specimen."""
     of_law, where = parameters_of(law), "experiments.virtual"
     check_names(f"{where}.parameters", entry.parameters, of_law)
     truth = {
@@ -223,21 +134,7 @@ def true_parameters(
         forms = effect_parameters(f"{where}.effects", effect, values, law, catalogue)
         for name, value in values.items():
             truth[f"{effect}.{name}"] = within(f"{where}.effects.{effect}.{name}", value, forms[name])
-    told = true_numbers(f"{where}.structure", entry.structure, of_structure)
-    return truth | {f"{OWNER}.{name}": value for name, value in told.items()}
-
-
-def true_numbers(where: str, given: Mapping[str, float], of_structure: Mapping[str, Prior]) -> dict[str, float]:
-    """The true numbers of the structure where a laboratory of this program performs an experiment, for each with a prior."""
-    calibrated = [name.removeprefix(f"{OWNER}.") for name in of_structure]
-    for name in given:
-        if name not in calibrated:
-            known = f"with one are {', '.join(calibrated)}" if calibrated else "none has one"
-            raise UserError(f"{where}.{name}: this is for numbers that the study gives priors; {known}")
-    for name in calibrated:
-        if name not in given:
-            raise UserError(f"{where}.{name}: this key is required, as the study gives it a prior")
-    return {name: within(f"{where}.{name}", value, parameter_of(name)) for name, value in given.items()}
+    return truth
 
 
 def _check_possible(where: str, law: type[AbstractSpringLaw], highest: Mapping[str, float]) -> None:
@@ -357,42 +254,15 @@ def check_names(where: str, given: Mapping[str, Any], known: Mapping[str, Any]) 
 def within(where: str, value: float, known: Parameter) -> float:
     """A fixed value, if it is possible."""
     if not known.lower <= value <= known.upper:
-        raise UserError(f"{where}: {value:g} is outside what is possible, {_possible(known)}")
+        raise UserError(f"{where}: {value:g} is outside what is possible, {possible(known)}")
     return value
 
 
-def _possible(known: Parameter) -> str:
+def possible(known: Parameter) -> str:
+    """The bounds of a parameter, in words."""
     low = "" if known.lower == -float("inf") else f"at least {known.lower:g}"
     high = "" if known.upper == float("inf") else f"at most {known.upper:g}"
     return " and ".join(side for side in (low, high) if side)
-
-
-def per_output[Entry: NoiseEntry](
-    where: str, entry: Entry | dict[str, Entry] | None, outputs: list[str]
-) -> dict[str, Entry]:
-    """One entry for all outputs, or one per output, as one per output."""
-    if entry is None:
-        return {}
-    if isinstance(entry, NoiseEntry):
-        return dict.fromkeys(outputs, entry)
-    for name in entry:
-        if name not in outputs:
-            raise UserError(f"{where}.{name}: this is not observed; observed are {', '.join(outputs)}")
-    return dict(entry)
-
-
-def error(name: str, size: float | Prior, is_relative: bool, entry: ErrorEntry) -> Error:
-    """The error of an output.
-
-    Raises:
-        UserError: it is relative to a quantity that may be negative or zero.
-    """
-    if is_relative and is_quantity(name) and quantity(name).is_signed:
-        raise UserError(
-            f"error.{name}: {name} may be negative or zero, and no error is relative to that; give it an absolute one "
-            f"[{output(name).unit}], such as error: {{{name}: {{absolute: 0.001}}}}"
-        )
-    return Error(size, is_relative, entry.correlated, entry.inflate)
 
 
 def prior(where: str, entry: Mapping[str, Any]) -> Prior:

@@ -1,0 +1,69 @@
+"""The noise of what is observed: as a study gives it, as a campaign or a laboratory declares it, or to be inferred."""
+
+from collections.abc import Mapping, Sequence
+
+from hsed_jax.config.schema import Study
+from hsed_jax.config.sections import ErrorEntry, NoiseEntry
+from hsed_jax.errors import UserError
+from hsed_jax.inference.likelihood import Error
+from hsed_jax.inference.priors import Prior
+from hsed_jax.measurements import Channel
+from hsed_jax.physics.outputs import is_quantity, output, quantity
+
+
+def errors_of(study: Study, outputs: Sequence[str], declared: Mapping[str, Channel]) -> tuple[Error, ...]:
+    """The errors of the outputs.
+
+    Arguments:
+        study: says what they are, or leaves it to what is declared.
+        outputs: names of what is observed.
+        declared: what campaign or laboratory measures, by name.
+
+    Raises:
+        UserError: an error of what is not observed, or one relative to a quantity that may be negative or zero.
+    """
+    given = per_output("error", study.error, list(outputs))
+    errors = []
+    for name in outputs:
+        entry = given.get(name) or ErrorEntry(inflate=False)
+        size = entry if entry.kinds else _declared(declared.get(name))
+        # Of a history the model may miss as much as there is; a quantity off by half is already a poor model.
+        unknown = Prior("half_normal", 0.3 if study.observe == "quantities" else 1.0)
+        told = unknown if size.unknown else float(size.relative or size.absolute or 0.0)
+        errors.append(_error(name, told, size.absolute is None, entry))
+    return tuple(errors)
+
+
+def per_output[Entry: NoiseEntry](
+    where: str, entry: Entry | dict[str, Entry] | None, outputs: list[str]
+) -> dict[str, Entry]:
+    """One entry for all outputs, or one per output, as one per output."""
+    if entry is None:
+        return {}
+    if isinstance(entry, NoiseEntry):
+        return dict.fromkeys(outputs, entry)
+    for name in entry:
+        if name not in outputs:
+            raise UserError(f"{where}.{name}: this is not observed; observed are {', '.join(outputs)}")
+    return dict(entry)
+
+
+def _error(name: str, size: float | Prior, is_relative: bool, entry: ErrorEntry) -> Error:
+    """The error of an output.
+
+    Raises:
+        UserError: it is relative to a quantity that may be negative or zero.
+    """
+    if is_relative and is_quantity(name) and quantity(name).is_signed:
+        raise UserError(
+            f"error.{name}: {name} may be negative or zero, and no error is relative to that; give it an absolute one "
+            f"[{output(name).unit}], such as error: {{{name}: {{absolute: 0.001}}}}"
+        )
+    return Error(size, is_relative, entry.correlated, entry.inflate)
+
+
+def _declared(channel: Channel | None) -> NoiseEntry:
+    """The noise that is declared, and where none is, one that is inferred."""
+    if channel is None or channel.noise is None or not (channel.noise.absolute or channel.noise.relative):
+        return NoiseEntry(unknown=True)
+    return NoiseEntry(absolute=channel.noise.absolute, relative=channel.noise.relative)
