@@ -1,5 +1,6 @@
 """The paper's structure and simulator, the shared data, the reference table: what several test files use."""
 
+import signal
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -18,6 +19,10 @@ from hsed_jax.physics.structures import ModalDamping, Spring, Structure
 prepare()
 
 REFERENCE = Path(__file__).with_name("data") / "reference_quantities.csv"
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # A shell's background jobs ignore Ctrl-C, and so would the processes that the tests interrupt.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 

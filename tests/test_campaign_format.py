@@ -24,6 +24,7 @@ from hsed_jax.measurements import (
     write_experiment,
 )
 from hsed_jax.measurements.tables import can_head_record
+from hsed_jax.physics.outputs import is_quantity
 
 quick = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 
@@ -71,11 +72,9 @@ def records(draw, campaign, motion_only):
 def campaigns(draw):
     protocol = draw(st.sampled_from(["ground_motion", "displacement"]))
     needed = ["time", "ground_acceleration"] if protocol == "ground_motion" else ["elongation"]
-    others = [c for c in UNITS if not c.startswith(("peak", "diss")) and c not in needed]
+    others = [c for c in UNITS if not is_quantity(c) and c not in needed]
     channel_names = needed + draw(st.lists(st.sampled_from(others), unique=True, max_size=4))
-    quantity_names = draw(
-        st.lists(st.sampled_from(["peak_force", "peak_elongation", "dissipated_energy"]), unique=True)
-    )
+    quantity_names = draw(st.lists(st.sampled_from([c for c in UNITS if is_quantity(c)]), unique=True, max_size=4))
     input_names = draw(st.lists(st.sampled_from(["V_P", "T_P", "shake, level", "α"]), unique=True))
     reserved = {"id", "record", "status", "reason", "split", "from", "to", *UNITS, *input_names}
     free = columns.filter(lambda c: c not in reserved)

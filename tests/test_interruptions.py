@@ -30,7 +30,10 @@ def test_a_process_that_is_busy_with_one_call_answers_in_time(number):
     began = time.monotonic()
     for _ in range(9):
         process.send_signal(number)
-    _, errors = process.communicate(timeout=60)
+    try:
+        _, errors = process.communicate(timeout=60)
+    finally:
+        process.kill()
     assert (process.returncode, errors) == (3, "stopped at the sum\n")
     # Two seconds on a machine that has nothing else to do.
     assert time.monotonic() - began < 10

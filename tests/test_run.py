@@ -610,7 +610,8 @@ def test_a_run_says_at_which_step_it_was_stopped(study, tmp_path, monkeypatch):
     monkeypatch.setattr("hsed_jax.workflow.calibrate_built", stop)
     with pytest.raises(Interrupted, match="stopped while it was at calibrate, 1 of 2 steps; nothing is lost"):
         run(load_study(study, ["steps=[calibrate, compare]"]), tmp_path / "run", progress=False)
-    assert json.loads(summary_text(tmp_path / "run")) == {"study": "small", "status": "interrupted"}
+    found = json.loads(summary_text(tmp_path / "run"))
+    assert found == {"study": "small", "status": "interrupted", "references": {"bouc_wen": "Bouc 1967; Wen 1976"}}
 
 
 @pytest.mark.slow

@@ -449,7 +449,10 @@ def test_the_process_itself_exits_with_2_and_one_line(tmp_path):
 
 
 def test_from_python_a_mistake_is_an_exception_with_the_same_words():
-    with pytest.raises(UserError, match=r"structure\.masses\.0: this must be greater than 0, but it is -1\.0"):
+    with pytest.raises(
+        UserError,
+        match=r"structure\.masses\.0: this must be greater than 0 or a mapping of keys to values, but it is -1\.0",
+    ):
         load_study(changed("structure.masses.0", -1.0))
 
 

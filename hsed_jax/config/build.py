@@ -123,7 +123,7 @@ class Built:
     def _of_structure(self) -> dict[str, Prior]:
         """Priors of the structure's numbers that are calibrated."""
         entry = self.study.structure
-        return {} if self.component_test or entry is None else structures.priors_of(entry)
+        return {} if entry is None or self.component_test else structures.priors_of(entry)
 
     @cached_property
     def _steepest(self) -> AbstractSpringLaw:
