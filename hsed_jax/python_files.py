@@ -1,11 +1,30 @@
 """Python files of a user's own, which a study names: executed, with one message for whatever goes wrong."""
 
 import importlib.util
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 
 from hsed_jax.errors import UserError
 from hsed_jax.plain import is_file
+
+
+def module_of(path: Path) -> ModuleType:
+    """The module that a file makes, executed once in a process and again after it has changed.
+
+    Raises:
+        UserError: as of `executed`.
+    """
+    if not is_file(path):
+        raise UserError(f"there is no such file ({path})")
+    path = path.resolve()
+    return _as_changed(path, path.stat().st_mtime_ns)
+
+
+@cache
+def _as_changed(path: Path, changed: int) -> ModuleType:
+    """The module of a file as it was last changed [ns]."""
+    return executed(path)
 
 
 def executed(path: Path) -> ModuleType:

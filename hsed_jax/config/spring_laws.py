@@ -1,15 +1,13 @@
 """The spring law that a study names: one of the package, or a class in a Python file of the user's own."""
 
 import inspect
-from functools import cache
 from pathlib import Path
-from types import ModuleType
 
 from hsed_jax.config.sections import OwnLawEntry
 from hsed_jax.errors import UserError
 from hsed_jax.physics.laws import LAWS, AbstractSpringLaw
-from hsed_jax.plain import is_file, shown
-from hsed_jax.python_files import executed
+from hsed_jax.plain import shown
+from hsed_jax.python_files import module_of
 
 _DECLARED = ("name", "title", "reference", "steepest")
 
@@ -30,11 +28,8 @@ def law_of(where: str, entry: str | OwnLawEntry, folder: Path) -> type[AbstractS
     if isinstance(entry, str):
         return LAWS[entry]
     path, where = folder / entry.file, f"{where}: {entry.file}"
-    if not is_file(path):
-        raise UserError(f"{where}: there is no such file ({path})")
-    path = path.resolve()
     try:
-        module = _executed(path, path.stat().st_mtime_ns)
+        module = module_of(path)
     except UserError as error:
         raise UserError(f"{where}: {error}") from None
     law = getattr(module, entry.law, None)
@@ -48,9 +43,3 @@ def law_of(where: str, entry: str | OwnLawEntry, folder: Path) -> type[AbstractS
     if missing:
         raise UserError(f"{where}: {entry.law} lacks {', '.join(missing)}")
     return law
-
-
-@cache
-def _executed(path: Path, changed: int) -> ModuleType:
-    """The module of a file as it was last changed [ns]."""
-    return executed(path)

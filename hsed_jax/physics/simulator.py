@@ -145,7 +145,7 @@ class Simulator(eqx.Module):
             forcing = felt(forcing, slots, jax.numpy.asarray(length))
         system = self.system(parameters)
         response = integrate(system, forcing, length, steps, channels=channels, quantities=quantities, every=every)
-        response = response._replace(ok=response.ok & self.specimen(parameters).law.is_bounded)
+        response = response._replace(ok=response.ok & system.specimen.law.is_bounded)
         if slots is None:
             return response
         return measured(response, slots, length, every, is_imposed=self.structure is None)

@@ -17,6 +17,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from hsed_jax.physics.parameters import parameter
+
 Scalar = Float[Array, ""] | float
 Memory = dict[str, Scalar]
 Slots = Callable[[str], Scalar]
@@ -139,6 +141,25 @@ class AbstractSpringLaw(eqx.Module):
         """
         del turn, before, flow, rates
         return after, after
+
+
+class AbstractYieldingLaw(AbstractSpringLaw):
+    """A law of paths with a stiffness and a force at which it yields."""
+
+    steepest: ClassVar[Mapping[str, float]] = {"k": 0.999, "F_y": 0.001}
+
+    k: Scalar = parameter("k", "N/m", "initial stiffness", lower=0.0)
+    F_y: Scalar = parameter("F_y", "N", "yield force", lower=0.0)
+
+    @property
+    def stiffness(self) -> Scalar:
+        """Before it yields [N/m]."""
+        return self.k
+
+    @property
+    def strength(self) -> Scalar:
+        """The yield force [N]."""
+        return self.F_y
 
 
 def still(*names: str) -> Memory:

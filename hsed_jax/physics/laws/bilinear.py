@@ -1,16 +1,15 @@
 """The bilinear law with kinematic hardening."""
 
-from collections.abc import Mapping
 from typing import ClassVar, final
 
 import jax.numpy as jnp
 
-from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, still
+from hsed_jax.physics.laws.base import AbstractYieldingLaw, Memory, Scalar, Slots, still
 from hsed_jax.physics.parameters import parameter
 
 
 @final
-class Bilinear(AbstractSpringLaw):
+class Bilinear(AbstractYieldingLaw):
     r"""An elastic spring beside an elastic-perfectly plastic one, by return mapping.
 
     $$f = b k\,\Delta u + f_p,\qquad f_p = \mathrm{clip}\big((1-b)k\,(\Delta u-u_p),\ \pm(1-b)F_y/\nu\big)$$
@@ -23,24 +22,11 @@ class Bilinear(AbstractSpringLaw):
     title: ClassVar[str] = "a bilinear spring with kinematic hardening"
     reference: ClassVar[str] = "Prager 1956; Simo & Hughes 1998, box 1.5"
     slots: ClassVar[tuple[str, ...]] = ("nu",)
-    steepest: ClassVar[Mapping[str, float]] = {"k": 0.999, "F_y": 0.001}
 
-    k: Scalar = parameter("k", "N/m", "initial stiffness", lower=0.0)
-    F_y: Scalar = parameter("F_y", "N", "yield force", lower=0.0)
     b: Scalar = parameter(
         "b", "1", "stiffness after yielding over initial stiffness", neutral=0.0, lower=0.0, upper=0.95,
         prior={"uniform": [0.0, 0.2]},
     )  # fmt: skip
-
-    @property
-    def stiffness(self) -> Scalar:
-        """Before it yields [N/m]."""
-        return self.k
-
-    @property
-    def strength(self) -> Scalar:
-        """The yield force [N]."""
-        return self.F_y
 
     def start(self) -> Memory:
         """No force, no plastic elongation."""

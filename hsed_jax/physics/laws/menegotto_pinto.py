@@ -1,11 +1,10 @@
 """The law of Giuffrè, Menegotto and Pinto with isotropic hardening, as OpenSees' Steel02 has it."""
 
-from collections.abc import Mapping
 from typing import ClassVar, NamedTuple, final
 
 import jax.numpy as jnp
 
-from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, still
+from hsed_jax.physics.laws.base import AbstractYieldingLaw, Memory, Scalar, Slots, still
 from hsed_jax.physics.parameters import parameter
 
 # Bounds of the ratio x in powers: below, a logarithm of zero would poison derivatives; above, |x|^R would overflow.
@@ -26,7 +25,7 @@ class _Branch(NamedTuple):
 
 
 @final
-class MenegottoPinto(AbstractSpringLaw):
+class MenegottoPinto(AbstractYieldingLaw):
     r"""Steel: curves from each reversal to the next asymptote, which turn the rounder the larger the excursion was.
 
     $$\frac{f-f_r}{f_0-f_r} = b\,x + \frac{(1-b)\,x}{(1+|x|^R)^{1/R}},\qquad x = \frac{\Delta u-u_r}{u_0-u_r},\qquad
@@ -42,10 +41,7 @@ class MenegottoPinto(AbstractSpringLaw):
     name: ClassVar[str] = "menegotto_pinto"
     title: ClassVar[str] = "the steel of Giuffrè, Menegotto and Pinto"
     reference: ClassVar[str] = "Menegotto & Pinto 1973; Filippou, Popov & Bertero 1983 (Steel02 of OpenSees)"
-    steepest: ClassVar[Mapping[str, float]] = {"k": 0.999, "F_y": 0.001}
 
-    k: Scalar = parameter("k", "N/m", "initial stiffness", lower=0.0)
-    F_y: Scalar = parameter("F_y", "N", "yield force", lower=0.0)
     b: Scalar = parameter(
         "b", "1", "stiffness after yielding over initial stiffness", neutral=0.0, lower=0.0, upper=0.95,
         prior={"uniform": [0.0, 0.1]},
@@ -73,16 +69,6 @@ class MenegottoPinto(AbstractSpringLaw):
     a4: Scalar = parameter(
         "a_4", "1", "excursion after which it counts, over yield elongation", neutral=1.0, lower=0.01
     )
-
-    @property
-    def stiffness(self) -> Scalar:
-        """Of the elastic line [N/m]."""
-        return self.k
-
-    @property
-    def strength(self) -> Scalar:
-        """The yield force [N]."""
-        return self.F_y
 
     def start(self) -> Memory:
         """At rest, with no way yet; the furthest points of a virgin element are those of yielding."""

@@ -1,16 +1,15 @@
 """The peak-oriented law of reinforced concrete: Takeda's unloading, Clough's reloading."""
 
-from collections.abc import Mapping
 from typing import ClassVar, final
 
 import jax.numpy as jnp
 
-from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, still
+from hsed_jax.physics.laws.base import AbstractYieldingLaw, Memory, Scalar, Slots, still
 from hsed_jax.physics.parameters import parameter
 
 
 @final
-class Takeda(AbstractSpringLaw):
+class Takeda(AbstractYieldingLaw):
     r"""Reloading aims at the furthest point reached on the side that is loaded; unloading gets softer with it.
 
     $$F(u) = \frac{\min(k u,\ F_y + b k (u-u_y))}{\nu},\qquad
@@ -31,10 +30,7 @@ class Takeda(AbstractSpringLaw):
     title: ClassVar[str] = "a peak-oriented spring of Takeda's kind"
     reference: ClassVar[str] = "Clough 1966; Takeda, Sozen & Nielsen 1970; Mahin & Bertero 1976"
     slots: ClassVar[tuple[str, ...]] = ("nu",)
-    steepest: ClassVar[Mapping[str, float]] = {"k": 0.999, "F_y": 0.001}
 
-    k: Scalar = parameter("k", "N/m", "initial stiffness", lower=0.0)
-    F_y: Scalar = parameter("F_y", "N", "yield force", lower=0.0)
     b: Scalar = parameter(
         "b", "1", "stiffness after yielding over initial stiffness", neutral=0.0, lower=0.0, upper=0.95,
         prior={"uniform": [0.0, 0.2]},
@@ -43,16 +39,6 @@ class Takeda(AbstractSpringLaw):
         r"\alpha", "1", "exponent with which unloading softens", neutral=0.0, lower=0.0, upper=1.0,
         prior={"uniform": [0.0, 0.6]},
     )  # fmt: skip
-
-    @property
-    def stiffness(self) -> Scalar:
-        """Before it yields [N/m]."""
-        return self.k
-
-    @property
-    def strength(self) -> Scalar:
-        """The yield force [N]."""
-        return self.F_y
 
     def start(self) -> Memory:
         """At rest; the furthest points of a virgin element are those of yielding."""
