@@ -1,14 +1,13 @@
 """What a user may say of where measurements come from: a campaign, or one of the laboratories."""
 
-import shlex
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from hsed_jax.config.sections import NoisesEntry, OwnLawEntry, Positive, Section, SpringEntry
+from hsed_jax.config.sections import NoisesEntry, OwnLawEntry, Positive, ProgramEntry, Section, SpringEntry
 from hsed_jax.measurements.declaration import ChannelEntry
-from hsed_jax.plain import Number, Whole, is_file
+from hsed_jax.plain import Number, Whole
 
 
 class VirtualEntry(Section):
@@ -31,30 +30,8 @@ class MeasuredEntry(Section):
     quantities: dict[str, ChannelEntry] = {}
 
 
-class CommandEntry(MeasuredEntry):
+class CommandEntry(MeasuredEntry, ProgramEntry):
     """A program that performs one experiment, and how long it may take [s]."""
-
-    run: Annotated[str, Field(min_length=1)]
-    timeout: Positive = 3600.0
-
-    @model_validator(mode="before")
-    @classmethod
-    def _run_alone(cls, value: Any) -> Any:
-        return {"run": value} if isinstance(value, str) else value
-
-    @field_validator("run")
-    @classmethod
-    def _can_be_split(cls, text: str) -> str:
-        if not shlex.split(text):
-            raise ValueError("name a program")
-        return text
-
-    def words(self, folder: Path) -> tuple[str, ...]:
-        """The program and its arguments; files beside the study by their whole path."""
-        first, *rest = (word.replace("{study}", str(folder.absolute())) for word in shlex.split(self.run))
-        # As in a shell, a program without a slash is one of the path.
-        rest = [str((folder / word).absolute()) if is_file(folder / word) else word for word in rest]
-        return (str((folder / first).absolute()) if "/" in first else first, *rest)
 
 
 class PythonEntry(MeasuredEntry):
@@ -157,7 +134,7 @@ class ExperimentsEntry(Section):
             own = OwnLawEntry.model_validate({"file": absolute(law.file), "class": law.law})
             changes["virtual"] = self.virtual.model_copy(update={"spring": own})
         if self.command is not None:
-            changes["command"] = self.command.model_copy(update={"run": shlex.join(self.command.words(folder))})
+            changes["command"] = self.command.located(folder)
         if self.python is not None and self.python.file is not None:
             changes["python"] = self.python.model_copy(update={"file": absolute(self.python.file)})
         if self.opensees is not None and isinstance(self.opensees.material, OwnMaterialEntry):

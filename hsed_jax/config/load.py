@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from hsed_jax.config.schema import Study
-from hsed_jax.config.sections import TAGS
+from hsed_jax.config.sections import MODELS, TAGS
 from hsed_jax.errors import UserError
 from hsed_jax.plain import DEPTH, is_file, parse_yaml, shown
 
@@ -90,7 +90,7 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
     path = ".".join(map(_brief, keys)) or "study"
     given = fault["input"]
     if fault["type"] == "extra_forbidden":
-        allowed = _allowed(model, keys[:-1])
+        allowed = _allowed(model, [str(k) for k in fault["loc"][:-1]])
         close = difflib.get_close_matches(keys[-1], allowed, n=1)
         hint = f" (did you mean {close[0]}?)" if close else ""
         return f"{path}: there is no such key{hint}; allowed here are {', '.join(allowed)}"
@@ -144,22 +144,25 @@ def _is_branch(key: str) -> bool:
     """Whether a part of an error's location names a branch of a union and not a key of the user's."""
     return (
         key
-        in ("float", "int", "str", "list[float]", "constrained-float", "literal['ground']", "literal['model']", *TAGS)
+        in ("float", "int", "str", "list[float]", "constrained-float", "literal['ground']", "literal['model']", *TAGS, *MODELS)
         or any(c in key for c in "[(")
         or (key[:1].isupper() and key.endswith("Entry"))
     )
 
 
-def _allowed(model: type[BaseModel], keys: list[str]) -> list[str]:
-    """Keys allowed at a path, walking the fields of the schema."""
-    current: Any = model
-    for key in keys:
-        field = getattr(current, "model_fields", {}).get(key)
-        candidates = _models(field.annotation) if field is not None else []
-        if not candidates:
-            return sorted(_keys(current))
-        current = candidates[0]
-    return _keys(current)
+def _allowed(model: type[BaseModel], place: list[str]) -> list[str]:
+    """Keys allowed at a place, the location of an error, walking the fields of the schema."""
+    current: list[Any] = [model]
+    for key in place:
+        if key == MODELS[1]:
+            # Of the two shapes of a model this is the other one; without its keys, either was meant.
+            current = current[1:]
+        elif not _is_branch(key):
+            fields = [found for one in current if (found := one.model_fields.get(key)) is not None]
+            if not (inner := [found for field in fields for found in _models(field.annotation)]):
+                break
+            current = inner
+    return list(dict.fromkeys(key for one in current for key in _keys(one)))
 
 
 def _keys(model: Any) -> list[str]:

@@ -5,15 +5,28 @@ from typing import Annotated, Any, Literal
 
 from pydantic import (
     BeforeValidator,
+    Discriminator,
     Field,
     PrivateAttr,
+    Tag,
     create_model,
     field_validator,
     model_validator,
 )
 
 from hsed_jax.config.experiments import ExperimentsEntry
-from hsed_jax.config.sections import ErrorsEntry, OwnLawEntry, Positive, Section, SpringEntry
+from hsed_jax.config.functions import FunctionEntry
+from hsed_jax.config.sections import (
+    MODELS,
+    ErrorsEntry,
+    InputEntry,
+    OwnLawEntry,
+    Positive,
+    PriorEntry,
+    Section,
+    SpringEntry,
+    one_distribution,
+)
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
 from hsed_jax.measurements.checks import DoubtKind
@@ -29,17 +42,10 @@ Value = Number | str
 """A number, or the name of an input."""
 
 
-def _prior(value: Any) -> Any:
-    if isinstance(value, dict) and len(value) != 1:
-        raise ValueError("a prior is one distribution with its arguments, such as {uniform: [0.0, 1.0]}")
-    return value
-
-
 def _prior_or_default(value: Any) -> Any:
-    return value if value == {} else _prior(value)
+    return value if value == {} else one_distribution(value)
 
 
-PriorEntry = Annotated[dict[str, Any], BeforeValidator(_prior)]
 ParameterEntry = Number | Annotated[dict[str, Any], BeforeValidator(_prior_or_default)]
 """A fixed number, or a prior; `{}` is the prior that law or catalogue have for it."""
 NotNegative = Annotated[Number, Field(ge=0)]
@@ -121,29 +127,6 @@ class ExcitationEntry(Section):
         return self
 
 
-class InputEntry(Section):
-    """A variable input of the experiments: its distribution and its unit."""
-
-    prior: PriorEntry
-    unit: str = "1"
-
-    @model_validator(mode="before")
-    @classmethod
-    def _distribution_and_unit(cls, value: Any) -> Any:
-        if isinstance(value, dict) and "prior" not in value:
-            rest = {name: given for name, given in value.items() if name != "unit"}
-            if len(rest) != 1:
-                given = ", ".join(map(str, value)) or "nothing"
-                example = "{uniform: [1.5, 3.0], unit: m/s}"
-                raise ValueError(f"give one distribution and unit, such as {example}; given are {given}")
-            return {"prior": rest, "unit": value.get("unit", "1")}
-        return value
-
-    def written(self) -> dict[str, Any]:
-        """As it stands in a study."""
-        return {**self.prior, "unit": self.unit}
-
-
 class ModelEntry(Section):
     """The computational simulator: the spring law, its parameters, its effects."""
 
@@ -152,6 +135,35 @@ class ModelEntry(Section):
     effects: dict[str, dict[str, ParameterEntry]] = {}
     own_effects: list[str] = []
     """Python files with effects of your own, relative to the study; they join the catalogue."""
+
+    @property
+    def code(self) -> list[str]:
+        """Files that are executed where the model is built."""
+        return [*([self.spring.file] if isinstance(self.spring, OwnLawEntry) else []), *self.own_effects]
+
+    @property
+    def described(self) -> tuple[str, str]:
+        """What kind of model it is, and which."""
+        return "law", self.spring.law if isinstance(self.spring, OwnLawEntry) else self.spring
+
+    def located(self, folder: Path) -> "ModelEntry":
+        """The same with absolute paths: written elsewhere, a relative path would lead elsewhere."""
+        changes: dict[str, Any] = {"own_effects": [str((folder / name).resolve()) for name in self.own_effects]}
+        if isinstance(law := self.spring, OwnLawEntry):
+            own = {"file": str((folder / law.file).resolve()), "class": law.law}
+            changes["spring"] = OwnLawEntry.model_validate(own)
+        return self.model_copy(update=changes)
+
+
+def _kind_of_model(value: Any) -> str:
+    keys = value if isinstance(value, dict) else getattr(value, "model_fields_set", ())
+    return MODELS[bool({"function", "command"} & set(keys))]
+
+
+AnyModelEntry = Annotated[
+    Annotated[ModelEntry, Tag(MODELS[0])] | Annotated[FunctionEntry, Tag(MODELS[1])], Discriminator(_kind_of_model)
+]
+"""A spring law with effects, or a function."""
 
 
 class KrigingEntry(Section):
@@ -276,7 +288,7 @@ class Study(Tabular, Section):
     structure: StructureEntry | None = None
     excitation: ExcitationEntry | None = None
     inputs: dict[str, InputEntry] = {}
-    model: ModelEntry
+    model: AnyModelEntry
     experiments: ExperimentsEntry
     measurements: MeasurementsEntry = MeasurementsEntry()
     observe: Literal["quantities", "histories"] = "quantities"
@@ -345,15 +357,17 @@ class Study(Tabular, Section):
 
     @property
     def code(self) -> list[str]:
-        """Files that are executed where the study is built: its laws, its effects, its laboratory that is a Python function."""
+        """What is executed where the study is built: its model, its laws, its effects, its laboratory that is a Python function."""
         python, virtual = self.experiments.python, self.experiments.virtual
-        springs = [self.model.spring, *([] if virtual is None else [virtual.spring])]
-        laws = [spring.file for spring in springs if isinstance(spring, OwnLawEntry)]
+        law = None if virtual is None else virtual.spring
+        laws = [law.file] if isinstance(law, OwnLawEntry) else []
         functions = [python.file] if python is not None and python.file is not None else []
-        return [*dict.fromkeys(laws), *self.model.own_effects, *functions]
+        return list(dict.fromkeys([*self.model.code, *laws, *functions]))
 
     def _table(self) -> Table:
         def words(name: str, given: Any) -> str:
+            if isinstance(given, InputEntry):
+                return f"{words(name, given.prior)} {given.unit}"
             if given == {}:
                 given = "its default prior"
             elif isinstance(given, dict):
@@ -362,13 +376,13 @@ class Study(Tabular, Section):
             return f"{name} {given}"
 
         rows = [
-            ("law", spring.law if isinstance(spring := self.model.spring, OwnLawEntry) else spring),
+            self.model.described,
             *(("parameter", words(name, given)) for name, given in self.model.parameters.items()),
             *(
                 ("effect", " ".join([name, *(words(k, v) for k, v in given.items())]))
                 for name, given in self.model.effects.items()
             ),
-            *(("input", f"{words(name, entry.prior)} {entry.unit}") for name, entry in self.inputs.items()),
+            *(("input", words(name, entry)) for name, entry in self.inputs.items()),
             ("observed", "time histories" if self.observe == "histories" else ", ".join(self.quantities)),
             ("steps", ", ".join(self.steps)),
         ]
@@ -377,12 +391,8 @@ class Study(Tabular, Section):
     def written(self) -> dict[str, Any]:
         """The study with every default written out, ready for YAML; reading it again gives the same study."""
         plain = self.model_dump(mode="json", exclude_none=True)
-        plain["inputs"] = {name: entry.written() for name, entry in self.inputs.items()}
+        plain["model"] = self.model.located(self.folder).model_dump(mode="json", exclude_none=True)
         plain["experiments"] = self.experiments.located(self.folder).model_dump(mode="json", exclude_none=True)
-        # Written elsewhere, a relative path would lead elsewhere.
-        if isinstance(self.model.spring, OwnLawEntry):
-            plain["model"]["spring"]["file"] = str((self.folder / self.model.spring.file).resolve())
-        plain["model"]["own_effects"] = [str((self.folder / name).resolve()) for name in self.model.own_effects]
         if self.excitation is not None and self.excitation.recorded is not None:
             plain["excitation"]["recorded"]["file"] = str((self.folder / self.excitation.recorded.file).resolve())
         return plain

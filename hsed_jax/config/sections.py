@@ -1,21 +1,25 @@
 """What sections of a study are made of: the section itself, kinds of numbers, and errors of what is measured."""
 
 import difflib
+import shlex
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Discriminator,
     Field,
     Tag,
+    field_validator,
     model_serializer,
     model_validator,
 )
 
 from hsed_jax.physics.laws import LAWS
-from hsed_jax.plain import Number, shown
+from hsed_jax.plain import Number, is_file, shown
 
 Positive = Annotated[Number, Field(gt=0)]
 
@@ -82,6 +86,71 @@ NoisesEntry = Annotated[
     Annotated[NoiseEntry, Tag(TAGS[0])] | Annotated[dict[str, NoiseEntry], Tag(TAGS[1])], Discriminator(_kind)
 ]
 """One noise for all outputs, or one per output."""
+
+
+class ProgramEntry(Section):
+    """A program, and how long it may take each time [s]."""
+
+    run: Annotated[str, Field(min_length=1)]
+    timeout: Positive = 3600.0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _run_alone(cls, value: Any) -> Any:
+        return {"run": value} if isinstance(value, str) else value
+
+    @field_validator("run")
+    @classmethod
+    def _can_be_split(cls, text: str) -> str:
+        if not shlex.split(text):
+            raise ValueError("name a program")
+        return text
+
+    def words(self, folder: Path) -> tuple[str, ...]:
+        """The program and its arguments; files beside the study by their whole path."""
+        first, *rest = (word.replace("{study}", str(folder.absolute())) for word in shlex.split(self.run))
+        # As in a shell, a program without a slash is one of the path.
+        rest = [str((folder / word).absolute()) if is_file(folder / word) else word for word in rest]
+        return (str((folder / first).absolute()) if "/" in first else first, *rest)
+
+    def located(self, folder: Path) -> "ProgramEntry":
+        """The same with absolute paths."""
+        return self.model_copy(update={"run": shlex.join(self.words(folder))})
+
+
+def one_distribution(value: Any) -> Any:
+    """Refuse a prior that is more, or less, than one distribution with its arguments."""
+    if isinstance(value, dict) and len(value) != 1:
+        raise ValueError("a prior is one distribution with its arguments, such as {uniform: [0.0, 1.0]}")
+    return value
+
+
+PriorEntry = Annotated[dict[str, Any], BeforeValidator(one_distribution)]
+MODELS = ("a model of a spring law", "a model that is a function")
+"""The two shapes of `model`, as validation names them."""
+
+
+class InputEntry(Section):
+    """What varies, or is calibrated: its distribution and its unit."""
+
+    prior: PriorEntry
+    unit: str = "1"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _distribution_and_unit(cls, value: Any) -> Any:
+        if isinstance(value, dict) and "prior" not in value:
+            rest = {name: given for name, given in value.items() if name != "unit"}
+            if len(rest) != 1:
+                given = ", ".join(map(str, value)) or "nothing"
+                example = "{uniform: [1.5, 3.0], unit: m/s}"
+                raise ValueError(f"give one distribution and unit, such as {example}; given are {given}")
+            return {"prior": rest, "unit": value.get("unit", "1")}
+        return value
+
+    @model_serializer
+    def _as_written(self) -> dict[str, Any]:
+        return {**self.prior, "unit": self.unit}
 
 
 def _known_law(name: str) -> str:
