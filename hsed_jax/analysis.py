@@ -27,13 +27,14 @@ from hsed_jax.measurements import Campaign, stop_at_errors
 from hsed_jax.physics.batch import tiled_map
 from hsed_jax.physics.outputs import further
 from hsed_jax.physics.response import Response
-from hsed_jax.physics.simulator import Conditions, Simulator
+from hsed_jax.physics.simulator import AbstractModel, Conditions
 from hsed_jax.tables import Table, Tabular
 
 # Of the random numbers of a calibration; the steps of a design have the numbers below.
 _CALIBRATION_KEY = 1_000_000
 # Simulations of a batch that go to a thread together: one program for batches of any size, and bounded memory.
 _CHUNK = 2048
+_CHANNELS = ("elongation", "force", "energy")
 
 
 @dataclass(frozen=True, repr=False)
@@ -174,7 +175,7 @@ def simulate(
     study: Study,
     inputs: Mapping[str, Any],
     parameters: Mapping[str, Any] | None = None,
-    channels: tuple[str, ...] = ("elongation", "force", "energy"),
+    channels: tuple[str, ...] | None = None,
 ) -> Response:
     """Simulate the model of a study under its excitation.
 
@@ -182,13 +183,14 @@ def simulate(
         study: the study.
         inputs: variable inputs by name in their declared units, numbers or arrays of one common length: a batch.
         parameters: free parameters by name (SI), numbers or arrays; by default the medians of their priors.
-        channels: histories to keep; none for quantities alone, which is faster.
+        channels: histories to keep, by default elongation, force and energy as far as the model gives them; `()` for quantities
+            alone, which is faster.
 
     Returns:
         The response, with the quantities of Eq. 18 and those that the study names; in a batch every array has a leading axis.
 
     Raises:
-        UserError: an input or parameter is missing or unknown, or lengths differ.
+        UserError: an input or parameter is missing or unknown, lengths differ, or the model gives no such history.
     """
     built = Built(study)
     free, _ = built.parameters
@@ -212,9 +214,13 @@ def simulate(
 
     # The study may be of records; what is simulated here has none.
     parameters, inputs = lanes
-    more = further(tuple(study.quantities))
+    model, more = built.planned_simulator, further(tuple(study.quantities))
+    if channels is None:
+        channels = tuple(name for name in _CHANNELS if model.gives(name))
+    if missing := [name for name in channels if not model.gives(name)]:
+        raise UserError(f"channels: the model does not give {missing[0]}")
     if not sizes:
-        return built.planned_simulator.respond(parameters, Conditions(inputs), channels, more)
+        return model.respond(parameters, Conditions(inputs), channels, more)
     ((size,),) = sizes
     if size == 0:
         raise UserError("there is nothing to simulate: inputs and parameters are arrays of length 0")
@@ -223,7 +229,7 @@ def simulate(
     def chunk(begin: int) -> Response:
         count = min(_CHUNK, size - begin)
         part = jax.tree.map(lambda x: np.pad(x[begin : begin + count], (0, _CHUNK - count), mode="edge"), batch)
-        found = _simulated(built.planned_simulator, channels, more, part, jnp.asarray(count))
+        found = _simulated(model, channels, more, part, jnp.asarray(count))
         return jax.tree.map(lambda x: np.asarray(x)[:count], found)
 
     # The first compiles, the others run on all cores.
@@ -234,11 +240,11 @@ def simulate(
 
 @eqx.filter_jit
 def _simulated(
-    simulator: Simulator, channels: tuple[str, ...], quantities: tuple[str, ...], lanes: Any, count: Array
+    model: AbstractModel, channels: tuple[str, ...], quantities: tuple[str, ...], lanes: Any, count: Array
 ) -> Response:
     def one(lane):
         parameters, inputs = lane
-        return simulator.respond(parameters, Conditions(inputs), channels, quantities)
+        return model.respond(parameters, Conditions(inputs), channels, quantities)
 
     found = tiled_map(jax.vmap(one), lanes, count=count)
     return found._replace(ok=found.ok.astype(bool))

@@ -89,12 +89,14 @@ class Requests:
         names = tuple(self.built.parameters[0])
         wanted = [name for name in self.built.sensors.channels if name not in ("time", "ground_acceleration")]
         wanted = list(dict.fromkeys([*wanted, "elongation", "force"]))
-        simulator, more = self.built.planned_simulator, further(tuple(self.built.study.quantities))
+        model, more = self.built.planned_simulator, further(tuple(self.built.study.quantities))
+        wanted = [name for name in wanted if model.gives(name)]
+        peaks = [name for name in dict.fromkeys((*EQ_18, *more)) if model.gives(name)]
 
         def one(theta, inputs):
             parameters = dict(zip(names, theta, strict=False))
-            response = simulator.respond(parameters, Conditions(inputs), tuple(wanted), more)
-            quantities = {name: response.quantities[name] for name in (*EQ_18, *more)}
+            response = model.respond(parameters, Conditions(inputs), tuple(wanted), more)
+            quantities = {name: response.quantities[name] for name in peaks}
             return {name: response.channels[name] for name in wanted}, quantities, response.ok
 
         return jax.jit(lambda inputs, draws: jax.vmap(lambda theta: one(theta, inputs))(jnp.asarray(draws)))

@@ -172,7 +172,7 @@ class Run:
             study=self.study.study,
             status=status,
             posterior=self.built.posterior,
-            simulator=self.built.simulator,
+            model=self.built.simulator,
             catalogue=self.built.catalogue,
             laboratory=laboratory if isinstance(laboratory, VirtualLaboratory) else None,
             units=self.built.units,

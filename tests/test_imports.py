@@ -16,6 +16,7 @@ LEVELS = (
     ("physics",),
     ("measurements",),
     ("laboratories",),
+    ("models",),
     ("inference",),
     ("design",),
     ("criticism",),

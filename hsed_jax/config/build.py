@@ -13,13 +13,15 @@ import numpy as np
 from hsed_jax.backend import prepare
 from hsed_jax.config import laboratories, parts, structures
 from hsed_jax.config import records as records_of
+from hsed_jax.config.designs import design_of, settings_of
+from hsed_jax.config.functions import FunctionEntry
 from hsed_jax.config.laboratories import IMPOSED
 from hsed_jax.config.limits import limits_of
 from hsed_jax.config.noise import errors_of
 from hsed_jax.config.own_effects import catalogue_of
-from hsed_jax.config.plan import check_plan
+from hsed_jax.config.plan import check_added, check_plan
 from hsed_jax.config.scales import check_scales, scales_of
-from hsed_jax.config.schema import Study
+from hsed_jax.config.schema import ModelEntry, Study
 from hsed_jax.config.spring_laws import law_of
 from hsed_jax.design.feasible import Limits
 from hsed_jax.design.space import InputSpace
@@ -29,7 +31,7 @@ from hsed_jax.inference.observation import Grid, Histories, Observation, Outputs
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.predict import Predictor
 from hsed_jax.inference.priors import Prior
-from hsed_jax.laboratories.base import ExperimentFailed, Laboratory, experiment_id
+from hsed_jax.laboratories.base import Laboratory
 from hsed_jax.laboratories.request import Programme
 from hsed_jax.laboratories.sensors import Sensors
 from hsed_jax.measurements import Campaign, Characteristics, Experiment, characteristics, parse_unit, read_campaign
@@ -37,7 +39,7 @@ from hsed_jax.measurements.thinning import thinned
 from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.laws import AbstractSpringLaw
 from hsed_jax.physics.scales import Scales
-from hsed_jax.physics.simulator import Parametrised, Simulator, Timeline
+from hsed_jax.physics.simulator import AbstractModel, Parametrised, Simulator, Timeline
 from hsed_jax.physics.structures import OWNER, Structure
 
 if TYPE_CHECKING:
@@ -49,6 +51,8 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Built:
     """Everything a study needs to run; each part is built when it is first asked for.
+
+    Of a study whose model is a function, `Built(study)` is one that builds that (`hsed_jax.config.function_model`).
 
     Attributes:
         study: what the user said.
@@ -62,6 +66,14 @@ class Built:
     workspace: Path | None = None
     function: Callable[..., Any] | None = None
 
+    def __new__(cls, study: Study, *rest: Any, **more: Any) -> "Built":
+        """Of the kind that the model needs."""
+        if cls is Built and isinstance(study.model, FunctionEntry):
+            from hsed_jax.config.function_model import BuiltOfFunction  # which is a Built itself
+
+            return object.__new__(BuiltOfFunction)
+        return object.__new__(cls)
+
     def __post_init__(self):
         prepare()
 
@@ -73,6 +85,7 @@ class Built:
     @cached_property
     def law(self) -> type[AbstractSpringLaw]:
         """The spring law of the model; the file of an own one is executed."""
+        assert isinstance(self.study.model, ModelEntry)
         return law_of("model.spring", self.study.model.spring, self.study.folder)
 
     @cached_property
@@ -117,6 +130,7 @@ class Built:
     @cached_property
     def parameters(self) -> tuple[dict[str, Prior], dict[str, float]]:
         """Free parameters of the model with their priors, and the fixed ones with their values."""
+        assert isinstance(self.study.model, ModelEntry)
         return parts.model_parameters(self.study.model, self.law, self.catalogue, self._of_structure)
 
     @cached_property
@@ -131,9 +145,19 @@ class Built:
         return self.law(**parts.law_parameters(self.parameters, self.law.steepest))
 
     @cached_property
+    def middle(self) -> AbstractSpringLaw:
+        """The law in the middle of its priors."""
+        return self.law(**parts.law_parameters(self.parameters))
+
+    @cached_property
     def _stiffest(self) -> Structure:
         """The structure where its priors make its shortest period shortest."""
         return structures.stiffest(self.structure, self._of_structure)
+
+    @cached_property
+    def _longest_step(self) -> float:
+        """Of the integration [s]."""
+        return parts.longest_step(self._stiffest, self._steepest, self.study.excitation, self.space)
 
     @cached_property
     def units(self) -> dict[str, str]:
@@ -159,19 +183,14 @@ class Built:
     @cached_property
     def grid(self) -> Grid | None:
         """Samples and steps per sample of the measured records; None where there are none."""
-        if self.measured is not None and not len(self.measured.completed):
-            raise UserError(f"the campaign {self.measured.name!r} has no completed experiment")
-        taken = () if self.measured is None else self.taken(self.measured.completed.experiments)
-        records = [e.record for e in taken if e.record is not None]
+        records = records_of.measured(self)
         if not records:
             return None
         if self.component_test:
             assert self.characteristics is not None
-            middle = self.law(**parts.law_parameters(self.parameters))
-            return records_of.imposed_grid(records, self.characteristics, middle, self._steepest)
+            return records_of.imposed_grid(records, self.characteristics, self.middle, self._steepest)
         longest = max(float(np.max(np.diff(record.time), initial=0.0)) for record in records)
-        needed = longest / parts.longest_step(self._stiffest, self._steepest, self.study.excitation, self.space)
-        return records_of.divided(max(len(record) for record in records), needed)
+        return records_of.divided(max(len(record) for record in records), longest / self._longest_step)
 
     @cached_property
     def timeline(self) -> Timeline:
@@ -186,18 +205,16 @@ class Built:
         entry = self.study.excitation
         if entry is None or self.excitation is None:
             raise UserError("excitation: give near_fault_pulse or recorded, where no record tells the motion")
-        step = entry.step
-        if step is None:
-            step = parts.longest_step(self._stiffest, self._steepest, entry, self.space)
+        step = self._longest_step if entry.step is None else entry.step
         return parts.planned_timeline(entry, self.study.folder, step, self.study.observe == "histories")
 
     @cached_property
-    def simulator(self) -> Simulator:
+    def simulator(self) -> AbstractModel:
         """The computational simulator."""
         return self._simulator(self.law, tuple(self.study.model.effects), tuple(self.parameters[1].items()))
 
     @cached_property
-    def planned_simulator(self) -> Simulator:
+    def planned_simulator(self) -> AbstractModel:
         """The computational simulator of experiments to come, on their timeline: a study of records has another."""
         return dataclasses.replace(self.simulator, timeline=self.planned)
 
@@ -237,25 +254,14 @@ class Built:
     @cached_property
     def laboratory(self) -> Laboratory:
         """Where experiments are performed."""
-        site = laboratories.Site(
-            self.study,
-            self.sensors,
-            self.programme,
-            self.structure,
-            self._virtual,
-            self._of_structure,
-            self.workspace,
-            self.function,
-        )
-        return laboratories.laboratory_of(site)
+        known = self.study, self.sensors, self.programme, self.structure, self._virtual
+        return laboratories.laboratory_of(laboratories.Site(*known, self._of_structure, self.workspace, self.function))
 
     @cached_property
     def outputs(self) -> tuple[str, ...]:
         """Names of the observed quantities or channels."""
         if self.study.observe == "quantities":
-            # A record that ends before is passed over.
-            duration = self.planned.step * self.planned.steps if self.grid is None else math.inf
-            laboratories.check_quantities(self.study.quantities, self.structure, duration)
+            self._check_quantities()
             return tuple(self.study.quantities)
         if self.measured is None:
             known = laboratories.declared_responses(self.study)
@@ -267,12 +273,21 @@ class Built:
         for name in names:
             if known is not None and name not in known:
                 raise UserError(f"channels: {name} was not measured; measured are {', '.join(known) or 'none'}")
-            parts.at("channels", laboratories.check_response, name, self.structure)
+            parts.at("channels", self._check_channel, name)
         if not names:
             raise UserError(
                 "observe: there is no measured channel to compare with; the campaign has only what was imposed"
             )
         return names
+
+    def _check_quantities(self) -> None:
+        """Refuse quantities that the model does not give; a record that ends before the time of one is passed over."""
+        duration = self.planned.step * self.planned.steps if self.grid is None else math.inf
+        laboratories.check_quantities(self.study.quantities, self.structure, duration)
+
+    def _check_channel(self, name: str) -> None:
+        """Refuse a channel that the model does not give."""
+        laboratories.check_response(name, self.structure)
 
     @cached_property
     def observation(self) -> Observation:
@@ -305,34 +320,12 @@ class Built:
     @property
     def settings(self) -> "Settings":
         """Sizes of NUTS for a calibration."""
-        from hsed_jax.inference.nuts import Settings
-
-        sizes = self.study.calibration
-        return Settings(sizes.chains, sizes.warmup, sizes.draws, sizes.target_acceptance, sizes.sampler)
+        return settings_of(self.study.calibration)
 
     @cached_property
     def design(self) -> "SequentialDesign":
         """The sequential design."""
-        from hsed_jax.design.sequential import SequentialDesign
-        from hsed_jax.inference.nuts import Settings
-
-        entry, sizes = self.study.design, self.study.calibration
-        return SequentialDesign(
-            posterior=self.posterior,
-            space=self.space,
-            size=entry.initial + entry.iterations,
-            gaps=self.observation.gaps(None),
-            settings=Settings(
-                sizes.chains, sizes.step_warmup, sizes.step_draws, sizes.target_acceptance, sizes.sampler
-            ),
-            starts=sizes.starts,
-            candidates=entry.candidates,
-            acquisition=entry.acquisition,
-            kriging=entry.kriging.model_dump(),
-            variance_over_parameters=entry.variance == "inputs_and_parameters",
-            seed=self.study.seed,
-            exceeding=self.limits,
-        )
+        return design_of(self)
 
     @cached_property
     def limits(self) -> Limits | None:
@@ -344,18 +337,7 @@ class Built:
 
     def perform(self) -> Campaign:
         """The laboratory's experiments at the initial design, and of a virtual one those for testing."""
-        virtual, train = self.study.experiments.virtual, self.study.design.initial
-        campaign, test = self.empty_campaign(), 0 if virtual is None else virtual.test
-        for number, inputs in enumerate(self.space.declared(self.space.initial_design(train + test))):
-            si = {name: float(values[0]) for name, values in self.space.si(inputs[None]).items()}
-            about: dict[str, Any] = {"split": "train" if number < train else "test"}
-            try:
-                measured = self.laboratory.perform(number, si)
-                about |= {"record": measured.record, "quantities": measured.quantities}
-            except ExperimentFailed as failure:
-                about |= {"status": "failed", "reason": str(failure)}
-            campaign = campaign.add(Experiment(experiment_id(number), si, **about))
-        return campaign
+        return laboratories.performed(self)
 
     def empty_campaign(self) -> Campaign:
         """The campaign that the laboratory fills."""
@@ -376,25 +358,40 @@ class Built:
         Raises:
             UserError: something is.
         """
-        # Not the simulator, nor a specimen that is one: their scales may take a simulation, which only needs its plan.
-        needed = ["space", "structure", "parameters", "excitation", "outputs", "timeline", "errors"]
-        if self.study.experiments.laboratory is not None or "design" in self.study.steps:
-            # A virtual laboratory has a simulator, and the scales of that may take a simulation.
-            virtual = self.study.experiments.virtual is not None
-            needed += ["sensors", "programme", *(["specimen"] if virtual else ["laboratory"] if performs else [])]
         try:
-            check_plan(self.study, self.law, self.catalogue)
+            check_plan(self.study)
+            self._check_effects()
             self.study.measurements.accepted(self.measured)
             check_scales(self)
-            for part in needed:
+            for part in self._needed(performs):
                 getattr(self, part)
         except UserError as error:
             file = f"{self.study.file}: " if self.study.file is not None else ""
             raise UserError(f"{file}{error}") from None
 
+    def _check_effects(self) -> None:
+        """Refuse effects that cannot be added to the model."""
+        check_added(self.study.model, self.study.improve.add or [], self.law, self.catalogue, "improve.add: ")
+
+    def _needed(self, performs: bool) -> list[str]:
+        """What a check builds: not the simulator, nor a specimen that is one, whose scales may take a simulation."""
+        needed = ["space", "structure", "parameters", "excitation", "outputs", "timeline", "errors"]
+        if self.study.experiments.laboratory is not None or "design" in self.study.steps:
+            virtual = self.study.experiments.virtual is not None
+            needed += ["sensors", "programme", *(["specimen"] if virtual else ["laboratory"] if performs else [])]
+        return needed
+
     def _simulator(
         self, law: type[AbstractSpringLaw], effects: tuple[str, ...], constants: tuple[tuple[str, float], ...]
     ) -> Simulator:
         follows = self.study.structure is not None and self.study.structure.damping.specimen_stiffness == "model"
-        present = self.catalogue.only(effects)
-        return Simulator(self.structure, self.excitation, self.timeline, present, self.scales, constants, follows, law)
+        return Simulator(
+            structure=self.structure,
+            excitation=self.excitation,
+            timeline=self.timeline,
+            effects=self.catalogue.only(effects),
+            scales=self.scales,
+            constants=constants,
+            damping_follows_model=follows,
+            law=law,
+        )

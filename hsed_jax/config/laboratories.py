@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from shutil import which
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hsed_jax.config import parts, structures
 from hsed_jax.config.experiments import (
@@ -21,7 +21,7 @@ from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
 from hsed_jax.laboratories import opensees
-from hsed_jax.laboratories.base import Laboratory
+from hsed_jax.laboratories.base import ExperimentFailed, Laboratory, experiment_id
 from hsed_jax.laboratories.command import CommandLaboratory, check_template
 from hsed_jax.laboratories.folder import FolderLaboratory
 from hsed_jax.laboratories.opensees import OpenSeesLaboratory
@@ -29,12 +29,15 @@ from hsed_jax.laboratories.python import PythonLaboratory, function_of
 from hsed_jax.laboratories.request import Programme
 from hsed_jax.laboratories.sensors import Sensors
 from hsed_jax.laboratories.virtual import VirtualLaboratory
-from hsed_jax.measurements import Channel, Noise
+from hsed_jax.measurements import Campaign, Channel, Experiment, Noise
 from hsed_jax.measurements.declaration import declared_channel
 from hsed_jax.physics.outputs import CHANNELS, PER_MASS, output, quantity
 from hsed_jax.physics.simulator import Simulator
 from hsed_jax.physics.structures import Structure
 from hsed_jax.plain import shown
+
+if TYPE_CHECKING:
+    from hsed_jax.config.build import Built
 
 IMPOSED = ("time", "ground_acceleration")
 
@@ -201,6 +204,22 @@ def laboratory_of(site: Site) -> Laboratory:
             raise UserError("experiments.python.file: this key is required, unless a function is given from Python")
         function = parts.at("experiments.python", function_of, study.folder / entry.file, entry.function)
     return PythonLaboratory(function, site.programme, site.sensors)
+
+
+def performed(built: "Built") -> Campaign:
+    """The laboratory's experiments at the initial design, and of a virtual one those for testing."""
+    virtual, train = built.study.experiments.virtual, built.study.design.initial
+    campaign, test = built.empty_campaign(), 0 if virtual is None else virtual.test
+    for number, inputs in enumerate(built.space.declared(built.space.initial_design(train + test))):
+        si = {name: float(values[0]) for name, values in built.space.si(inputs[None]).items()}
+        about: dict[str, Any] = {"split": "train" if number < train else "test"}
+        try:
+            measured = built.laboratory.perform(number, si)
+            about |= {"record": measured.record, "quantities": measured.quantities}
+        except ExperimentFailed as failure:
+            about |= {"status": "failed", "reason": str(failure)}
+        campaign = campaign.add(Experiment(experiment_id(number), si, **about))
+    return campaign
 
 
 def _virtual(site: Site) -> VirtualLaboratory:

@@ -144,7 +144,17 @@ def _is_branch(key: str) -> bool:
     """Whether a part of an error's location names a branch of a union and not a key of the user's."""
     return (
         key
-        in ("float", "int", "str", "list[float]", "constrained-float", "literal['ground']", "literal['model']", *TAGS, *MODELS)
+        in (
+            "float",
+            "int",
+            "str",
+            "list[float]",
+            "constrained-float",
+            "literal['ground']",
+            "literal['model']",
+            *TAGS,
+            *MODELS,
+        )
         or any(c in key for c in "[(")
         or (key[:1].isupper() and key.endswith("Entry"))
     )

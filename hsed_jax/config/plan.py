@@ -4,7 +4,7 @@ import difflib
 from collections.abc import Sequence
 from itertools import pairwise
 
-from hsed_jax.config.schema import ModelEntry, Study
+from hsed_jax.config.schema import AnyModelEntry, Study
 from hsed_jax.errors import UserError
 from hsed_jax.memory import check_memory
 from hsed_jax.physics.effects import Catalogue
@@ -16,7 +16,7 @@ _EXPERIMENT = 1000
 ORDER = ["design", "calibrate", "compare", "diagnose", "improve"]
 
 
-def check_plan(study: Study, law: type[AbstractSpringLaw], catalogue: Catalogue) -> None:
+def check_plan(study: Study) -> None:
     """Refuse steps that cannot be done one after the other, and a design that cannot be made.
 
     Raises:
@@ -34,7 +34,6 @@ def check_plan(study: Study, law: type[AbstractSpringLaw], catalogue: Catalogue)
         raise UserError("steps: improve needs diagnose before it, or improve.add with the effects to add")
     if study.experiments.folder is not None and "design" not in steps:
         raise UserError("steps: experiments.folder is asked by the step design; put design first")
-    check_added(study.model, study.improve.add or [], law, catalogue, "improve.add: ")
     _check_sizes(study)
     if study.experiments.laboratory is not None or "design" in steps:
         _check_design(study)
@@ -43,7 +42,7 @@ def check_plan(study: Study, law: type[AbstractSpringLaw], catalogue: Catalogue)
 def _check_sizes(study: Study) -> None:
     """Refuse sizes that memory cannot hold, by the arrays and objects that each is certain to need."""
     design, sizes = study.design, study.calibration
-    free = [entry for entry in study.model.parameters.values() if isinstance(entry, dict)]
+    free = [entry for entry in study.model.parameters.values() if not isinstance(entry, float)]
     test = 0 if study.experiments.virtual is None else study.experiments.virtual.test
     asked = design.iterations if "design" in study.steps else 0
     experiments = design.initial + asked + test if study.experiments.laboratory is not None else 1
@@ -64,7 +63,7 @@ def _check_sizes(study: Study) -> None:
 
 
 def check_added(
-    model: ModelEntry, effects: Sequence[str], law: type[AbstractSpringLaw], catalogue: Catalogue, where: str = ""
+    model: AnyModelEntry, effects: Sequence[str], law: type[AbstractSpringLaw], catalogue: Catalogue, where: str = ""
 ) -> None:
     """Refuse effects that cannot be added to a model.
 

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hsed_jax.config.functions import FunctionEntry
+from hsed_jax.errors import UserError
 from hsed_jax.inference.observation import Grid
 from hsed_jax.measurements import Campaign, Characteristics, Record
 from hsed_jax.measurements.thinning import loss
@@ -27,6 +29,20 @@ _COMPILING = 30.0
 # Memory [B]: of the program; on each core, of a step in a tile of lanes and of a number in a chunk of them; of a number of each
 # experiment in a search, which holds a batch of them at most.
 _PROGRAM, _TILE, _CHUNK, _SEARCH, _BATCH = 0.7e9, 64 * 32, 256 * 24, 1500 * 8, 0.5e9
+
+
+def measured(built: "Built") -> list[Record]:
+    """Records of the measured experiments, as they are taken; none where nothing was measured.
+
+    Raises:
+        UserError: there is a campaign, and no experiment of it is completed.
+    """
+    campaign = built.measured
+    if campaign is None:
+        return []
+    if not len(campaign.completed):
+        raise UserError(f"the campaign {campaign.name!r} has no completed experiment")
+    return [e.record for e in built.taken(campaign.completed.experiments) if e.record is not None]
 
 
 def divided(samples: int, needed: float, least: float = 1.0) -> Grid:
@@ -67,6 +83,8 @@ def thinning_notes(built: "Built", campaign: Campaign) -> list[str]:
 
 def forecast(built: "Built", campaign: Campaign) -> str:
     """Time and memory that a run of measured experiments will take, in a sentence."""
+    if isinstance(built.study.model, FunctionEntry):
+        return f"{len(campaign.completed)} experiments; how long they take is up to the model's {built.study.model.described[0]}"
     steps, count = built.timeline.steps, len(campaign.completed)
     columns = len(built.observation.groups)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,16 +1,16 @@
 """Characteristic values of a study: as given, else from the campaign, else from the plain model."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
 
-from hsed_jax.config import parts
 from hsed_jax.errors import UserError
 from hsed_jax.inference.observation import conditions_of
 from hsed_jax.physics.laws import AbstractSpringLaw
+from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator, Timeline
 from hsed_jax.physics.structures import Structure
@@ -30,9 +30,7 @@ def scales_of(built: "Built") -> Scales:
     told = _told(built)
     plain = Scales()
     if _are_missing(built):
-        middle = parts.law_parameters(built.parameters)
-        excited = _conditions(built)
-        plain = _simulated(built.structure, built.excitation, built.timeline, built.law, middle, excited)
+        plain = _simulated(built.structure, built.excitation, built.timeline, built.middle, _conditions(built))
     return Scales(*(simulated if value is None else value for value, simulated in zip(told, plain, strict=True)))
 
 
@@ -73,8 +71,7 @@ def _simulated(
     structure: Structure | None,
     excitation: Parametrised | None,
     timeline: Timeline,
-    law: type[AbstractSpringLaw],
-    middle: Mapping[str, float],
+    middle: AbstractSpringLaw,
     experiments: Sequence[Conditions],
 ) -> Scales:
     """What the model without effects does in the middle of its priors, the median over experiments, to two digits.
@@ -82,9 +79,11 @@ def _simulated(
     Raises:
         UserError: it does nothing, or its simulation diverges.
     """
-    plain, rows = Simulator(structure, excitation, timeline, law=law), []
+    plain = Simulator(structure=structure, excitation=excitation, timeline=timeline, law=type(middle))
+    rows = []
+    parameters = {name: getattr(middle, name) for name in parameters_of(middle)}
     for conditions in experiments:
-        response = plain.respond(middle, conditions, ("elongation_rate",))
+        response = plain.respond(parameters, conditions, ("elongation_rate",))
         peaks = (response.quantities[name] for name in ("peak_force", "peak_elongation"))
         rate = np.abs(response.channels["elongation_rate"]).max()
         rows.append([float(value) for value in (*peaks, rate, response.quantities["dissipated_energy"])])

@@ -357,7 +357,7 @@ class Study(Tabular, Section):
 
     @property
     def code(self) -> list[str]:
-        """What is executed where the study is built: its model, its laws, its effects, its laboratory that is a Python function."""
+        """What is executed where the study is built: its model, laws, effects, and its laboratory that is a Python function."""
         python, virtual = self.experiments.python, self.experiments.virtual
         law = None if virtual is None else virtual.spring
         laws = [law.file] if isinstance(law, OwnLawEntry) else []

@@ -17,24 +17,24 @@ from jaxtyping import Float, Int
 
 from hsed_jax.inference.observation import Observation, Outputs
 from hsed_jax.physics.batch import tiled_map
-from hsed_jax.physics.simulator import Conditions, Simulator
+from hsed_jax.physics.simulator import AbstractModel, Conditions
 
 _CHUNK = 256
 _FAR = 1e100
 
 
 class Lanes:
-    """Outputs of a simulator over lanes, each a parameter vector and the number of an experiment.
+    """Outputs of a model over lanes, each a parameter vector and the number of an experiment.
 
     Arguments:
-        simulator: of the model.
+        model: the computational model.
         observation: what of a response is predicted.
         names: of the parameters, in the order of a parameter vector.
         conditions: of the experiments, leading axis n.
     """
 
-    def __init__(self, simulator: Simulator, observation: Observation, names: tuple[str, ...], conditions: Conditions):
-        self._run = partial(_outputs, Outputs(simulator, observation, names), conditions)
+    def __init__(self, model: AbstractModel, observation: Observation, names: tuple[str, ...], conditions: Conditions):
+        self._run = partial(_outputs, Outputs(model, observation, names), conditions)
         self._threads = ThreadPoolExecutor(
             len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         )

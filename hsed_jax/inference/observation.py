@@ -19,7 +19,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import Data, data_of
 from hsed_jax.measurements import Campaign, Experiment, Record
 from hsed_jax.physics.excitations import AbstractExcitation, Imposed, Tabulated
-from hsed_jax.physics.simulator import Conditions, Recorded, Simulator
+from hsed_jax.physics.simulator import AbstractModel, Conditions, Recorded
 
 # Where two estimates of a slope differ by this share of the slopes nearby, the motion has a corner.
 _CORNER = 0.2
@@ -57,9 +57,9 @@ class Quantities:
         """Group of each column, (J,)."""
         return np.arange(len(self.names))
 
-    def respond(self, simulator: Simulator) -> Respond:
+    def respond(self, model: AbstractModel) -> Respond:
         """From parameters by name and conditions to the outputs (J,) and whether the simulation converged."""
-        return lambda parameters, conditions: simulator.quantities(parameters, conditions, self.names)
+        return lambda parameters, conditions: model.quantities(parameters, conditions, self.names)
 
     def measured(self, experiment: Experiment) -> np.ndarray:
         """The measured outputs of one experiment, SI, (J,); NaN where there is none."""
@@ -82,7 +82,7 @@ class Histories:
         names: of the channels.
         samples: of the longest record.
         grid: where the excitation is recorded; None where the inputs define it and all records share the times of the
-            simulator's timeline.
+            model's timeline.
         excitation: from inputs to a ground motion, for records that have none.
     """
 
@@ -96,11 +96,11 @@ class Histories:
         """Group of each column, (J,)."""
         return np.repeat(np.arange(len(self.names)), self.samples)
 
-    def respond(self, simulator: Simulator) -> Respond:
+    def respond(self, model: AbstractModel) -> Respond:
         """From parameters by name and conditions to the outputs (J,) and whether the simulation converged."""
 
         def respond(parameters, conditions):
-            response = simulator.respond(parameters, conditions, self.names)
+            response = model.respond(parameters, conditions, self.names)
             return jnp.concatenate([response.channels[name] for name in self.names]), response.ok
 
         return respond
@@ -143,24 +143,24 @@ class Outputs(eqx.Module):
     are compiled for it; a process that looks at a hundred campaigns compiles once.
 
     Arguments:
-        simulator: of the model.
+        model: the computational model.
         observation: what of a response is predicted.
         names: of the parameters, in the order of a parameter vector.
     """
 
-    simulator: Simulator
+    model: AbstractModel
     observation: Observation = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
 
-    def __init__(self, simulator: Simulator, observation: Observation, names: tuple[str, ...]):
-        self.simulator = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, simulator)
+    def __init__(self, model: AbstractModel, observation: Observation, names: tuple[str, ...]):
+        self.model = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, model)
         # A program is known by its static parts: without the ground motion they are equal for studies of one kind.
         self.observation = dataclasses.replace(observation, grid=None, excitation=None)
         self.names = names
 
     def __call__(self, theta: Float[Array, " p"], conditions: Conditions) -> tuple[Float[Array, " J"], Array]:
         """Outputs (J,) and whether the simulation converged."""
-        return self.observation.respond(self.simulator)(dict(zip(self.names, theta, strict=True)), conditions)
+        return self.observation.respond(self.model)(dict(zip(self.names, theta, strict=True)), conditions)
 
 
 def assemble(

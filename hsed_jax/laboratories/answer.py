@@ -44,7 +44,7 @@ def read_record(file: Path, request: Request, sensors: Sensors, *, partial: bool
         ExperimentFailed: it cannot be read, lacks a channel, or does not last as long as the study compares.
     """
     wanted = {name: sensors.columns.get(name, channel.column) for name, channel in sensors.channels.items()}
-    return sensors.record(request, _read(file, wanted), str(file), partial=partial)
+    return sensors.record(request, columns_of(file, wanted), str(file), partial=partial)
 
 
 def read_quantities(file: Path, sensors: Sensors) -> dict[str, float]:
@@ -54,7 +54,7 @@ def read_quantities(file: Path, sensors: Sensors) -> dict[str, float]:
         ExperimentFailed: it cannot be read, or one is missing or no finite number.
     """
     wanted = {name: channel.column for name, channel in sensors.quantities.items()}
-    return sensors.numbers(_read(file, wanted), str(file))
+    return sensors.numbers(columns_of(file, wanted), str(file))
 
 
 def left(folder: Path, names: Iterable[str]) -> Path:
@@ -74,8 +74,12 @@ def left(folder: Path, names: Iterable[str]) -> Path:
     return found[0]
 
 
-def _read(file: Path, columns: Mapping[str, str]) -> dict[str, Any]:
-    """By name what a file has in a column."""
+def columns_of(file: Path, columns: Mapping[str, str]) -> dict[str, Any]:
+    """By name what a file has in a column; of JSON only what is there.
+
+    Raises:
+        ExperimentFailed: it cannot be read, or has no such column.
+    """
     if file.suffix == ".json":
         try:
             content = json.loads(file.read_text(encoding="utf-8"))

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from hsed_jax.errors import UserError
 from hsed_jax.laboratories.answer import read_answer
@@ -18,6 +19,13 @@ from hsed_jax.laboratories.sensors import Sensors
 _NAME = re.compile(r"\{(\w+)\}")
 WORDS = ("folder", "id", "python")
 """What a template may name besides inputs: the folder of the experiment, its id, and the Python that runs this package."""
+
+
+def filled(template: Iterable[str], folder: Path, known: Mapping[str, Any]) -> list[str]:
+    """The words of a template, its names in braces replaced: the folder, the Python, and what else is known."""
+    values = {"folder": str(folder), "python": sys.executable}
+    values |= {name: value if isinstance(value, str) else repr(value) for name, value in known.items()}
+    return [_NAME.sub(lambda match: values.get(match[1], match[0]), word) for word in template]
 
 
 @dataclass(frozen=True)
@@ -55,10 +63,7 @@ class CommandLaboratory:
         request.write(folder, self.sensors.channels, self.sensors.quantities)
         for name, text in self.files.items():
             (folder / name).write_text(text, encoding="utf-8")
-        known = {"folder": str(folder), "id": request.id, "python": sys.executable}
-        known |= {name: repr(value) for name, value in request.inputs.items()}
-        words = [_NAME.sub(lambda match: known.get(match[1], match[0]), word) for word in self.template]
-        run_program(words, folder, self.timeout)
+        run_program(filled(self.template, folder, {"id": request.id, **request.inputs}), folder, self.timeout)
         return read_answer(folder, request, self.sensors)
 
     @cached_property
@@ -77,13 +82,13 @@ class CommandLaboratory:
                 attempt += 1
 
 
-def check_template(template: Iterable[str], inputs: Iterable[str]) -> None:
+def check_template(template: Iterable[str], inputs: Iterable[str], words: Iterable[str] = WORDS) -> None:
     """Refuse a template that names what is not there.
 
     Raises:
         UserError: an unknown name in braces, with those that are allowed.
     """
-    known = (*WORDS, *inputs)
+    known = (*words, *inputs)
     for word in template:
         for name in _NAME.findall(word):
             if name not in known:

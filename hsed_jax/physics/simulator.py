@@ -1,5 +1,6 @@
 """The computational simulator: from the conditions of one experiment and the parameters of the model to a response."""
 
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, final
 
@@ -65,8 +66,54 @@ class Parametrised[T](eqx.Module):
         return self.constructor(**values)
 
 
+class AbstractModel(eqx.Module):
+    """A computational model: from parameters and the conditions of one experiment to what is predicted of it.
+
+    What calibrates, designs, compares and reports knows of a model no more than this; `Simulator` is the one of a spring law.
+
+    Attributes:
+        excitation: from inputs to a ground motion; None where every experiment brings its record, or has none.
+        timeline: the grid of an experiment without a record; None where there is no excitation.
+    """
+
+    excitation: eqx.AbstractVar[Callable[[Mapping[str, Scalar]], AbstractExcitation] | None]
+    timeline: eqx.AbstractVar[Timeline | None]
+
+    @abstractmethod
+    def gives(self, name: str) -> bool:
+        """Whether the model predicts a channel or quantity."""
+
+    @property
+    @abstractmethod
+    def references(self) -> dict[str, str]:
+        """Where its parts come from, by their names."""
+
+    @abstractmethod
+    def respond(
+        self,
+        parameters: Mapping[str, Scalar],
+        conditions: Conditions,
+        channels: tuple[str, ...] = (),
+        quantities: tuple[str, ...] = (),
+    ) -> Response:
+        """The response of one experiment, differentiable in forward mode with respect to the parameters.
+
+        Arguments:
+            parameters: by name, SI.
+            conditions: inputs and record of the experiment.
+            channels: names of the histories to keep.
+            quantities: names of those to keep beside the ones of Eq. 18.
+        """
+
+    @eqx.filter_jit
+    def quantities(self, parameters: Mapping[str, Scalar], conditions: Conditions, names: tuple[str, ...]):
+        """The named quantities of one experiment, shape (len(names),), and whether it converged."""
+        response = self.respond(parameters, conditions, quantities=further(names))
+        return jax.numpy.stack([response.quantities[name] for name in names]), response.ok
+
+
 @final
-class Simulator(eqx.Module):
+class Simulator(AbstractModel):
     """A spring law with effects, in a structure under an excitation, or alone under an imposed elongation.
 
     Attributes:
@@ -88,6 +135,15 @@ class Simulator(eqx.Module):
     constants: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
     damping_follows_model: bool = eqx.field(static=True, default=False)
     law: type[AbstractSpringLaw] = eqx.field(static=True, default=BoucWen)
+
+    def gives(self, name: str) -> bool:
+        """Everything: what there is of a structure is checked where a study is built."""
+        return True
+
+    @property
+    def references(self) -> dict[str, str]:
+        """Of the law and of the effects."""
+        return {self.law.name: self.law.reference} | {name: e.reference for name, e in self.effects.items()}
 
     def specimen(self, parameters: Mapping[str, Scalar]) -> Specimen:
         """The law with its effects; parameters of effects are named `effect.parameter`, in dimensionless or physical form."""
@@ -149,12 +205,6 @@ class Simulator(eqx.Module):
         if slots is None:
             return response
         return measured(response, slots, length, every, is_imposed=self.structure is None)
-
-    @eqx.filter_jit
-    def quantities(self, parameters: Mapping[str, Scalar], conditions: Conditions, names: tuple[str, ...]):
-        """The named quantities of one experiment, shape (len(names),), and whether it converged."""
-        response = self.respond(parameters, conditions, quantities=further(names))
-        return jax.numpy.stack([response.quantities[name] for name in names]), response.ok
 
     def _given(
         self, parameters: Mapping[str, Scalar]

@@ -15,7 +15,7 @@ from hsed_jax.design.space import InputSpace
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.laboratories.virtual import VirtualLaboratory
-from hsed_jax.physics.simulator import Conditions, Simulator
+from hsed_jax.physics.simulator import AbstractModel, Conditions, Simulator
 from hsed_jax.physics.spectra import response_spectrum
 from hsed_jax.reporting import figures
 from hsed_jax.reporting.figures import Picture
@@ -29,18 +29,20 @@ _CHANNELS = ("elongation", "force", "energy")
 def design_pictures(outcome: Outcome) -> Iterator[tuple[str, Picture]]:
     """The paper's figures, by file name, as far as the outcome has the material: a pulse, a design, a virtual specimen."""
     space, laboratory = outcome.space, outcome.laboratory
-    has_motion = outcome.simulator.excitation is not None and bool(space.names)
+    has_motion = outcome.model.excitation is not None and bool(space.names)
     if laboratory is not None and has_motion:
-        yield "fig3_ground_motions", ground_motions(outcome.simulator, space)
+        yield "fig3_ground_motions", ground_motions(outcome.model, space)
         yield from _of_specimen(outcome, laboratory)
     if outcome.design is not None and outcome.state is not None:
-        if laboratory is not None and len(space.names) == 2 and not laboratory.channels:
+        # Thousands of calibrations: of a program each would be a day's work.
+        quick = isinstance(outcome.model, Simulator)
+        if quick and laboratory is not None and len(space.names) == 2 and not laboratory.channels:
             yield "fig4bis_one_experiment_map", _estimate_maps(outcome, outcome.design, laboratory)
         yield "fig6_exploration", exploration(outcome, outcome.state)
         if outcome.steps:
             yield "fig5_expected_improvement", expected_improvement(outcome)
             yield "fig7_estimates", estimates(outcome)
-    if outcome.fit is not None and laboratory is not None and has_motion:
+    if outcome.fit is not None and laboratory is not None and has_motion and all(map(outcome.model.gives, _CHANNELS)):
         yield "fig8_responses", _responses(outcome, laboratory, outcome.fit)
 
 
@@ -48,9 +50,10 @@ def _of_specimen(outcome: Outcome, laboratory: VirtualLaboratory) -> Iterator[tu
     space = outcome.space
     middle = space.declared(np.full((1, len(space.names)), 0.5))[0]
     truth = {name: value for name, value in laboratory.parameters.items() if "." not in name}
-    if not outcome.simulator.effects and outcome.simulator.law is laboratory.simulator.law:
+    model = outcome.model
+    if isinstance(model, Simulator) and not model.effects and model.law is laboratory.simulator.law:
         measured = _response(laboratory.simulator, laboratory.parameters, space, middle)
-        predicted = _response(outcome.simulator, truth, space, middle)
+        predicted = _response(model, truth, space, middle)
         yield "fig4_loops_and_energy", figures.loops_and_energy(measured, predicted)
 
 
@@ -74,11 +77,12 @@ def estimates(outcome: Outcome) -> Picture:
     return figures.estimate_history(outcome.estimates, outcome.band("q05"), outcome.band("q95"), names, units, truth)
 
 
-def ground_motions(simulator: Simulator, space: InputSpace) -> Picture:
+def ground_motions(model: AbstractModel, space: InputSpace) -> Picture:
     """Fig. 3 of a model with an excitation: what its inputs' distribution makes of the ground motion."""
-    assert simulator.excitation is not None
-    excitation = simulator.excitation
-    step, steps, _ = simulator.timeline
+    assert model.excitation is not None
+    assert model.timeline is not None
+    excitation = model.excitation
+    step, steps, _ = model.timeline
     # Half a step finer than the integration: what the integrator sees.
     time = 0.5 * step * jnp.arange(2 * steps + 1)
     periods = jnp.linspace(0.05, 3.0, 60)
@@ -141,16 +145,17 @@ def _responses(outcome: Outcome, laboratory: VirtualLaboratory, fit: Fit) -> Pic
         values = zip(space.names, inputs, strict=True)
         title = ", ".join(f"{name} = {value:.3g} {space.units[name]}" for name, value in values)
         measured = _response(laboratory.simulator, laboratory.parameters, space, inputs)
-        cases.append((title, measured, _response(outcome.simulator, estimates, space, inputs)))
+        cases.append((title, measured, _response(outcome.model, estimates, space, inputs)))
     return figures.response_comparison(cases)
 
 
 def _response(
-    simulator: Simulator, parameters: Mapping[str, float], space: InputSpace, declared: np.ndarray
+    model: AbstractModel, parameters: Mapping[str, float], space: InputSpace, declared: np.ndarray
 ) -> dict[str, np.ndarray]:
     conditions = Conditions({name: jnp.asarray(values[0]) for name, values in space.si(declared[None]).items()})
     known = {name: jnp.asarray(value) for name, value in parameters.items()}
-    channels = simulator.respond(known, conditions, _CHANNELS).channels
-    step, steps, every = simulator.timeline
+    channels = model.respond(known, conditions, _CHANNELS).channels
+    assert model.timeline is not None
+    step, steps, every = model.timeline
     time = step * every * np.arange(steps // every + 1)
     return {"time": time, **{name: np.asarray(values) for name, values in channels.items()}}

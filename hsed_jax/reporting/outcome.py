@@ -17,7 +17,7 @@ from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.measurements import Campaign
 from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.scales import Scales
-from hsed_jax.physics.simulator import Simulator
+from hsed_jax.physics.simulator import AbstractModel
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Outcome:
         study: its name.
         status: `complete` or `interrupted`.
         posterior: prior and likelihood of the model.
-        simulator: of the model.
+        model: the computational model.
         catalogue: the effects that the study knows.
         laboratory: the virtual laboratory, where there is one.
         units: SI unit of each parameter.
@@ -45,7 +45,7 @@ class Outcome:
     study: str
     status: str
     posterior: Posterior
-    simulator: Simulator
+    model: AbstractModel
     catalogue: Catalogue
     laboratory: VirtualLaboratory | None
     units: dict[str, str]
@@ -125,12 +125,10 @@ def summary(outcome: Outcome) -> dict[str, Any]:
 
 
 def _references(outcome: Outcome) -> dict[str, str]:
-    """Of the law, of the effects in the model, of those named and of those added, by name."""
-    used = [*outcome.simulator.effects]
-    used += [] if outcome.diagnosis is None else outcome.diagnosis.effects
+    """Of the model, of the effects that are named and of those added, by name."""
+    used = [] if outcome.diagnosis is None else outcome.diagnosis.effects
     used += [] if outcome.trail is None else [effect for step in outcome.trail.steps for effect in step.effects]
-    law = outcome.simulator.law
-    return {law.name: law.reference} | {name: outcome.catalogue[name].reference for name in dict.fromkeys(used)}
+    return outcome.model.references | {name: outcome.catalogue[name].reference for name in dict.fromkeys(used)}
 
 
 def _doubts(fit: Fit) -> dict[str, Any]:

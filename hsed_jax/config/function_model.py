@@ -1,0 +1,312 @@
+"""A study whose model is a function or a program, built: what differs from one of a spring law."""
+
+import os
+from collections.abc import Mapping
+from functools import cached_property
+from shutil import which
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hsed_jax.config import laboratories, parts
+from hsed_jax.config import records as records_of
+from hsed_jax.config.build import Built
+from hsed_jax.config.functions import FunctionEntry
+from hsed_jax.config.sections import InputEntry
+from hsed_jax.config.spring_laws import law_of
+from hsed_jax.errors import UserError
+from hsed_jax.inference.observation import Grid, conditions_of
+from hsed_jax.inference.priors import Prior
+from hsed_jax.laboratories.command import check_template
+from hsed_jax.measurements import parse_unit
+from hsed_jax.models.differences import Differenced, Free, failure
+from hsed_jax.models.function import RESERVED, FunctionModel, Respond, is_output, outputs_of
+from hsed_jax.models.program import Program
+from hsed_jax.physics.laws import AbstractSpringLaw
+from hsed_jax.physics.outputs import CHANNELS, PER_MASS
+from hsed_jax.physics.simulator import AbstractModel, Conditions, Timeline
+from hsed_jax.physics.structures import Structure
+from hsed_jax.plain import shown
+from hsed_jax.python_files import module_of
+
+# Of the motion that a function is told where nothing is integrated.
+_SAMPLES = 1000
+
+
+class BuiltOfFunction(Built):
+    """Everything a study needs to run whose model is a function or a program.
+
+    Nothing is integrated here, so that steps are the samples of the records, and the structure is that of a virtual specimen.
+    """
+
+    @property
+    def _entry(self) -> FunctionEntry:
+        assert isinstance(self.study.model, FunctionEntry)
+        return self.study.model
+
+    @property
+    def _where(self) -> str:
+        return f"model.{self._entry.described[0]}"
+
+    @cached_property
+    def law(self) -> type[AbstractSpringLaw]:
+        """There is none.
+
+        Raises:
+            UserError: always; what asks for it cannot be had.
+        """
+        raise UserError(
+            f"{self._where}: to look for missing effects and to add them (diagnose, improve) the model must be a spring law "
+            "(model.spring), and this one is a function of its own; calibrate, design, compare and locate work with any model"
+        )
+
+    @cached_property
+    def structure(self) -> Structure | None:
+        """The structure of a specimen that this package simulates; a function has its own."""
+        simulated = self.study.experiments.virtual or self.study.experiments.opensees
+        return super().structure if self.study.structure is not None or simulated else None
+
+    @cached_property
+    def parameters(self) -> tuple[dict[str, Prior], dict[str, float]]:
+        """Free parameters with their priors, and the fixed ones with their values."""
+        if self._of_structure:
+            raise UserError(
+                f"structure: {next(iter(self._of_structure))} has a prior, but the model is a function, which has its own "
+                "structure; give a number here and the prior in model.parameters"
+            )
+        free, fixed = {}, {}
+        for name, entry in self._entry.parameters.items():
+            if isinstance(entry, InputEntry):
+                free[name] = parts.prior(f"model.parameters.{name}", entry.prior)
+            else:
+                fixed[name] = entry
+        if not free:
+            raise UserError("model.parameters: at least one parameter needs a prior, such as {uniform: [2.0e5, 9.0e5]}")
+        return free, fixed
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """SI unit of every free parameter."""
+        units = {}
+        for name in self.parameters[0]:
+            entry, where = self._entry.parameters[name], f"model.parameters.{name}.unit"
+            assert isinstance(entry, InputEntry)
+            unit = parts.at(where, parse_unit, entry.unit)
+            if unit.factor != 1:
+                raise UserError(
+                    f"{where}: parameters of a model are in SI; give this one in {unit.si}, and its distribution too"
+                )
+            units[name] = entry.unit
+        return units
+
+    @cached_property
+    def middle(self) -> AbstractSpringLaw:
+        """The law of the virtual specimen, whose scales and steps are asked for here."""
+        return self.specimen_law(**{name: value for name, value in self.specimen.items() if "." not in name})
+
+    @property
+    def _steepest(self) -> AbstractSpringLaw:
+        return self.middle
+
+    @cached_property
+    def specimen_law(self) -> type[AbstractSpringLaw]:
+        """The spring law of the virtual specimen."""
+        virtual = self.study.experiments.virtual
+        if virtual is None or virtual.spring is None:
+            raise UserError("experiments.virtual.spring: this key is required, as the model has no spring law")
+        return law_of("experiments.virtual.spring", virtual.spring, self.study.folder)
+
+    @cached_property
+    def _longest_step(self) -> float:
+        entry = self.study.excitation
+        assert entry is not None
+        if self.study.experiments.virtual is not None:
+            return super()._longest_step
+        if entry.recorded is not None:
+            return float(parts.recorded_motion(entry, self.study.folder)[0][1])
+        assert entry.duration is not None
+        return entry.duration / _SAMPLES
+
+    @cached_property
+    def grid(self) -> Grid | None:
+        """Samples of the measured records, a step for each; None where there are none."""
+        records = records_of.measured(self)
+        return Grid(max(len(record) for record in records), 1) if records else None
+
+    @cached_property
+    def planned(self) -> Timeline:
+        """The times of an experiment without a record: all that there are, as a function sees the motion at no others."""
+        return super().planned._replace(every=1)
+
+    @cached_property
+    def timeline(self) -> Timeline | None:
+        """The times of an experiment; None where there are none, and a function is told the inputs alone."""
+        quantities = self.study.observe == "quantities"
+        return None if quantities and self.grid is None and self.excitation is None else super().timeline
+
+    def _check_quantities(self) -> None:
+        # What the function gives, its first call tells.
+        if self.structure is not None:
+            super()._check_quantities()
+
+    def _check_channel(self, name: str) -> None:
+        if self.structure is not None:
+            super()._check_channel(name)
+        elif not is_output(name):
+            known = [*(k for k in CHANNELS if k not in laboratories.IMPOSED), *(f"{kind}_1" for kind in PER_MASS)]
+            raise UserError(f"there is no channel {shown(name)}; there are {', '.join(known)} and so on")
+
+    def _check_effects(self) -> None:
+        design = self.study.design
+        if {"diagnose", "improve"} & set(self.study.steps) or self.study.improve.add:
+            _ = self.law
+        for asked, key in (
+            (design.acquisition == "discriminate", "acquisition"),
+            (design.stop.verdict, "stop.verdict"),
+        ):
+            if asked:
+                raise UserError(
+                    f"design.{key}: this needs a diagnosis, and the model has no spring law to look for effects in"
+                )
+
+    def _needed(self, performs: bool) -> list[str]:
+        return [*super()._needed(performs), "units", "simulator", "limits"]
+
+    @cached_property
+    def simulator(self) -> AbstractModel:
+        """The function as a model.
+
+        It is called once, in the middle of the priors, for the first experiment or in the middle of the inputs.
+
+        Raises:
+            UserError: the file or function is missing, or what it returned cannot be used.
+        """
+        self._check_names()
+        function, name = self._program if self._entry.command is not None else self._function
+        where = f"{self._where}: {name}"
+        free, fixed = self.parameters
+        middle = {name: float(prior.quantile(0.5)) for name, prior in free.items()}
+
+        def model(function: Respond, given: tuple[str, ...]) -> FunctionModel:
+            return FunctionModel(
+                function=function,
+                given=given,
+                excitation=self.excitation,
+                timeline=self.timeline,
+                constants=tuple(fixed.items()),
+            )
+
+        told = model(function, ()).told(self._first)
+        wanted, kind = self.outputs, self._entry.derivatives
+        if kind is None:
+            kind = (
+                "jax"
+                if self._entry.command is None and _fault(function, middle, fixed, told) is None
+                else "differences"
+            )
+        if kind == "jax":
+            if (fault := _fault(function, middle, fixed, told)) is not None:
+                raise UserError(
+                    f"{where}: JAX cannot trace it ({fault}); leave model.derivatives out, or say differences"
+                )
+            called = jax.jit(lambda parameters, told: _outputs(function({**fixed, **parameters}, told)))
+            given = self._called(where, called, middle, told, wanted)
+            return model(function, tuple(given))
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        plain = {name: float(value) if np.ndim(value) == 0 else np.asarray(value) for name, value in told.items()}
+        given = self._called(
+            where, lambda parameters, told: function({**parameters, **fixed}, told), middle, plain, wanted
+        )
+        steps = tuple(
+            Free(
+                name,
+                0.5 * float(prior.quantile(0.84) - prior.quantile(0.16)),
+                *(end if limit is None else limit for end, limit in zip((-np.inf, np.inf), prior.bounds, strict=True)),
+            )
+            for name, prior in free.items()
+        )
+        outputs = tuple(given)
+        return model(Differenced(function, name, outputs, steps, 1 if self._entry.command is None else cores), outputs)
+
+    def _called(
+        self, where: str, function: Any, parameters: Mapping[str, float], told: Any, wanted: tuple[str, ...]
+    ) -> dict:
+        """What the function returns at these parameters, checked."""
+        at = ", ".join(f"{name} {value:.4g}" for name, value in parameters.items())
+        time = None if "time" not in told else np.asarray(told["time"])
+        try:
+            found = outputs_of(function(dict(parameters), told), time, wanted)
+        except (Exception, SystemExit) as error:
+            raise UserError(f"{where}: in the middle of the priors ({at}): {failure(error)}") from None
+        for name, values in found.items():
+            if not np.isfinite(values).all():
+                raise UserError(f"{where}: in the middle of the priors ({at}) its {name} is no finite number")
+        return found
+
+    @property
+    def planned_simulator(self) -> AbstractModel:
+        """The function for experiments to come; where nothing is planned, as it is."""
+        return self.simulator if self.excitation is None else super().planned_simulator
+
+    @property
+    def _function(self) -> tuple[Respond, str]:
+        """The function, and its name for messages."""
+        file, name = self._entry.file_and_name
+        module = parts.at(f"{self._where}: {file}", module_of, self.study.folder / file)
+        function = getattr(module, name, None)
+        if not callable(function):
+            raise UserError(f"{self._where}: {file}: it has no function {shown(name)}")
+        return cast("Respond", function), f"{file}:{name}"
+
+    @property
+    def _program(self) -> tuple[Respond, str]:
+        entry = self._entry.command
+        assert entry is not None
+        template = entry.words(self.study.folder)
+        known = (*self._entry.parameters, *self.study.inputs)
+        parts.at("model.command.run", check_template, template, known, ("folder", "python"))
+        if "{" not in template[0] and which(template[0]) is None:
+            raise UserError(f"model.command.run: there is no program {template[0]} that may be executed")
+        return Program(template, self.outputs, entry.timeout), entry.run
+
+    def _check_names(self) -> None:
+        inputs = [*self.study.inputs, *(() if self.measured is None else self.measured.inputs)]
+        if taken := [name for name in inputs if name in RESERVED]:
+            raise UserError(
+                f"inputs.{taken[0]}: a function is told a history of this name; give the input another name"
+            )
+
+    @property
+    def _first(self) -> Conditions:
+        """The first experiment that was measured, or else one in the middle of the inputs."""
+        if self.measured is not None:
+            experiment = self.taken(self.measured.completed.experiments[:1])[0]
+            return conditions_of(experiment, self.measured, self.grid, self.excitation)
+        space = self.space
+        middle = space.si(space.declared(np.full((1, len(space.names)), 0.5)))
+        return Conditions({name: jnp.asarray(values[0]) for name, values in middle.items()})
+
+
+def _outputs(returned: Any) -> Any:
+    """Of a mapping what this package knows; anything else as it is."""
+    if not isinstance(returned, Mapping):
+        return returned
+    return {name: jnp.asarray(value, dtype=float) for name, value in returned.items() if is_output(name)}
+
+
+def _fault(
+    function: Respond, parameters: Mapping[str, float], fixed: Mapping[str, float], told: Mapping[str, Any]
+) -> str | None:
+    """Why JAX cannot trace, batch and differentiate a function; None where it can."""
+
+    def one(parameters: Any, told: Any) -> Any:
+        return jax.jvp(lambda p: _outputs(function({**fixed, **p}, told)), (parameters,), (parameters,))
+
+    lanes = jax.tree.map(lambda value: jnp.asarray(value, dtype=float)[None], (dict(parameters), dict(told)))
+    try:
+        jax.eval_shape(jax.vmap(one), *lanes)
+    except (Exception, SystemExit) as error:
+        return failure(error).splitlines()[0]
+    return None

@@ -1,0 +1,1 @@
+"""Models that are no spring law: a function of the user's, or a program."""

@@ -1,0 +1,146 @@
+"""A model that is a function: from parameters and what is known of an experiment to what is predicted of it."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hsed_jax.errors import UserError
+from hsed_jax.physics.excitations import AbstractExcitation, Imposed, Tabulated
+from hsed_jax.physics.outputs import CHANNELS, channel, is_quantity
+from hsed_jax.physics.response import Response
+from hsed_jax.physics.simulator import AbstractModel, Conditions, Scalar, Timeline
+
+Respond = Callable[[Mapping[str, Any], Mapping[str, Any]], Mapping[str, Any]]
+"""From parameters by name, and from the inputs of an experiment by name (SI) with its `time` and what it was driven by, to
+quantities (numbers) and channels (one number for each time), by name and in SI."""
+RESERVED = ("time", "ground_acceleration", "elongation", "elongation_rate")
+"""What a function may be told beside the inputs."""
+
+
+@final
+class FunctionModel(AbstractModel):
+    """A function as the model of a study.
+
+    Attributes:
+        function: traceable by JAX, as `Differenced` makes any.
+        given: the quantities and channels that it returns.
+        excitation: from inputs to a ground motion; None where every experiment brings its record, or has none.
+        timeline: the times of an experiment without a record; None where there is no excitation.
+        constants: parameters that are fixed numbers.
+    """
+
+    function: Respond = eqx.field(static=True)
+    given: tuple[str, ...] = eqx.field(static=True)
+    excitation: Callable[[Mapping[str, Scalar]], AbstractExcitation] | None
+    timeline: Timeline | None = eqx.field(static=True)
+    constants: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
+
+    def gives(self, name: str) -> bool:
+        """Whether the function returns it."""
+        return name in self.given
+
+    @property
+    def references(self) -> dict[str, str]:
+        """None: it is the user's own."""
+        return {}
+
+    @eqx.filter_jit
+    def respond(
+        self,
+        parameters: Mapping[str, Scalar],
+        conditions: Conditions,
+        channels: tuple[str, ...] = (),
+        quantities: tuple[str, ...] = (),
+    ) -> Response:
+        """What the function returns for one experiment; not ok where any of it is no finite number.
+
+        Arguments:
+            parameters: by name.
+            conditions: inputs and record of the experiment.
+            channels: names of the histories to keep.
+            quantities: of no use here: what the function returns is known.
+        """
+        returned = self.function({**dict(self.constants), **parameters}, self.told(conditions))
+        found = {name: jnp.asarray(returned[name], dtype=float) for name in self.given}
+        ok = jnp.all(jnp.stack([jnp.all(jnp.isfinite(values)) for values in found.values()]))
+        values = {name: value for name, value in found.items() if is_quantity(name)}
+        return Response(values, {name: found[name] for name in channels}, ok)
+
+    def told(self, conditions: Conditions) -> dict[str, Any]:
+        """What the function is told of an experiment: its inputs (SI), and where there are such its times [s] from 0 and what it
+        was driven by, each (n,): `ground_acceleration`, or `elongation` and `elongation_rate`.
+
+        A record that is shorter than the longest one is padded with its last sample, at the same time.
+        """
+        known: dict[str, Any] = dict(conditions.inputs)
+        if conditions.recorded is not None:
+            forcing, lengths = conditions.recorded
+            assert isinstance(forcing, Tabulated)
+            known["time"] = jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.asarray(lengths))])
+            # Its samples are on half steps.
+            samples = jax.tree.map(lambda values: values[::2], forcing.samples)
+            if isinstance(samples, Imposed):
+                return known | {"elongation": samples.elongation, "elongation_rate": samples.rate}
+            return known | {"ground_acceleration": samples}
+        if self.excitation is None or self.timeline is None:
+            return known
+        step, steps, every = self.timeline
+        time = step * every * jnp.arange(steps // every + 1)
+        motion = self.excitation(conditions.inputs)
+        return known | {"time": time, "ground_acceleration": jax.vmap(motion.acceleration)(time)}
+
+
+def outputs_of(returned: Any, time: np.ndarray | None, wanted: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """What a function returned, of shape () each quantity and of the times' each channel; other names are left out.
+
+    Arguments:
+        returned: by the function.
+        time: that it was told, (n,); None where it was told none.
+        wanted: names that must be there.
+
+    Raises:
+        UserError: it is no mapping, a name is missing, or a value has another shape or is no number.
+    """
+    if not isinstance(returned, Mapping):
+        raise UserError(f"it returned {returned!r:.60}; a mapping of names to numbers or arrays is wanted")
+    if missing := [name for name in wanted if name not in returned]:
+        names = ", ".join(map(str, returned)) or "nothing"
+        raise UserError(f"it returned no {missing[0]}; the study observes {', '.join(wanted)}, and it returned {names}")
+    found = {}
+    for name, value in returned.items():
+        if not is_output(name):
+            continue
+        try:
+            array = np.asarray(value, dtype=float)
+        except (TypeError, ValueError):
+            raise UserError(f"its {name} is {value!r:.60}; numbers are wanted") from None
+        if is_quantity(name):
+            shape, words = (), "a quantity is one number"
+            array = array.reshape(()) if array.size == 1 else array
+        elif time is None:
+            raise UserError(
+                f"it returned the channel {name}, and there is no excitation and no record that it has times of"
+            )
+        else:
+            shape, words = time.shape, f"a channel has the shape of the times, {time.shape}"
+        if array.shape != shape:
+            raise UserError(f"its {name} has the shape {array.shape}; {words}")
+        found[name] = array
+    return found
+
+
+def is_output(name: Any) -> bool:
+    """Whether this is the name of a quantity, or of a channel that can be predicted."""
+    if not isinstance(name, str) or name in ("time", "ground_acceleration"):
+        return False
+    if is_quantity(name) or name in CHANNELS:
+        return True
+    try:
+        channel(name)
+    except KeyError:
+        return False
+    return True
