@@ -21,7 +21,7 @@ from hsed_jax.inference.observation import Grid, conditions_of
 from hsed_jax.inference.priors import Prior
 from hsed_jax.laboratories.command import check_template
 from hsed_jax.measurements import parse_unit
-from hsed_jax.models.differences import Differenced, Free, failure
+from hsed_jax.models.differences import Differenced, Free, failure, unpadded
 from hsed_jax.models.function import RESERVED, FunctionModel, Respond, is_output, outputs_of
 from hsed_jax.models.program import Program
 from hsed_jax.physics.laws import AbstractSpringLaw
@@ -215,7 +215,7 @@ class BuiltOfFunction(Built):
             given = self._called(where, called, middle, told, wanted)
             return model(function, tuple(given))
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        plain = {name: float(value) if np.ndim(value) == 0 else np.asarray(value) for name, value in told.items()}
+        plain = unpadded({name: np.asarray(value) if np.ndim(value) else float(value) for name, value in told.items()})
         given = self._called(
             where, lambda parameters, told: function({**parameters, **fixed}, told), middle, plain, wanted
         )

@@ -98,16 +98,10 @@ class Differenced:
         return found
 
     def _computed(self, parameters: dict[str, float], inputs: dict[str, Any]) -> np.ndarray:
-        time = inputs.get("time")
-        samples = length = 0 if time is None else time.size
-        given, told = dict(inputs), None
-        if time is not None:
-            # Padding stands still.
-            length = 1 + int(np.max(np.nonzero(np.diff(time))[0], initial=-1)) + 1
-            given = {name: value[:length] if np.ndim(value) else value for name, value in inputs.items()}
-            told = given["time"]
+        given = unpadded(inputs)
+        samples, length = (known["time"].size if "time" in known else 0 for known in (inputs, given))
         try:
-            found = outputs_of(self.function(parameters, given), told, self.outputs)
+            found = outputs_of(self.function(parameters, given), given.get("time"), self.outputs)
         except (Exception, SystemExit) as error:
             self._tell(error)
             sizes = [1 if is_quantity(name) else samples for name in self.outputs]
@@ -125,6 +119,14 @@ class Differenced:
                 return
             self._told.append(failure(error))
         _LOG.warning("the model %s failed, which counts as a simulation that diverged: %s", self.name, self._told[0])
+
+
+def unpadded(inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """What a plain function is told of an experiment: its histories without the padding of a short record, which stands still."""
+    if "time" not in inputs:
+        return dict(inputs)
+    length = 2 + int(np.max(np.nonzero(np.diff(inputs["time"]))[0], initial=-1))
+    return {name: value[:length] if np.ndim(value) else value for name, value in inputs.items()}
 
 
 def failure(error: BaseException) -> str:
