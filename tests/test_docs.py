@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted([*DOCS.glob("*.md"), *ROOT.glob("*.md"), ROOT / "benchmarks" / "README.md"])
 # Written in a study without the word `prior`.
-WRITTEN = {"inputs.NAME.prior": "inputs.NAME.DISTRIBUTION"}
+WRITTEN = {f"{key}.NAME.prior": f"{key}.NAME.DISTRIBUTION" for key in ("inputs", "model.parameters")}
 
 
 class Row(NamedTuple):
@@ -36,15 +36,12 @@ def rows() -> dict[str, Row]:
     return {key: Row(*rest) for key, *rest in re.findall(rf"^{cells}$", text_of("settings.md"), re.MULTILINE)}
 
 
-def sections(annotation: Any, mark: str = "") -> dict[str, type[BaseModel]]:
-    """The sections within an annotation, by what stands between its key and theirs: `[]` of a list, `.NAME` of names."""
+def sections(annotation: Any, mark: str = "") -> list[tuple[str, type[BaseModel]]]:
+    """The sections within an annotation, each with what stands between its key and theirs: `[]` of a list, `.NAME` of names."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return {mark: annotation}
+        return [(mark, annotation)]
     mark += {list: "[]", dict: ".NAME"}.get(get_origin(annotation), "")  # type: ignore[arg-type]
-    found: dict[str, type[BaseModel]] = {}
-    for part in get_args(annotation):
-        found |= sections(part, mark)
-    return found
+    return [found for part in get_args(annotation) for found in sections(part, mark)]
 
 
 def keys(model: type[BaseModel] = Study, path: str = "") -> dict[str, FieldInfo]:
@@ -53,12 +50,12 @@ def keys(model: type[BaseModel] = Study, path: str = "") -> dict[str, FieldInfo]
     for name, field in model.model_fields.items():
         here = f"{path}.{field.alias or name}".lstrip(".")
         inner = sections(field.annotation)
-        if "" in inner:
-            inner.pop(".NAME", None)
+        if any(not mark for mark, _ in inner):
+            inner = [(mark, section) for mark, section in inner if mark != ".NAME"]
         if not inner or here.endswith("virtual.noise"):  # written like `error`, which is described once
             found[WRITTEN.get(here, here)] = field
             continue
-        for mark, section in inner.items():
+        for mark, section in inner:
             found |= keys(section, here + mark)
     return found
 

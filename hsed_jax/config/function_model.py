@@ -1,7 +1,7 @@
 """A study whose model is a function or a program, built: what differs from one of a spring law."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from shutil import which
 from typing import Any, cast
@@ -22,7 +22,7 @@ from hsed_jax.inference.priors import Prior
 from hsed_jax.laboratories.command import check_template
 from hsed_jax.measurements import parse_unit
 from hsed_jax.models.differences import Differenced, Free, failure, unpadded
-from hsed_jax.models.function import RESERVED, FunctionModel, Respond, is_output, outputs_of
+from hsed_jax.models.function import RESERVED, FunctionModel, Respond, is_output, known_outputs, outputs_of
 from hsed_jax.models.program import Program
 from hsed_jax.physics.laws import AbstractSpringLaw
 from hsed_jax.physics.outputs import CHANNELS, PER_MASS
@@ -198,37 +198,26 @@ class BuiltOfFunction(Built):
                 constants=tuple(fixed.items()),
             )
 
-        told = model(function, ()).told(self._first)
-        wanted, kind = self.outputs, self._entry.derivatives
-        if kind is None:
-            kind = (
-                "jax"
-                if self._entry.command is None and _fault(function, middle, fixed, told) is None
-                else "differences"
-            )
-        if kind == "jax":
-            if (fault := _fault(function, middle, fixed, told)) is not None:
+        told, wanted = model(function, ()).told(self._first), self.outputs
+        kind = self._entry.derivatives if self._entry.command is None else "differences"
+        if kind != "differences":
+
+            def traced(parameters: Any, told: Any) -> dict[str, Any]:
+                returned = known_outputs(function({**fixed, **parameters}, told), wanted)
+                return {name: jnp.asarray(value, dtype=float) for name, value in returned.items()}
+
+            fault = _fault(traced, middle, told)
+            if fault is None:
+                return model(function, tuple(self._called(where, jax.jit(traced), middle, told, wanted)))
+            if kind == "jax":
                 raise UserError(
                     f"{where}: JAX cannot trace it ({fault}); leave model.derivatives out, or say differences"
                 )
-            called = jax.jit(lambda parameters, told: _outputs(function({**fixed, **parameters}, told)))
-            given = self._called(where, called, middle, told, wanted)
-            return model(function, tuple(given))
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         plain = unpadded({name: np.asarray(value) if np.ndim(value) else float(value) for name, value in told.items()})
-        given = self._called(
-            where, lambda parameters, told: function({**parameters, **fixed}, told), middle, plain, wanted
-        )
-        steps = tuple(
-            Free(
-                name,
-                0.5 * float(prior.quantile(0.84) - prior.quantile(0.16)),
-                *(end if limit is None else limit for end, limit in zip((-np.inf, np.inf), prior.bounds, strict=True)),
-            )
-            for name, prior in free.items()
-        )
-        outputs = tuple(given)
-        return model(Differenced(function, name, outputs, steps, 1 if self._entry.command is None else cores), outputs)
+        outputs = tuple(self._called(where, function, {**middle, **fixed}, plain, wanted))
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        workers = 1 if self._entry.command is None else cores
+        return model(Differenced(function, name, outputs, tuple(map(_free, free, free.values())), workers), outputs)
 
     def _called(
         self, where: str, function: Any, parameters: Mapping[str, float], told: Any, wanted: tuple[str, ...]
@@ -289,20 +278,20 @@ class BuiltOfFunction(Built):
         return Conditions({name: jnp.asarray(values[0]) for name, values in middle.items()})
 
 
-def _outputs(returned: Any) -> Any:
-    """Of a mapping what this package knows; anything else as it is."""
-    if not isinstance(returned, Mapping):
-        return returned
-    return {name: jnp.asarray(value, dtype=float) for name, value in returned.items() if is_output(name)}
+def _free(name: str, prior: Prior) -> Free:
+    """A parameter to differentiate with respect to."""
+    lower, upper = prior.bounds
+    spread = 0.5 * float(prior.quantile(0.84) - prior.quantile(0.16))
+    return Free(name, spread, -np.inf if lower is None else lower, np.inf if upper is None else upper)
 
 
 def _fault(
-    function: Respond, parameters: Mapping[str, float], fixed: Mapping[str, float], told: Mapping[str, Any]
+    called: Callable[[Any, Any], dict[str, Any]], parameters: Mapping[str, float], told: Mapping[str, Any]
 ) -> str | None:
     """Why JAX cannot trace, batch and differentiate a function; None where it can."""
 
     def one(parameters: Any, told: Any) -> Any:
-        return jax.jvp(lambda p: _outputs(function({**fixed, **p}, told)), (parameters,), (parameters,))
+        return jax.jvp(lambda p: called(p, told), (parameters,), (parameters,))
 
     lanes = jax.tree.map(lambda value: jnp.asarray(value, dtype=float)[None], (dict(parameters), dict(told)))
     try:

@@ -105,15 +105,8 @@ def outputs_of(returned: Any, time: np.ndarray | None, wanted: tuple[str, ...]) 
     Raises:
         UserError: it is no mapping, a name is missing, or a value has another shape or is no number.
     """
-    if not isinstance(returned, Mapping):
-        raise UserError(f"it returned {returned!r:.60}; a mapping of names to numbers or arrays is wanted")
-    if missing := [name for name in wanted if name not in returned]:
-        names = ", ".join(map(str, returned)) or "nothing"
-        raise UserError(f"it returned no {missing[0]}; the study observes {', '.join(wanted)}, and it returned {names}")
     found = {}
-    for name, value in returned.items():
-        if not is_output(name):
-            continue
+    for name, value in known_outputs(returned, wanted).items():
         try:
             array = np.asarray(value, dtype=float)
         except (TypeError, ValueError):
@@ -131,6 +124,20 @@ def outputs_of(returned: Any, time: np.ndarray | None, wanted: tuple[str, ...]) 
             raise UserError(f"its {name} has the shape {array.shape}; {words}")
         found[name] = array
     return found
+
+
+def known_outputs(returned: Any, wanted: tuple[str, ...]) -> dict[str, Any]:
+    """Of what a function returned the quantities and channels, by name.
+
+    Raises:
+        UserError: it is no mapping, or a name that is wanted is missing.
+    """
+    if not isinstance(returned, Mapping):
+        raise UserError(f"it returned {returned!r:.60}; a mapping of names to numbers or arrays is wanted")
+    if missing := [name for name in wanted if name not in returned]:
+        names = ", ".join(map(str, returned)) or "nothing"
+        raise UserError(f"it returned no {missing[0]}; the study observes {', '.join(wanted)}, and it returned {names}")
+    return {name: value for name, value in returned.items() if is_output(name)}
 
 
 def is_output(name: Any) -> bool:
