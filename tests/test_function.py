@@ -305,6 +305,7 @@ def test_a_report_executes_nothing(folder, tmp_path):
     try:
         (folder / "mine.py").write_text(f"open({str(mark)!r}, 'w').close()\n{kept}", encoding="utf-8")
         assert main(["report", str(tmp_path / "run")]) == 0
+        assert "the function mine.py:plain" in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
         assert not mark.exists()
         assert main(["check", str(folder / "study.yaml")]) == 2
         assert not mark.exists()

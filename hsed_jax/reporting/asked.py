@@ -58,7 +58,7 @@ def _prior(prior: Any) -> str:
         return f"= {prior:g}"
     if not prior:
         return "by its default prior"
-    ((kind, given),) = prior.items()
+    ((kind, given),) = ((name, value) for name, value in prior.items() if name != "unit")
     numbers = list(given.values()) if isinstance(given, Mapping) else given if isinstance(given, list) else [given]
     if kind == "uniform":
         return f"in {numbers[0]:g} … {numbers[1]:g}"
@@ -70,6 +70,10 @@ def _model(study: Mapping[str, Any]) -> str:
     parameters = ", ".join(f"{name} {_prior(prior)}" for name, prior in model["parameters"].items())
     effects = list(model.get("effects") or {})
     known = f" with {_listed(effects)}" if effects else " without further effects"
+    if model.get("function"):
+        return f"Model: the function {model['function'].rpartition('/')[2]}; {parameters} (SI)."
+    if model.get("command"):
+        return f"Model: the program {model['command']['run']}; {parameters} (SI)."
     return f"Model: {_law(model['spring'])}{known}; {parameters} (SI)."
 
 
