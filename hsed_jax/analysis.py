@@ -25,7 +25,7 @@ from hsed_jax.inference.fit import Fit, fit
 from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Campaign, stop_at_errors
 from hsed_jax.physics.batch import tiled_map
-from hsed_jax.physics.outputs import further
+from hsed_jax.physics.outputs import further, of_each
 from hsed_jax.physics.response import Response
 from hsed_jax.physics.simulator import Conditions, Simulator
 from hsed_jax.tables import Table, Tabular
@@ -174,7 +174,7 @@ def simulate(
     study: Study,
     inputs: Mapping[str, Any],
     parameters: Mapping[str, Any] | None = None,
-    channels: tuple[str, ...] = ("elongation", "force", "energy"),
+    channels: tuple[str, ...] | None = None,
 ) -> Response:
     """Simulate the model of a study under its excitation.
 
@@ -182,7 +182,8 @@ def simulate(
         study: the study.
         inputs: variable inputs by name in their declared units, numbers or arrays of one common length: a batch.
         parameters: free parameters by name (SI), numbers or arrays; by default the medians of their priors.
-        channels: histories to keep; none for quantities alone, which is faster.
+        channels: histories to keep, by default elongation, force and energy of the specimen or of each; none (an empty tuple)
+            for quantities alone, which is faster.
 
     Returns:
         The response, with the quantities of Eq. 18 and those that the study names; in a batch every array has a leading axis.
@@ -213,6 +214,8 @@ def simulate(
     # The study may be of records; what is simulated here has none.
     parameters, inputs = lanes
     more = further(tuple(study.quantities))
+    if channels is None:
+        channels = of_each([element.name for element in built.elements], ("elongation", "force", "energy"))
     if not sizes:
         return built.planned_simulator.respond(parameters, Conditions(inputs), channels, more)
     ((size,),) = sizes

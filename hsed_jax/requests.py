@@ -21,7 +21,7 @@ from hsed_jax.laboratories.answer import QUANTITIES, RECORD, is_answered, left, 
 from hsed_jax.laboratories.base import ExperimentFailed, Measured
 from hsed_jax.laboratories.request import Request
 from hsed_jax.measurements import Record, parse_unit
-from hsed_jax.physics.outputs import EQ_18, further, output
+from hsed_jax.physics.outputs import EQ_18, further, of_each, output
 from hsed_jax.physics.simulator import Conditions
 
 BAND = (0.05, 0.5, 0.95)
@@ -88,13 +88,14 @@ class Requests:
     def _respond(self):
         names = tuple(self.built.parameters[0])
         wanted = [name for name in self.built.sensors.channels if name not in ("time", "ground_acceleration")]
-        wanted = list(dict.fromkeys([*wanted, "elongation", "force"]))
+        owners = [element.name for element in self.built.elements]
+        wanted = list(dict.fromkeys([*wanted, *of_each(owners, ("elongation", "force"))]))
         simulator, more = self.built.planned_simulator, further(tuple(self.built.study.quantities))
 
         def one(theta, inputs):
             parameters = dict(zip(names, theta, strict=False))
             response = simulator.respond(parameters, Conditions(inputs), tuple(wanted), more)
-            quantities = {name: response.quantities[name] for name in (*EQ_18, *more)}
+            quantities = {name: response.quantities[name] for name in (*of_each(owners, EQ_18), *more)}
             return {name: response.channels[name] for name in wanted}, quantities, response.ok
 
         return jax.jit(lambda inputs, draws: jax.vmap(lambda theta: one(theta, inputs))(jnp.asarray(draws)))

@@ -335,7 +335,7 @@ CHARACTERISTIC = SCALES.elongation / SCALES.rate  # u_c/v_c [s]
 THREE = {
     "masses": (8e3, 9e3, 5e3),
     "springs": (Spring((None, 0), 4e5), Spring((0, 1), 1e6), Spring((2, None), 3e5)),
-    "specimen": (2, 1),
+    "specimens": ((2, 1),),
 }
 
 
@@ -524,7 +524,9 @@ def test_an_error_of_the_structure_is_another_structure_with_the_damping_it_had(
     @jax.jit
     def truth():
         other = Structure(**{**THREE, **changes}, damping=ModalDamping(0.07, 5e5))
-        system = ShakenStructure(other, Specimen(BoucWen(5e5, 1.0, 0.0, 1.0)), factor * nominal.damping_matrix())
+        system = ShakenStructure(
+            other, [Specimen(BoucWen(5e5, 1.0, 0.0, 1.0))], damping=factor * nominal.damping_matrix()
+        )
         return integrate(system, NearFaultPulse(2.25, 1.0).forcing(STEP, STEPS), STEP, STEPS, channels=CHANNELS)
 
     expected = both(truth())

@@ -60,7 +60,7 @@ ELASTIC = {"A": STIFFNESS, "beta": 0.0, "gamma": 0.0, "n": 1.0}
 
 def pushed(step, steps, padding=0):
     """An undamped elastic oscillator under a constant acceleration of the ground: u = −(a/ω²)(1 − cos ωt)."""
-    structure = Structure((MASS,), (), (None, 0), ModalDamping(0.0, STIFFNESS))
+    structure = Structure((MASS,), (), ((None, 0),), ModalDamping(0.0, STIFFNESS))
     lengths = np.concatenate([np.full(steps, step), np.zeros(padding)])
     motion = Tabulated(jnp.full(2 * lengths.size + 1, PUSH))
     simulator = Simulator(structure, None, Timeline(0.0, lengths.size))

@@ -1,7 +1,6 @@
 """From what a user said to the objects that compute: no `None` reaches the numerics."""
 
 import dataclasses
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hsed_jax.backend import prepare
-from hsed_jax.config import laboratories, parts, structures
+from hsed_jax.config import laboratories, observed, parts, structures
 from hsed_jax.config import records as records_of
-from hsed_jax.config.laboratories import IMPOSED
 from hsed_jax.config.limits import limits_of
 from hsed_jax.config.noise import errors_of
 from hsed_jax.config.own_effects import catalogue_of
 from hsed_jax.config.plan import check_plan
 from hsed_jax.config.scales import check_scales, scales_of
 from hsed_jax.config.schema import Study
+from hsed_jax.config.specimens import Naming, effects_of, elements_of, placed
 from hsed_jax.config.spring_laws import law_of
 from hsed_jax.design.feasible import Limits
 from hsed_jax.design.space import InputSpace
@@ -35,6 +34,7 @@ from hsed_jax.laboratories.sensors import Sensors
 from hsed_jax.measurements import Campaign, Characteristics, Experiment, characteristics, parse_unit, read_campaign
 from hsed_jax.measurements.thinning import thinned
 from hsed_jax.physics.effects import Catalogue
+from hsed_jax.physics.elements import Element
 from hsed_jax.physics.laws import AbstractSpringLaw
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Parametrised, Simulator, Timeline
@@ -68,12 +68,18 @@ class Built:
     @cached_property
     def catalogue(self) -> Catalogue:
         """The effects that the study may name; its own files of effects are executed."""
-        return catalogue_of(self.study)
+        structure = None if self.component_test else self.study.structure
+        return placed(catalogue_of(self.study), self.elements, 0 if structure is None else len(structure.springs))
 
     @cached_property
-    def law(self) -> type[AbstractSpringLaw]:
-        """The spring law of the model; the file of an own one is executed."""
-        return law_of("model.spring", self.study.model.spring, self.study.folder)
+    def elements(self) -> tuple[Element, ...]:
+        """The specimens of the model; the files of own laws are executed."""
+        return elements_of(self.study)
+
+    @cached_property
+    def naming(self) -> Naming:
+        """What the names of parameters and effects stand for."""
+        return Naming(self.elements, self.catalogue)
 
     @cached_property
     def measured(self) -> Campaign | None:
@@ -117,7 +123,7 @@ class Built:
     @cached_property
     def parameters(self) -> tuple[dict[str, Prior], dict[str, float]]:
         """Free parameters of the model with their priors, and the fixed ones with their values."""
-        return parts.model_parameters(self.study.model, self.law, self.catalogue, self._of_structure)
+        return self.naming.model_parameters(self.study, self._of_structure)
 
     @cached_property
     def _of_structure(self) -> dict[str, Prior]:
@@ -126,9 +132,9 @@ class Built:
         return {} if entry is None or self.component_test else structures.priors_of(entry)
 
     @cached_property
-    def _steepest(self) -> AbstractSpringLaw:
-        """The law where its priors make it stiffest and let it yield soonest."""
-        return self.law(**parts.law_parameters(self.parameters, self.law.steepest))
+    def _steepest(self) -> tuple[AbstractSpringLaw, ...]:
+        """The laws where their priors make them stiffest and let them yield soonest."""
+        return self.naming.laws(self.parameters, steepest=True)
 
     @cached_property
     def _stiffest(self) -> Structure:
@@ -139,7 +145,7 @@ class Built:
     def units(self) -> dict[str, str]:
         """SI unit of every free parameter."""
         free, fixed = self.parameters
-        return parts.parameter_units(tuple(free), fixed, self.law, self.catalogue)
+        return self.naming.units(tuple(free), fixed)
 
     @cached_property
     def excitation(self) -> Parametrised | None:
@@ -167,8 +173,8 @@ class Built:
             return None
         if self.component_test:
             assert self.characteristics is not None
-            middle = self.law(**parts.law_parameters(self.parameters))
-            return records_of.imposed_grid(records, self.characteristics, middle, self._steepest)
+            (middle,), (steepest,) = self.naming.laws(self.parameters), self._steepest
+            return records_of.imposed_grid(records, self.characteristics, middle, steepest)
         longest = max(float(np.max(np.diff(record.time), initial=0.0)) for record in records)
         needed = longest / parts.longest_step(self._stiffest, self._steepest, self.study.excitation, self.space)
         return records_of.divided(max(len(record) for record in records), needed)
@@ -194,7 +200,7 @@ class Built:
     @cached_property
     def simulator(self) -> Simulator:
         """The computational simulator."""
-        return self._simulator(self.law, tuple(self.study.model.effects), tuple(self.parameters[1].items()))
+        return self._simulator(self.elements, tuple(effects_of(self.study)), tuple(self.parameters[1].items()))
 
     @cached_property
     def planned_simulator(self) -> Simulator:
@@ -214,12 +220,13 @@ class Built:
         return Programme(self.space.units, self.excitation, timeline)
 
     @cached_property
-    def specimen_law(self) -> type[AbstractSpringLaw]:
-        """The spring law of the virtual specimen: its own, or the model's."""
+    def true_elements(self) -> tuple[Element, ...]:
+        """The virtual specimens: the law of those that share the model's may be another one."""
         virtual = self.study.experiments.virtual
         if virtual is None or virtual.spring is None:
-            return self.law
-        return law_of("experiments.virtual.spring", virtual.spring, self.study.folder)
+            return self.elements
+        law = law_of("experiments.virtual.spring", virtual.spring, self.study.folder)
+        return tuple(e if e.is_apart else e._replace(law=law) for e in self.elements)
 
     @cached_property
     def specimen(self) -> dict[str, float]:
@@ -228,11 +235,11 @@ class Built:
         assert virtual is not None
         told = structures.true_numbers("experiments.virtual.structure", virtual.structure, self._of_structure)
         of_structure = {f"{OWNER}.{name}": value for name, value in told.items()}
-        return parts.true_parameters(virtual, self.specimen_law, self.catalogue) | of_structure
+        return Naming(self.true_elements, self.catalogue).true_parameters(self.study) | of_structure
 
     def _virtual(self) -> tuple[Simulator, dict[str, float]]:
         assert self.study.experiments.virtual is not None
-        return self._simulator(self.specimen_law, tuple(self.study.experiments.virtual.effects), ()), self.specimen
+        return self._simulator(self.true_elements, tuple(self.study.experiments.virtual.effects), ()), self.specimen
 
     @cached_property
     def laboratory(self) -> Laboratory:
@@ -252,27 +259,7 @@ class Built:
     @cached_property
     def outputs(self) -> tuple[str, ...]:
         """Names of the observed quantities or channels."""
-        if self.study.observe == "quantities":
-            # A record that ends before is passed over.
-            duration = self.planned.step * self.planned.steps if self.grid is None else math.inf
-            laboratories.check_quantities(self.study.quantities, self.structure, duration)
-            return tuple(self.study.quantities)
-        if self.measured is None:
-            known = laboratories.declared_responses(self.study)
-            names = tuple(self.study.channels or known or ("elongation", "force"))
-        else:
-            imposed = (*IMPOSED, "elongation") if self.component_test else IMPOSED
-            known = tuple(name for name in self.measured.channels if name not in imposed)
-            names = tuple(self.study.channels or known)
-        for name in names:
-            if known is not None and name not in known:
-                raise UserError(f"channels: {name} was not measured; measured are {', '.join(known) or 'none'}")
-            parts.at("channels", laboratories.check_response, name, self.structure)
-        if not names:
-            raise UserError(
-                "observe: there is no measured channel to compare with; the campaign has only what was imposed"
-            )
-        return names
+        return observed.outputs_of(self)
 
     @cached_property
     def observation(self) -> Observation:
@@ -383,7 +370,7 @@ class Built:
             virtual = self.study.experiments.virtual is not None
             needed += ["sensors", "programme", *(["specimen"] if virtual else ["laboratory"] if performs else [])]
         try:
-            check_plan(self.study, self.law, self.catalogue)
+            check_plan(self.study, self.naming)
             self.study.measurements.accepted(self.measured)
             check_scales(self)
             for part in needed:
@@ -393,8 +380,10 @@ class Built:
             raise UserError(f"{file}{error}") from None
 
     def _simulator(
-        self, law: type[AbstractSpringLaw], effects: tuple[str, ...], constants: tuple[tuple[str, float], ...]
+        self, elements: tuple[Element, ...], effects: tuple[str, ...], constants: tuple[tuple[str, float], ...]
     ) -> Simulator:
         follows = self.study.structure is not None and self.study.structure.damping.specimen_stiffness == "model"
         present = self.catalogue.only(effects)
-        return Simulator(self.structure, self.excitation, self.timeline, present, self.scales, constants, follows, law)
+        return Simulator(
+            self.structure, self.excitation, self.timeline, present, self.scales, constants, follows, elements
+        )

@@ -7,8 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from hsed_jax.config.build import Built
-from hsed_jax.config.plan import ORDER, check_added, left_out
+from hsed_jax.config.plan import ORDER, check_added
 from hsed_jax.config.schema import ImproveEntry, ScalesEntry, Study
+from hsed_jax.config.specimens import effects_of
 from hsed_jax.criticism.compare import compare
 from hsed_jax.criticism.measured import Measured
 from hsed_jax.criticism.prediction import Prediction
@@ -24,7 +25,6 @@ from hsed_jax.measurements import Campaign, Experiment, Record
 from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.simulator import Conditions
-from hsed_jax.physics.specimen import unserved
 
 # Experiments that could be made, to look for one that tells rivals apart.
 _CANDIDATES = 32
@@ -38,12 +38,12 @@ def applicable(built: Built, campaign: Campaign) -> list[str]:
     quantities = built.study.observe == "quantities"
     return [
         name
-        for name, effect in built.catalogue.items()
-        if name not in built.study.model.effects
-        and not unserved(effect, built.law)
-        and (has_time or not effect.needs_time)
-        and not (quantities and effect.histories_only)
-        and not (built.component_test and effect.shaken_only)
+        for name in built.naming.candidates
+        if name not in effects_of(built.study)
+        and not built.naming.unserved(name)
+        and (has_time or not built.catalogue[name].needs_time)
+        and not (quantities and built.catalogue[name].histories_only)
+        and not (built.component_test and built.catalogue[name].shaken_only)
     ]
 
 
@@ -54,7 +54,7 @@ def with_effects(built: Built, effects: Sequence[str]) -> Study:
         UserError: there is no such effect, the model has it, or it stands twice.
     """
     study = built.study
-    check_added(study.model, effects, built.law, built.catalogue)
+    check_added(study, effects, built.naming)
     model = study.model.model_copy(update={"effects": {**study.model.effects, **{name: {} for name in effects}}})
     # Ready to be improved again: what was chosen by hand this time is for the diagnosis to find next time.
     steps = [step for step in ORDER if step in study.steps or (step == "diagnose" and "improve" in study.steps)]
@@ -121,7 +121,7 @@ def problem_of(
         candidates=inputs,
         seed=built.study.seed,
         start=start,
-        notes=left_out(built.law, built.catalogue),
+        notes=built.naming.left_out(),
     )
 
 

@@ -1,6 +1,6 @@
 """The laboratory that a study names, and what it measures; each fault names its key."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -31,10 +31,9 @@ from hsed_jax.laboratories.sensors import Sensors
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.measurements import Channel, Noise
 from hsed_jax.measurements.declaration import declared_channel
-from hsed_jax.physics.outputs import CHANNELS, PER_MASS, output, quantity
+from hsed_jax.physics.outputs import output, quantity
 from hsed_jax.physics.simulator import Simulator
 from hsed_jax.physics.structures import Structure
-from hsed_jax.plain import shown
 
 IMPOSED = ("time", "ground_acceleration")
 
@@ -64,55 +63,8 @@ class Site:
     function: Callable[..., Any] | None
 
 
-def check_response(name: str, structure: Structure | None) -> None:
-    """Refuse a channel that the model does not give.
-
-    Arguments:
-        name: of the channel.
-        structure: that the specimen is in; None: the specimen is alone.
-
-    Raises:
-        UserError: there is no such channel, it is imposed, or it is of a mass that does not exist.
-    """
-    masses = range(1, _masses(structure) + 1)
-    kinds = [*(f"{kind}_{{}}" for kind in PER_MASS), "acceleration_{}_absolute"]
-    given = [
-        *(name for name in CHANNELS if name not in IMPOSED),
-        *(kind.format(mass) for mass in masses for kind in kinds),
-    ]
-    if name not in given:
-        raise UserError(f"there is no channel {shown(name)} that the model gives; it gives {', '.join(given)}")
-
-
-def check_quantities(names: Sequence[str], structure: Structure | None, duration: float) -> None:
-    """Refuse a quantity that the model does not give.
-
-    Arguments:
-        names: of the quantities.
-        structure: that the specimen is in; None: the specimen is alone.
-        duration: of the experiments [s].
-
-    Raises:
-        UserError: one is of masses, and there are none, or of a time after the end.
-    """
-    for name in names:
-        known = quantity(name)
-        if not known.channels(_masses(structure)):
-            raise UserError(f"quantities: {name} is one of masses, and a component test has none; leave it out")
-        if known.until > duration:
-            raise UserError(f"quantities: {name} lies beyond the end of the experiments, which last {duration:g} s")
-
-
 def _masses(structure: Structure | None) -> int:
     return 0 if structure is None else len(structure.masses)
-
-
-def declared_responses(study: Study) -> tuple[str, ...] | None:
-    """Channels of responses that the laboratory declares; None where it measures what it is asked for."""
-    entry = study.experiments.laboratory
-    if not isinstance(entry, MeasuredEntry) or not entry.channels:
-        return None
-    return tuple(name for name in entry.channels if name not in IMPOSED)
 
 
 def sensors_of(study: Study, outputs: tuple[str, ...], structure: Structure | None) -> Sensors:
@@ -217,6 +169,10 @@ def _virtual(site: Site) -> VirtualLaboratory:
 def _opensees(site: Site, entry: OpenSeesEntry) -> OpenSeesLaboratory:
     assert site.study.structure is not None
     assert site.structure is not None
+    if len(site.structure.specimens) > 1:
+        raise UserError(
+            "experiments.opensees: it performs tests of one specimen; several are for the laboratory virtual"
+        )
     if site.study.structure.damping.specimen_stiffness == "model":
         raise UserError(
             "structure.damping.specimen_stiffness: the laboratory opensees needs a number [N/m] to form C with"

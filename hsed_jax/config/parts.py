@@ -1,28 +1,24 @@
 """The parts of a study, built: priors, errors, structure, excitation, parameters; each fault names its key."""
 
-import difflib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from hsed_jax.config.experiments import VirtualEntry
-from hsed_jax.config.schema import ExcitationEntry, ModelEntry
+from hsed_jax.config.schema import ExcitationEntry
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import parse_unit, read_at2
 from hsed_jax.measurements.units import TIME, VELOCITY
-from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.excitations import NearFaultPulse, RecordedMotion
 from hsed_jax.physics.laws import AbstractSpringLaw
-from hsed_jax.physics.parameters import Parameter, parameters_of
+from hsed_jax.physics.parameters import Parameter
 from hsed_jax.physics.simulator import Parametrised, Timeline
-from hsed_jax.physics.specimen import unserved
-from hsed_jax.physics.structures import OWNER, Structure, parameter_of
+from hsed_jax.physics.structures import Structure
 
 # The integration resolves the shortest period with this many steps; peaks are then good to 1e-4 (tests/test_response.py).
 _STEPS_PER_PERIOD = 24
@@ -73,95 +69,6 @@ def recorded_motion(entry: ExcitationEntry, folder: Path) -> tuple[np.ndarray, n
     return step * np.arange(len(acceleration)), acceleration
 
 
-def model_parameters(
-    model: ModelEntry, law: type[AbstractSpringLaw], catalogue: Catalogue, of_structure: Mapping[str, Prior]
-) -> tuple[dict[str, Prior], dict[str, float]]:
-    """Free parameters of the model with their priors, those of the structure last, and the fixed ones with their values."""
-    of_law = parameters_of(law)
-    check_names("model.parameters", model.parameters, of_law)
-    given: dict[str, tuple[str, Parameter, Any]] = {}
-    for name, known in of_law.items():
-        if name in model.parameters:
-            given[name] = (f"model.parameters.{name}", known, model.parameters[name])
-        elif known.neutral is None:
-            raise UserError(f"model.parameters.{name}: this key is required ({known.meaning}, {known.unit})")
-    for effect, entries in model.effects.items():
-        forms = effect_parameters("model.effects", effect, entries, law, catalogue)
-        named = {forms[name].name for name in entries}
-        for name, entry in entries.items():
-            given[f"{effect}.{name}"] = (f"model.effects.{effect}.{name}", forms[name], entry)
-        for known in parameters_of(catalogue[effect]).values():
-            if known.name not in named:
-                assert known.prior is not None
-                given[f"{effect}.{known.name}"] = ("", known, dict(known.prior))
-    free, fixed = {}, {}
-    for name, (where, known, entry) in given.items():
-        if entry == {}:
-            if known.prior is None:
-                raise UserError(f"{where}: there is no default prior for it; give one, such as {{uniform: [1.0, 2.0]}}")
-            where, entry = "", dict(known.prior)
-        if isinstance(entry, dict):
-            free[name] = prior(where, entry)
-            # A prior of the catalogue is right by definition; a lognormal one reaches to a bound of 0.01 with no mass there.
-            for bound in free[name].bounds if where else ():
-                if bound is not None:
-                    within(where, bound, known)
-        else:
-            fixed[name] = within(where, float(entry), known)
-    highest = dict(fixed) | {name: math.inf if p.bounds[1] is None else p.bounds[1] for name, p in free.items()}
-    _check_possible("model.parameters", law, highest)
-    free |= of_structure
-    if not free:
-        first = next(iter(of_law))
-        raise UserError(
-            f"model.parameters: at least one parameter needs a prior, such as {first}: {{uniform: [2.0e5, 9.0e5]}}"
-        )
-    return free, fixed
-
-
-def true_parameters(entry: VirtualEntry, law: type[AbstractSpringLaw], catalogue: Catalogue) -> dict[str, float]:
-    """The parameters of a virtual specimen."""
-    of_law, where = parameters_of(law), "experiments.virtual"
-    check_names(f"{where}.parameters", entry.parameters, of_law)
-    truth = {
-        name: within(f"{where}.parameters.{name}", value, of_law[name]) for name, value in entry.parameters.items()
-    }
-    for name, known in of_law.items():
-        if known.neutral is None and name not in truth:
-            raise UserError(f"{where}.parameters.{name}: this key is required ({known.meaning})")
-    _check_possible(f"{where}.parameters", law, truth)
-    for effect, values in entry.effects.items():
-        forms = effect_parameters(f"{where}.effects", effect, values, law, catalogue)
-        for name, value in values.items():
-            truth[f"{effect}.{name}"] = within(f"{where}.effects.{effect}.{name}", value, forms[name])
-    return truth
-
-
-def _check_possible(where: str, law: type[AbstractSpringLaw], highest: Mapping[str, float]) -> None:
-    """Refuse what the law says is impossible wherever the parameters are; parts of a prior are failures of those simulations."""
-    if fault := law.impossible(highest):
-        name, words = fault
-        raise UserError(f"{where}.{name}: {words}")
-
-
-def parameter_units(
-    names: tuple[str, ...], constants: Mapping[str, float], law: type[AbstractSpringLaw], catalogue: Catalogue
-) -> dict[str, str]:
-    """SI unit of every named parameter."""
-    units = {}
-    for name in names:
-        effect, _, rest = name.rpartition(".")
-        if effect == OWNER:
-            units[name] = parameter_of(rest).unit
-            continue
-        known = parameters_of(catalogue[effect]) if effect else parameters_of(law)
-        physical = {p.physical.name: p.physical.unit for p in known.values() if p.physical is not None}
-        unit = known[rest].unit if rest in known else physical[rest]
-        # With n = 1 the unit of β and γ is an ordinary one.
-        units[name] = "1/m" if unit == "N^(1-n)/m" and constants.get("n", 1.0) == 1 and "n" not in names else unit
-    return units
-
-
 def planned_timeline(entry: ExcitationEntry, folder: Path, step: float, histories: bool) -> Timeline:
     """The grid of the integration for an experiment without a record.
 
@@ -187,27 +94,11 @@ def planned_timeline(entry: ExcitationEntry, folder: Path, step: float, historie
     return Timeline(duration / steps, steps, every)
 
 
-def law_parameters(
-    parameters: tuple[Mapping[str, Prior], Mapping[str, float]], quantiles: Mapping[str, float] | None = None
-) -> dict[str, float]:
-    """Parameters of the law in the middle of their priors, or where quantiles are given at these; the fixed ones as they are.
-
-    Arguments:
-        parameters: free ones of the model with their priors, and fixed ones; those of effects are left out.
-        quantiles: by name.
-    """
-    free, fixed = parameters
-    values = {
-        name: float(prior.quantile((quantiles or {}).get(name, 0.5))) for name, prior in free.items() if "." not in name
-    }
-    return values | {name: value for name, value in fixed.items() if "." not in name}
-
-
 def longest_step(
-    structure: Structure, steepest: AbstractSpringLaw, entry: ExcitationEntry | None, space: InputSpace
+    structure: Structure, steepest: Sequence[AbstractSpringLaw], entry: ExcitationEntry | None, space: InputSpace
 ) -> float:
-    """The step that resolves the structure, its specimen at the upper end of its stiffness, and the pulse [s]."""
-    stiffest = float(steepest.stiffness)
+    """The step that resolves the structure, its specimens at the upper ends of their stiffness, and the pulse [s]."""
+    stiffest = [float(law.stiffness) for law in steepest]
     # Compiled: one program is ready sooner than each of its operations.
     periods = [1 / float(jax.jit(lambda: structure.frequencies(stiffest))()[-1])]
     pulse = entry.near_fault_pulse if entry else None
@@ -218,30 +109,6 @@ def longest_step(
         if not isinstance(shortest, str):
             periods.append(shortest)
     return min(periods) / _STEPS_PER_PERIOD
-
-
-def effect_parameters(
-    where: str, effect: str, entries: Mapping[str, Any], law: type[AbstractSpringLaw], catalogue: Catalogue
-) -> dict[str, Parameter]:
-    """Parameters of an effect under both their names, the dimensionless and the physical one.
-
-    Raises:
-        UserError: there is no such effect or parameter, or the law cannot have the effect.
-    """
-    if effect not in catalogue:
-        close = difflib.get_close_matches(effect, catalogue, n=1)
-        hint = f" (did you mean {close[0]}?)" if close else ""
-        raise UserError(f"{where}.{effect}: there is no such effect{hint}; the catalogue has {', '.join(catalogue)}")
-    if missing := unserved(catalogue[effect], law):
-        raise UserError(f"{where}.{effect}: {missing}")
-    known = parameters_of(catalogue[effect])
-    forms = {**known, **{p.physical.name: p for p in known.values() if p.physical is not None}}
-    check_names(f"{where}.{effect}", entries, forms)
-    for name in entries:
-        same = [other for other in entries if forms[other].name == forms[name].name]
-        if len(same) > 1:
-            raise UserError(f"{where}.{effect}: {' and '.join(same)} are two forms of one parameter; give one of them")
-    return forms
 
 
 def check_names(where: str, given: Mapping[str, Any], known: Mapping[str, Any]) -> None:

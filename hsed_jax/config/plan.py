@@ -4,19 +4,17 @@ import difflib
 from collections.abc import Sequence
 from itertools import pairwise
 
-from hsed_jax.config.schema import ModelEntry, Study
+from hsed_jax.config.schema import Study
+from hsed_jax.config.specimens import Naming, effects_of
 from hsed_jax.errors import UserError
 from hsed_jax.memory import check_memory
-from hsed_jax.physics.effects import Catalogue
-from hsed_jax.physics.laws import AbstractSpringLaw
-from hsed_jax.physics.specimen import unserved
 
 # An experiment as an object, with its inputs and quantities [bytes].
 _EXPERIMENT = 1000
 ORDER = ["design", "calibrate", "compare", "diagnose", "improve"]
 
 
-def check_plan(study: Study, law: type[AbstractSpringLaw], catalogue: Catalogue) -> None:
+def check_plan(study: Study, naming: Naming) -> None:
     """Refuse steps that cannot be done one after the other, and a design that cannot be made.
 
     Raises:
@@ -34,7 +32,7 @@ def check_plan(study: Study, law: type[AbstractSpringLaw], catalogue: Catalogue)
         raise UserError("steps: improve needs diagnose before it, or improve.add with the effects to add")
     if study.experiments.folder is not None and "design" not in steps:
         raise UserError("steps: experiments.folder is asked by the step design; put design first")
-    check_added(study.model, study.improve.add or [], law, catalogue, "improve.add: ")
+    check_added(study, study.improve.add or [], naming, "improve.add: ")
     _check_sizes(study)
     if study.experiments.laboratory is not None or "design" in steps:
         _check_design(study)
@@ -43,7 +41,7 @@ def check_plan(study: Study, law: type[AbstractSpringLaw], catalogue: Catalogue)
 def _check_sizes(study: Study) -> None:
     """Refuse sizes that memory cannot hold, by the arrays and objects that each is certain to need."""
     design, sizes = study.design, study.calibration
-    free = [entry for entry in study.model.parameters.values() if isinstance(entry, dict)]
+    free = [entry for model in study.models.values() for entry in model.parameters.values() if isinstance(entry, dict)]
     test = 0 if study.experiments.virtual is None else study.experiments.virtual.test
     asked = design.iterations if "design" in study.steps else 0
     experiments = design.initial + asked + test if study.experiments.laboratory is not None else 1
@@ -63,33 +61,25 @@ def _check_sizes(study: Study) -> None:
         check_memory(f"{key}: {count}", count * each)
 
 
-def check_added(
-    model: ModelEntry, effects: Sequence[str], law: type[AbstractSpringLaw], catalogue: Catalogue, where: str = ""
-) -> None:
+def check_added(study: Study, effects: Sequence[str], naming: Naming, where: str = "") -> None:
     """Refuse effects that cannot be added to a model.
 
     Raises:
         UserError: one is unknown, there already, given twice, or nothing that the law can have.
     """
     for name in effects:
-        if name not in catalogue:
-            close = difflib.get_close_matches(name, catalogue, n=1)
+        if name not in naming.catalogue:
+            close = difflib.get_close_matches(name, naming.catalogue, n=1)
             hint = f" (did you mean {close[0]}?)" if close else ""
             raise UserError(
-                f"{where}there is no effect {name!r}{hint}; the catalogue has {', '.join(sorted(catalogue))}"
+                f"{where}there is no effect {name!r}{hint}; the catalogue has {', '.join(sorted(naming.catalogue))}"
             )
-        if name in model.effects:
+        if name in effects_of(study):
             raise UserError(f"{where}the model has {name} already")
-        if missing := unserved(catalogue[name], law):
+        if missing := naming.unserved(name):
             raise UserError(f"{where}{name} cannot be added: {missing}")
         if list(effects).count(name) > 1:
             raise UserError(f"{where}{name} is to be added twice")
-
-
-def left_out(law: type[AbstractSpringLaw], catalogue: Catalogue) -> list[str]:
-    """What a law keeps out of a diagnosis, in a sentence; nothing where it has a place for every effect."""
-    out = [name for name, effect in catalogue.items() if unserved(effect, law)]
-    return [f"not looked for, as the law {law.name} has no place for them: {', '.join(out)}"] if out else []
 
 
 def _check_design(study: Study) -> None:

@@ -1,10 +1,11 @@
 """What a user may say in a study: names, types, defaults.  Nothing is computed here."""
 
+import functools
+import operator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import (
-    BeforeValidator,
     Field,
     PrivateAttr,
     create_model,
@@ -13,79 +14,19 @@ from pydantic import (
 )
 
 from hsed_jax.config.experiments import ExperimentsEntry
-from hsed_jax.config.sections import ErrorsEntry, OwnLawEntry, Positive, Section, SpringEntry
+from hsed_jax.config.mechanics import ModelEntry, PriorEntry, SpecimenModelEntry, StructureEntry
+from hsed_jax.config.sections import ErrorsEntry, OwnLawEntry, Positive, Section
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
 from hsed_jax.measurements.checks import DoubtKind
 from hsed_jax.physics.effects.base import AbstractEffect
-from hsed_jax.physics.outputs import ALLOWED, EQ_18, QUANTITIES, is_quantity
+from hsed_jax.physics.outputs import ALLOWED, EQ_18, QUANTITIES, is_quantity, of_each
 from hsed_jax.plain import Number, Whole, name_fault, shown
 from hsed_jax.tables import Table, Tabular
 
 Count = Annotated[Whole, Field(ge=1)]
-Ratio = Annotated[Number, Field(ge=0, lt=1)]
-End = Whole | Literal["ground"]
 Value = Number | str
 """A number, or the name of an input."""
-
-
-def _prior(value: Any) -> Any:
-    if isinstance(value, dict) and len(value) != 1:
-        raise ValueError("a prior is one distribution with its arguments, such as {uniform: [0.0, 1.0]}")
-    return value
-
-
-def _prior_or_default(value: Any) -> Any:
-    return value if value == {} else _prior(value)
-
-
-PriorEntry = Annotated[dict[str, Any], BeforeValidator(_prior)]
-ParameterEntry = Number | Annotated[dict[str, Any], BeforeValidator(_prior_or_default)]
-"""A fixed number, or a prior; `{}` is the prior that law or catalogue have for it."""
-NotNegative = Annotated[Number, Field(ge=0)]
-
-
-class LinearSpringEntry(Section):
-    """A linear spring of the structure."""
-
-    between: tuple[End, End]
-    stiffness: NotNegative | PriorEntry
-
-
-class SpecimenEntry(Section):
-    """Where the specimen sits; its elongation is the displacement of the second end less that of the first."""
-
-    between: tuple[End, End]
-
-
-class Rayleigh(Section):
-    """Rayleigh damping C = alpha M + beta K."""
-
-    alpha: NotNegative | PriorEntry
-    beta: NotNegative | PriorEntry
-
-
-class Damping(Section):
-    """Modal or Rayleigh damping; the specimen counts with `specimen_stiffness` [N/m], or with that of the model (`model`)."""
-
-    modal: Ratio | PriorEntry | list[Ratio | PriorEntry] | None = None
-    rayleigh: Rayleigh | None = None
-    specimen_stiffness: Positive | Literal["model"]
-
-    @model_validator(mode="after")
-    def _one_kind(self) -> "Damping":
-        if (self.modal is None) == (self.rayleigh is None):
-            raise ValueError("give either modal or rayleigh")
-        return self
-
-
-class StructureEntry(Section):
-    """Masses [kg], linear springs [N/m], the specimen and the damping; a number with a prior is calibrated with the law."""
-
-    masses: Annotated[list[Positive | PriorEntry], Field(min_length=1)]
-    springs: list[LinearSpringEntry]
-    specimen: SpecimenEntry
-    damping: Damping
 
 
 class PulseEntry(Section):
@@ -142,16 +83,6 @@ class InputEntry(Section):
     def written(self) -> dict[str, Any]:
         """As it stands in a study."""
         return {**self.prior, "unit": self.unit}
-
-
-class ModelEntry(Section):
-    """The computational simulator: the spring law, its parameters, its effects."""
-
-    spring: SpringEntry = "bouc_wen"
-    parameters: dict[str, ParameterEntry]
-    effects: dict[str, dict[str, ParameterEntry]] = {}
-    own_effects: list[str] = []
-    """Python files with effects of your own, relative to the study; they join the catalogue."""
 
 
 class KrigingEntry(Section):
@@ -276,7 +207,7 @@ class Study(Tabular, Section):
     structure: StructureEntry | None = None
     excitation: ExcitationEntry | None = None
     inputs: dict[str, InputEntry] = {}
-    model: ModelEntry
+    model: ModelEntry = ModelEntry()
     experiments: ExperimentsEntry
     measurements: MeasurementsEntry = MeasurementsEntry()
     observe: Literal["quantities", "histories"] = "quantities"
@@ -289,6 +220,15 @@ class Study(Tabular, Section):
     design: DesignEntry = DesignEntry()
     calibration: CalibrationEntry = CalibrationEntry()
     improve: ImproveEntry = ImproveEntry()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _quantities_of_each(cls, value: Any) -> Any:
+        structure = value.get("structure") if isinstance(value, dict) else None
+        several = structure.get("specimens") if isinstance(structure, dict) else None
+        if isinstance(several, dict) and "quantities" not in value:
+            return {**value, "quantities": list(of_each([str(name) for name in several], EQ_18))}
+        return value
 
     @field_validator("study")
     @classmethod
@@ -347,10 +287,17 @@ class Study(Tabular, Section):
     def code(self) -> list[str]:
         """Files that are executed where the study is built: its laws, its effects, its laboratory that is a Python function."""
         python, virtual = self.experiments.python, self.experiments.virtual
-        springs = [self.model.spring, *([] if virtual is None else [virtual.spring])]
+        springs = [*(model.spring for model in self.models.values()), *([] if virtual is None else [virtual.spring])]
         laws = [spring.file for spring in springs if isinstance(spring, OwnLawEntry)]
         functions = [python.file] if python is not None and python.file is not None else []
         return [*dict.fromkeys(laws), *self.model.own_effects, *functions]
+
+    @property
+    def models(self) -> dict[str, SpecimenModelEntry]:
+        """The model of the study, and those of specimens that have their own, by their keys."""
+        several = (None if self.structure is None else self.structure.specimens) or {}
+        own = {name: entry.model for name, entry in several.items() if entry.model is not None}
+        return {"model": self.model} | {f"structure.specimens.{name}.model": model for name, model in own.items()}
 
     def _table(self) -> Table:
         def words(name: str, given: Any) -> str:
@@ -361,13 +308,20 @@ class Study(Tabular, Section):
                 given = f"{kind} {', '.join(map(str, numbers)) if isinstance(numbers, list) else numbers}"
             return f"{name} {given}"
 
+        def of_model(key: str, model: SpecimenModelEntry) -> list[tuple[str, str]]:
+            of = "" if key == "model" else f" of {key.split('.')[2]}"
+            spring = model.spring
+            return [
+                (f"law{of}", spring.law if isinstance(spring, OwnLawEntry) else spring),
+                *((f"parameter{of}", words(name, given)) for name, given in model.parameters.items()),
+                *(
+                    (f"effect{of}", " ".join([name, *(words(k, v) for k, v in given.items())]))
+                    for name, given in model.effects.items()
+                ),
+            ]
+
         rows = [
-            ("law", spring.law if isinstance(spring := self.model.spring, OwnLawEntry) else spring),
-            *(("parameter", words(name, given)) for name, given in self.model.parameters.items()),
-            *(
-                ("effect", " ".join([name, *(words(k, v) for k, v in given.items())]))
-                for name, given in self.model.effects.items()
-            ),
+            *(row for key, model in self.models.items() if model.parameters for row in of_model(key, model)),
             *(("input", f"{words(name, entry.prior)} {entry.unit}") for name, entry in self.inputs.items()),
             ("observed", "time histories" if self.observe == "histories" else ", ".join(self.quantities)),
             ("steps", ", ".join(self.steps)),
@@ -380,8 +334,10 @@ class Study(Tabular, Section):
         plain["inputs"] = {name: entry.written() for name, entry in self.inputs.items()}
         plain["experiments"] = self.experiments.located(self.folder).model_dump(mode="json", exclude_none=True)
         # Written elsewhere, a relative path would lead elsewhere.
-        if isinstance(self.model.spring, OwnLawEntry):
-            plain["model"]["spring"]["file"] = str((self.folder / self.model.spring.file).resolve())
+        for key, model in self.models.items():
+            if isinstance(model.spring, OwnLawEntry):
+                entry = functools.reduce(operator.getitem, key.split("."), plain)
+                entry["spring"]["file"] = str((self.folder / model.spring.file).resolve())
         plain["model"]["own_effects"] = [str((self.folder / name).resolve()) for name in self.model.own_effects]
         if self.excitation is not None and self.excitation.recorded is not None:
             plain["excitation"]["recorded"]["file"] = str((self.folder / self.excitation.recorded.file).resolve())

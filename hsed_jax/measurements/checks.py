@@ -12,7 +12,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.measurements.campaign import Campaign
 from hsed_jax.measurements.experiment import Experiment, Record
 from hsed_jax.measurements.units import channel_dimension, quantity_dimension
-from hsed_jax.physics.outputs import quantity
+from hsed_jax.physics.outputs import loops, named, own_name, quantity
 
 PLAUSIBLE = {"length": (1e-6, 5.0), "velocity": (1e-5, 50.0), "acceleration": (1e-3, 500.0), "force": (1e-2, 1e9)}
 """Range of the largest magnitude [SI] by dimension; outside, the unit is suspect."""
@@ -168,17 +168,18 @@ def _time(id: str, record: Record) -> Iterator[Finding]:
 
 def _jumps(id: str, record: Record) -> Iterator[Finding]:
     """Steps of the elongation that missing rows leave, where no time shows the gap."""
-    steps = np.abs(np.diff(record.channels["elongation"])) if "elongation" in record.channels else np.zeros(0)
-    if not (steps > 0).sum() >= QUIET:
-        return
-    usual = float(np.quantile(steps[steps > 0], 0.95))
-    jumps = np.flatnonzero(steps > max(JUMP * usual, 0.05 * float(np.ptp(record.channels["elongation"]))))
-    if jumps.size:
-        message = (
-            f"it jumps by {steps[jumps].max():.3g} m where nearly all steps are below {usual:.2g} m, {jumps.size} times in "
-            "all: are rows missing?"
-        )
-        yield Finding("doubt", id, "elongation", float(record.time[jumps[0] + 1]), message, "jump")
+    for name, values in record.channels.items():
+        steps = np.abs(np.diff(values))
+        if own_name(name) != "elongation" or not (steps > 0).sum() >= QUIET:
+            continue
+        usual = float(np.quantile(steps[steps > 0], 0.95))
+        jumps = np.flatnonzero(steps > max(JUMP * usual, 0.05 * float(np.ptp(values))))
+        if jumps.size:
+            message = (
+                f"it jumps by {steps[jumps].max():.3g} m where nearly all steps are below {usual:.2g} m, {jumps.size} times "
+                "in all: are rows missing?"
+            )
+            yield Finding("doubt", id, name, float(record.time[jumps[0] + 1]), message, "jump")
 
 
 def _finite(id: str, record: Record, name: str) -> Iterator[Finding]:
@@ -280,14 +281,11 @@ def _base_lines(id: str, record: Record) -> Iterator[Finding]:
 
 
 def _energy(id: str, record: Record) -> Iterator[Finding]:
-    if not {"elongation", "force"} <= record.channels.keys():
-        return
-    force, elongation = record.channels["force"], record.channels["elongation"]
-    work = 0.5 * (force[1:] + force[:-1]) * np.diff(elongation)
-    # A passive specimen gives back at most what it held at the start; a twentieth is left for noise and delay.
-    allowed = 0.05 * float(np.abs(work).sum()) + abs(float(force[0] * elongation[0]))
-    if work.sum() < -allowed:
-        message = (
-            f"the work of force on elongation is {work.sum():.3g} J: a specimen cannot give energy; is a sign flipped?"
-        )
-        yield Finding("doubt", id, "force", None, message, "sign")
+    for owner in loops(record.channels):
+        force, elongation = (record.channels[named(owner, name)] for name in ("force", "elongation"))
+        work = 0.5 * (force[1:] + force[:-1]) * np.diff(elongation)
+        # A passive specimen gives back at most what it held at the start; a twentieth is left for noise and delay.
+        allowed = 0.05 * float(np.abs(work).sum()) + abs(float(force[0] * elongation[0]))
+        if work.sum() < -allowed:
+            message = f"the work of force on elongation is {work.sum():.3g} J: a specimen cannot give energy; is a sign flipped?"
+            yield Finding("doubt", id, named(owner, "force"), None, message, "sign")

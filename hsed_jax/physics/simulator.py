@@ -1,5 +1,6 @@
 """The computational simulator: from the conditions of one experiment and the parameters of the model to a response."""
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, final
 
@@ -15,10 +16,10 @@ from hsed_jax.physics.effects.base import (
     Setup,
     combine,
 )
+from hsed_jax.physics.elements import Element, number_of_spring
 from hsed_jax.physics.excitations import AbstractExcitation, AbstractForcing, Scaled, Tabulated
-from hsed_jax.physics.laws import BoucWen
-from hsed_jax.physics.laws.base import AbstractSpringLaw
-from hsed_jax.physics.outputs import further
+from hsed_jax.physics.laws import Elastic
+from hsed_jax.physics.outputs import further, own_name, owner_of
 from hsed_jax.physics.parameters import dimensionless
 from hsed_jax.physics.response import Response
 from hsed_jax.physics.scales import Scales
@@ -67,7 +68,7 @@ class Parametrised[T](eqx.Module):
 
 @final
 class Simulator(eqx.Module):
-    """A spring law with effects, in a structure under an excitation, or alone under an imposed elongation.
+    """Spring laws with effects, in a structure under an excitation, or one alone under an imposed elongation.
 
     Attributes:
         structure: the numerical substructure; None for a component test.
@@ -77,7 +78,7 @@ class Simulator(eqx.Module):
         scales: characteristic values for the effects; leaves, so that one compiled program can serve any.
         constants: parameters that are fixed numbers (and constants of the compiled program).
         damping_follows_model: form the damping matrix with the model's own stiffness instead of a reference one.
-        law: of the spring.
+        elements: the specimens, in the order of the structure.
     """
 
     structure: Structure | None
@@ -87,28 +88,33 @@ class Simulator(eqx.Module):
     scales: Scales = Scales()
     constants: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
     damping_follows_model: bool = eqx.field(static=True, default=False)
-    law: type[AbstractSpringLaw] = eqx.field(static=True, default=BoucWen)
-
-    def specimen(self, parameters: Mapping[str, Scalar]) -> Specimen:
-        """The law with its effects; parameters of effects are named `effect.parameter`, in dimensionless or physical form."""
-        law, effects, _ = self._given(parameters)
-        of_spring = tuple(effect for effect in effects if isinstance(effect, AbstractSpringEffect))
-        return Specimen(self.law(**law), of_spring, self.scales)
+    elements: tuple[Element, ...] = eqx.field(static=True, default=(Element(),))
 
     def system(self, parameters: Mapping[str, Scalar]) -> AbstractSystem:
-        """What is integrated."""
-        specimen = self.specimen(parameters)
+        """What is integrated; parameters of effects are named `effect.parameter`, in dimensionless or physical form."""
+        given = self._given(parameters)
+        specimens = [
+            Specimen(element.law(**element.parameters(given.owners)), given.of_spring(element.has), self.scales)
+            for element in self.elements
+        ]
         if self.structure is None:
-            return DrivenSpring(specimen)
-        structure = self.structure.told(self._given(parameters)[2])
+            return DrivenSpring(tuple(specimens))
+        structure = self.structure.told(given.owners[OWNER])
         if self.damping_follows_model:
-            structure = eqx.tree_at(lambda s: s.damping.specimen_stiffness, structure, specimen.law.stiffness)
-        slots = self._setup(parameters)
-        if slots is None:
-            return ShakenStructure(structure, specimen)
-        # C is what the model was built with: an error of mass or stiffness does not carry over to it.
-        damping = slots("damping") * structure.damping_matrix()
-        return ShakenStructure(structure.altered(slots("mass"), slots("support")), specimen, damping)
+            stiffness = tuple(specimen.law.stiffness for specimen in specimens)
+            structure = eqx.tree_at(lambda s: s.damping.specimen_stiffness, structure, stiffness)
+        altered, slots, damping = structure, self._setup(given), None
+        if slots is not None:
+            # C is what the model was built with: an error of mass or stiffness does not carry over to it.
+            damping = slots("damping") * structure.damping_matrix()
+            altered = structure.altered(slots("mass"), slots("support"))
+        yielding = {
+            i: Specimen(Elastic(spring.stiffness), of_spring, self.scales)
+            for i, spring in enumerate(altered.springs)
+            if (of_spring := given.of_spring(lambda owner, i=i: number_of_spring(owner) == i))
+        }
+        names = tuple(element.name for element in self.elements)
+        return ShakenStructure(altered, specimens, names, damping, yielding)
 
     @eqx.filter_jit
     def respond(
@@ -137,7 +143,7 @@ class Simulator(eqx.Module):
         else:
             assert self.excitation is not None
             forcing, length = self.excitation(conditions.inputs).forcing(step, steps), step
-        slots = self._setup(parameters)
+        slots = self._setup(self._given(parameters))
         if slots is not None and self.structure is not None:
             forcing = Scaled(forcing, slots("ground_motion"))
         elif slots is not None:
@@ -145,7 +151,8 @@ class Simulator(eqx.Module):
             forcing = felt(forcing, slots, jax.numpy.asarray(length))
         system = self.system(parameters)
         response = integrate(system, forcing, length, steps, channels=channels, quantities=quantities, every=every)
-        response = response._replace(ok=response.ok & system.specimen.law.is_bounded)
+        for specimen in system.specimens:
+            response = response._replace(ok=response.ok & specimen.law.is_bounded)
         if slots is None:
             return response
         return measured(response, slots, length, every, is_imposed=self.structure is None)
@@ -156,29 +163,43 @@ class Simulator(eqx.Module):
         response = self.respond(parameters, conditions, quantities=further(names))
         return jax.numpy.stack([response.quantities[name] for name in names]), response.ok
 
-    def _given(
-        self, parameters: Mapping[str, Scalar]
-    ) -> tuple[dict[str, Scalar], list[AbstractEffect], dict[str, Scalar]]:
-        """Parameters of the spring law, the effects, and numbers of the structure."""
-        law: dict[str, Scalar] = {}
-        of_structure: dict[str, Scalar] = {}
-        of_effects: dict[str, dict[str, Scalar]] = {effect: {} for effect in self.effects}
+    def _given(self, parameters: Mapping[str, Scalar]) -> "_Given":
+        owners: dict[str, dict[str, Scalar]] = defaultdict(dict)
         for name, value in {**dict(self.constants), **parameters}.items():
-            effect, _, rest = name.rpartition(".")
-            if effect == OWNER:
-                of_structure[rest] = value
-            elif effect:
-                of_effects[effect].update(dimensionless(self.effects[effect], rest, value, self.scales))
+            owner, own = owner_of(name), own_name(name)
+            if owner in self.effects:
+                owners[owner].update(dimensionless(self.effects[owner], own, value, self.scales))
             else:
-                law[name] = value
-        return law, [self.effects[effect](**values) for effect, values in of_effects.items()], of_structure
+                owners[owner][own] = value
+        return _Given(owners, {name: effect(**owners[name]) for name, effect in self.effects.items()})
 
-    def _setup(self, parameters: Mapping[str, Scalar]) -> Callable[[str], Any] | None:
-        """The slots of structure and test rig; None where no effect writes to them."""
-        effects = [effect for effect in self._given(parameters)[1] if isinstance(effect, AbstractSetupEffect)]
+    def _setup(self, given: "_Given") -> Callable[..., Any] | None:
+        """The slots of structure and test rig, and of the sensors of a specimen by its name; None where no effect writes."""
+        effects = {name: e for name, e in given.effects.items() if isinstance(e, AbstractSetupEffect)}
         if not effects:
             return None
         structure = self.structure
         masses, supports = (0, 0) if structure is None else (len(structure.masses), len(structure.supports))
         setup = Setup(self.scales, masses, supports)
-        return combine([effect.contribute(setup) for effect in effects])
+
+        def written(owner: str) -> Callable[[str], Any]:
+            places = {"", owner}
+            return combine([e.contribute(setup) for name, e in effects.items() if owner_of(name) in places])
+
+        of_each = {element.name: written(element.name) for element in self.elements} | {"": written("")}
+        return lambda slot, owner="": of_each[owner](slot)
+
+
+class _Given(NamedTuple):
+    """Parameters by what they belong to, and the effects by name."""
+
+    owners: dict[str, dict[str, Scalar]]
+    effects: dict[str, AbstractEffect]
+
+    def of_spring(self, has: Callable[[str], bool]) -> tuple[AbstractSpringEffect, ...]:
+        """The effects in a spring, by whether it has those of a place."""
+        return tuple(
+            effect
+            for name, effect in self.effects.items()
+            if isinstance(effect, AbstractSpringEffect) and has(owner_of(name))
+        )

@@ -27,10 +27,15 @@ def _specimen(study: Mapping[str, Any], campaign: Campaign) -> str:
     if structure is None:
         return "The specimen alone, driven by the elongation that was imposed on it (component test)."
     masses = structure["masses"]
-    ends = " and ".join(_end(end) for end in structure["specimen"]["between"])
+    several = structure.get("specimens") or {"": structure.get("specimen")}
     many = f"{len(masses)} masses" if len(masses) > 1 else "one mass"
     sizes = ", ".join("calibrated" if isinstance(mass, Mapping) else f"{mass:g} kg" for mass in masses)
-    return f"A specimen between {ends} of a structure of {many} ({sizes})."
+    places = [
+        f"{name and name + ', '}between {' and '.join(_end(end) for end in entry['between'])}"
+        for name, entry in several.items()
+    ]
+    what = "A specimen" if len(places) == 1 else f"{len(places)} specimens:"
+    return f"{what} {'; '.join(places)}{'' if len(places) == 1 else ';'} of a structure of {many} ({sizes})."
 
 
 def _end(end: int | str) -> str:
@@ -66,11 +71,17 @@ def _prior(prior: Any) -> str:
 
 
 def _model(study: Mapping[str, Any]) -> str:
-    model = study["model"]
+    several = (study.get("structure") or {}).get("specimens") or {}
+    own = {name: entry["model"] for name, entry in several.items() if entry.get("model")}
+    parts = [] if own and not study["model"].get("parameters") else [_one_model("Model", study["model"])]
+    return " ".join([*parts, *(_one_model(f"Model of {name}", model) for name, model in own.items())])
+
+
+def _one_model(what: str, model: Mapping[str, Any]) -> str:
     parameters = ", ".join(f"{name} {_prior(prior)}" for name, prior in model["parameters"].items())
     effects = list(model.get("effects") or {})
     known = f" with {_listed(effects)}" if effects else " without further effects"
-    return f"Model: {_law(model['spring'])}{known}; {parameters} (SI)."
+    return f"{what}: {_law(model['spring'])}{known}; {parameters} (SI)."
 
 
 def _law(spring: str | Mapping[str, str]) -> str:
@@ -127,5 +138,5 @@ def _design(study: Mapping[str, Any]) -> str:
 
 
 def _listed(names: list[str]) -> str:
-    words = [name.replace("_", " ") for name in names]
+    words = [name.replace("_", " ").replace(".", ": ") for name in names]
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)

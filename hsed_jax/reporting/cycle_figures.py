@@ -9,8 +9,9 @@ from matplotlib.axes import Axes
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.cycles import backbone, cycle_numbers, energy_per_cycle, secant_stiffness
 from hsed_jax.measurements import Campaign
+from hsed_jax.physics.outputs import named
 from hsed_jax.reporting import style
-from hsed_jax.reporting.misfit_figures import badness, hysteresis_loop
+from hsed_jax.reporting.misfit_figures import badness, hysteresis_loops
 from hsed_jax.reporting.misfit_maps import splits
 from hsed_jax.reporting.style import Picture
 
@@ -53,11 +54,11 @@ def cycles(comparison: Comparison, campaign: Campaign, before: Comparison | None
     shown = found[:_MOST]
     figure, panels = style.panels(3 * len(shown), 2.2, across=3)
     said = []
-    for number, (split, id) in enumerate(shown):
+    for number, (split, id, owner) in enumerate(shown):
         row = panels[3 * number : 3 * number + 3]
-        read = _read(models, split, id, campaign)
+        read = _read(models, split, id, owner, campaign)
         _draw(row, read)
-        row[0].set_title(style.plain(f"{id} ({split})", 24), loc="right")
+        row[0].set_title(style.plain(f"{id} ({split})" + (f", {owner}" if owner else ""), 30), loc="right")
         measured, ours = read["measured"], list(read.values())[-1]
         said.append(
             f"{id}: {measured.energy.size} cycles, energy {_of(measured.energy.sum(), 'J')} measured, "
@@ -77,27 +78,26 @@ def cycles(comparison: Comparison, campaign: Campaign, before: Comparison | None
     )
 
 
-def _experiments(comparison: Comparison, campaign: Campaign) -> list[tuple[str, str]]:
-    """Split and id of every experiment with a loop, held-out ones first, the largest errors of the force first."""
+def _experiments(comparison: Comparison, campaign: Campaign) -> list[tuple[str, str, str]]:
+    """Split, id and specimen of every loop of an experiment, held-out ones first, the largest errors of the force first."""
     found = []
     for name, split, prediction in splits(comparison):
         for row, experiment in enumerate(prediction.experiments):
             errors = split.per_experiment.get(experiment.id, {})
-            loop = hysteresis_loop(prediction, row, campaign)
-            there = np.zeros(1) if loop is None else loop[0][np.isfinite(loop[0] + loop[1])]
-            if "force" in errors and there.size > 2 and np.ptp(there) > 0:
-                found.append((name != "test", -badness(errors["force"]), name, experiment.id))
-    return [(name, id) for *_, name, id in sorted(found)]
+            for owner, loop in hysteresis_loops(prediction, row, campaign).items():
+                there, force = loop[0][np.isfinite(loop[0] + loop[1])], named(owner, "force")
+                if force in errors and there.size > 2 and np.ptp(there) > 0:
+                    found.append((name != "test", -badness(errors[force]), name, experiment.id, owner))
+    return [(name, id, owner) for *_, name, id, owner in sorted(found)]
 
 
-def _read(models: Mapping[str, Comparison], split: str, id: str, campaign: Campaign) -> dict[str, Cycles]:
+def _read(models: Mapping[str, Comparison], split: str, id: str, owner: str, campaign: Campaign) -> dict[str, Cycles]:
     """The cycles of one experiment as they were measured and as each model has them; diverged ones left out."""
     read = {}
     for model, comparison in models.items():
         prediction = next(p for name, _, p in splits(comparison) if name == split)
         row = [e.id for e in prediction.experiments].index(id)
-        loop = hysteresis_loop(prediction, row, campaign)
-        assert loop is not None
+        loop = hysteresis_loops(prediction, row, campaign)[owner]
         there, force, ours, predicted = (channel[np.isfinite(loop[0] + loop[1])] for channel in loop)
         numbers = cycle_numbers(there)
         read.setdefault("measured", _cycles(force, there, numbers))

@@ -15,6 +15,7 @@ from hsed_jax.design.space import InputSpace
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.laboratories.virtual import VirtualLaboratory
+from hsed_jax.physics.outputs import named, of_each
 from hsed_jax.physics.simulator import Conditions, Simulator
 from hsed_jax.physics.spectra import response_spectrum
 from hsed_jax.reporting import figures
@@ -41,17 +42,20 @@ def design_pictures(outcome: Outcome) -> Iterator[tuple[str, Picture]]:
             yield "fig5_expected_improvement", expected_improvement(outcome)
             yield "fig7_estimates", estimates(outcome)
     if outcome.fit is not None and laboratory is not None and has_motion:
-        yield "fig8_responses", _responses(outcome, laboratory, outcome.fit)
+        for owner in _owners(outcome.simulator):
+            yield _file("fig8_responses", owner), _responses(outcome, laboratory, outcome.fit, owner)
 
 
 def _of_specimen(outcome: Outcome, laboratory: VirtualLaboratory) -> Iterator[tuple[str, Picture]]:
     space = outcome.space
     middle = space.declared(np.full((1, len(space.names)), 0.5))[0]
-    truth = {name: value for name, value in laboratory.parameters.items() if "." not in name}
-    if not outcome.simulator.effects and outcome.simulator.law is laboratory.simulator.law:
-        measured = _response(laboratory.simulator, laboratory.parameters, space, middle)
-        predicted = _response(outcome.simulator, truth, space, middle)
-        yield "fig4_loops_and_energy", figures.loops_and_energy(measured, predicted)
+    of_effects = tuple(f"{effect}." for effect in laboratory.simulator.effects)
+    truth = {name: value for name, value in laboratory.parameters.items() if not name.startswith(of_effects)}
+    if not outcome.simulator.effects and outcome.simulator.elements == laboratory.simulator.elements:
+        for owner in _owners(outcome.simulator):
+            measured = _response(laboratory.simulator, laboratory.parameters, space, middle, owner)
+            predicted = _response(outcome.simulator, truth, space, middle, owner)
+            yield _file("fig4_loops_and_energy", owner), figures.loops_and_energy(measured, predicted)
 
 
 def exploration(outcome: Outcome, state: DesignState) -> Picture:
@@ -131,7 +135,17 @@ def _estimate_maps(outcome: Outcome, design: SequentialDesign, laboratory: Virtu
     return figures.estimate_maps((along[:, 0], along[:, 1]), values, names, units, design.space.units)
 
 
-def _responses(outcome: Outcome, laboratory: VirtualLaboratory, fit: Fit) -> Picture:
+def _owners(simulator: Simulator) -> list[str]:
+    """The names of the specimens; that of the only one is empty."""
+    return [element.name for element in simulator.elements]
+
+
+def _file(name: str, owner: str) -> str:
+    """The name of a figure of a specimen."""
+    return f"{name}_{owner}" if owner else name
+
+
+def _responses(outcome: Outcome, laboratory: VirtualLaboratory, fit: Fit, owner: str) -> Picture:
     """The calibrated model against the specimen at two inputs far apart."""
     space = outcome.space
     declared = space.declared(np.asarray([np.full(len(space.names), q) for q in (0.85, 0.3)]))
@@ -140,17 +154,19 @@ def _responses(outcome: Outcome, laboratory: VirtualLaboratory, fit: Fit) -> Pic
     for inputs in declared:
         values = zip(space.names, inputs, strict=True)
         title = ", ".join(f"{name} = {value:.3g} {space.units[name]}" for name, value in values)
-        measured = _response(laboratory.simulator, laboratory.parameters, space, inputs)
-        cases.append((title, measured, _response(outcome.simulator, estimates, space, inputs)))
+        title = f"{owner}: {title}" if owner else title
+        measured = _response(laboratory.simulator, laboratory.parameters, space, inputs, owner)
+        cases.append((title, measured, _response(outcome.simulator, estimates, space, inputs, owner)))
     return figures.response_comparison(cases)
 
 
 def _response(
-    simulator: Simulator, parameters: Mapping[str, float], space: InputSpace, declared: np.ndarray
+    simulator: Simulator, parameters: Mapping[str, float], space: InputSpace, declared: np.ndarray, owner: str
 ) -> dict[str, np.ndarray]:
     conditions = Conditions({name: jnp.asarray(values[0]) for name, values in space.si(declared[None]).items()})
     known = {name: jnp.asarray(value) for name, value in parameters.items()}
-    channels = simulator.respond(known, conditions, _CHANNELS).channels
+    # All specimens at once: one program serves each.
+    channels = simulator.respond(known, conditions, of_each(_owners(simulator), _CHANNELS)).channels
     step, steps, every = simulator.timeline
     time = step * every * np.arange(steps // every + 1)
-    return {"time": time, **{name: np.asarray(values) for name, values in channels.items()}}
+    return {"time": time, **{name: np.asarray(channels[named(owner, name)]) for name in _CHANNELS}}

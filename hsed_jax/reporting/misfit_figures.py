@@ -10,7 +10,7 @@ from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.locate import Location
 from hsed_jax.criticism.prediction import Prediction, error_cell
 from hsed_jax.measurements import Campaign
-from hsed_jax.physics.outputs import output
+from hsed_jax.physics.outputs import named, output, own_name, owner_of
 from hsed_jax.reporting import style
 from hsed_jax.reporting.misfit_maps import error_map, residual_coordinates, splits
 from hsed_jax.reporting.style import Picture
@@ -70,9 +70,9 @@ def overlay(prediction: Prediction, row: int, errors: Mapping[str, Mapping[str, 
     """
     experiment = prediction.experiments[row]
     assert experiment.record is not None
-    count, loop = len(prediction.outputs), hysteresis_loop(prediction, row, campaign)
+    count, loops = len(prediction.outputs), hysteresis_loops(prediction, row, campaign)
     figure = style.new_figure(max(1.7 * count, 2.4) + 0.5)
-    grid = figure.add_gridspec(count, 1 if loop is None else 2, width_ratios=None if loop is None else (1.7, 1))
+    grid = figure.add_gridspec(count, 2 if loops else 1, width_ratios=(1.7, 1) if loops else None)
     panels = [figure.add_subplot(grid[index, 0]) for index in range(count)]
     for panel, name in zip(panels, prediction.outputs, strict=True):
         _history(panel, prediction, row, name)
@@ -84,9 +84,10 @@ def overlay(prediction: Prediction, row: int, errors: Mapping[str, Mapping[str, 
         panel.sharex(panels[-1])
         panel.tick_params(labelbottom=False)
     figure.align_ylabels(panels)
-    if loop is not None:
-        panels.append(figure.add_subplot(grid[:2, 1]))
-        _draw_loop(panels[-1], *loop)
+    for number, (owner, loop) in enumerate(loops.items()):
+        rows = slice(number * count // len(loops), (number + 1) * count // len(loops)) if owner else slice(0, 2)
+        panels.append(figure.add_subplot(grid[rows, 1]))
+        _draw_loop(panels[-1], owner, *loop)
     failed = ", simulation diverged" if prediction.diverged[row] else ""
     style.panel_titles(panels)
     style.legend(figure, *panels)
@@ -96,9 +97,9 @@ def overlay(prediction: Prediction, row: int, errors: Mapping[str, Mapping[str, 
     return Picture(
         figure,
         f"Experiment {which} ({experiment.split}{failed}), measured (dashed) and predicted at the MAP (continuous) with the 90 % "
-        f"predictive band: {style.lettered([*map(style.words, prediction.outputs), *(['hysteresis loop'] if loop else [])])}."
+        f"predictive band: {style.lettered([*map(style.words, prediction.outputs), *(words_of_loop(owner) for owner in loops)])}."
         + ("" if experiment.window is None else "  Shaded: the part of the record that is scored."),
-        f"Histories of {', '.join(prediction.outputs)}{'' if loop is None else ' and the hysteresis loop'}. {said}.",
+        f"Histories of {', '.join(prediction.outputs)}{' and the hysteresis loop' if loops else ''}. {said}.",
     )
 
 
@@ -122,28 +123,41 @@ def _history(panel: Axes, prediction: Prediction, row: int, name: str) -> None:
     panel.set_ylabel(style.history_label(name, unit))
 
 
-def hysteresis_loop(prediction: Prediction, row: int, campaign: Campaign) -> tuple[np.ndarray, ...] | None:
-    """Measured elongation and force, then predicted, where scored; None where one of them is not known."""
-    record = prediction.experiments[row].record
-    if record is None or "force" not in prediction.outputs:
-        return None
-    force, predicted, _, _ = prediction.histories(row, "force")
-    if "elongation" in prediction.outputs:
-        there, ours, _, _ = prediction.histories(row, "elongation")
-    elif campaign.protocol == "displacement" and "elongation" in record.channels:
-        there = ours = record["elongation"]
-    else:
-        return None
-    scored = prediction.used[row, prediction.columns("force")][: len(record)]
-    return tuple(np.where(scored, channel, np.nan) for channel in (there, force, ours, predicted))
+def hysteresis_loops(prediction: Prediction, row: int, campaign: Campaign) -> dict[str, tuple[np.ndarray, ...]]:
+    """By specimen, measured elongation and force, then predicted, where scored; those where both are known."""
+    record, found = prediction.experiments[row].record, {}
+    forces = [name for name in prediction.outputs if own_name(name) == "force"]
+    for name in forces if record is not None else ():
+        assert record is not None
+        owner = owner_of(name)
+        along = named(owner, "elongation")
+        force, predicted, _, _ = prediction.histories(row, name)
+        if along in prediction.outputs:
+            there, ours, _, _ = prediction.histories(row, along)
+        elif campaign.protocol == "displacement" and along in record.channels:
+            there = ours = record[along]
+        else:
+            continue
+        scored = prediction.used[row, prediction.columns(name)][: len(record)]
+        found[owner] = tuple(np.where(scored, channel, np.nan) for channel in (there, force, ours, predicted))
+    return found
 
 
-def _draw_loop(panel: Axes, there: np.ndarray, force: np.ndarray, ours: np.ndarray, predicted: np.ndarray) -> None:
+def words_of_loop(owner: str) -> str:
+    """What the loop of a specimen is called in a caption."""
+    return f"hysteresis loop of {style.words(owner)}" if owner else "hysteresis loop"
+
+
+def _draw_loop(
+    panel: Axes, owner: str, there: np.ndarray, force: np.ndarray, ours: np.ndarray, predicted: np.ndarray
+) -> None:
     x, x_unit = style.readable("m", there, ours)
     y, y_unit = style.readable("N", force, predicted)
     panel.plot(there / x, force / y, **{**style.MEASURED, "label": "measured", "linewidth": 0.8})
     panel.plot(ours / x, predicted / y, **{**style.PREDICTED, "label": "predicted", "linewidth": 0.9})
-    panel.set(xlabel=style.channel_label("elongation", x_unit), ylabel=style.channel_label("force", y_unit))
+    names = (named(owner, name) for name in ("elongation", "force"))
+    labels = [style.channel_label(name, unit) for name, unit in zip(names, (x_unit, y_unit), strict=True)]
+    panel.set(xlabel=labels[0], ylabel=labels[1])
 
 
 @style.in_house_style
@@ -158,18 +172,20 @@ def loops(comparison: Comparison, campaign: Campaign) -> Picture | None:
         The picture; None where force and elongation are not both known.
     """
     found = []
-    for name, split, prediction in splits(comparison):
+    for name, part, prediction in splits(comparison):
         for row, experiment in enumerate(prediction.experiments):
-            loop = hysteresis_loop(prediction, row, campaign)
-            if loop is not None and experiment.id in split.per_experiment:
-                found.append((badness(split.per_experiment[experiment.id]["force"]), f"{experiment.id} ({name})", loop))
+            if experiment.id not in part.per_experiment:
+                continue
+            for owner, loop in hysteresis_loops(prediction, row, campaign).items():
+                error = badness(part.per_experiment[experiment.id][named(owner, "force")])
+                found.append((error, f"{experiment.id} ({name})", owner, loop))
     if not found:
         return None
     found.sort(key=lambda entry: -entry[0])
     shown = found[:_LOOPS]
     figure, panels = style.panels(len(shown), 2.3, across=3)
-    for panel, (error, who, loop) in zip(panels, shown, strict=True):
-        _draw_loop(panel, *loop)
+    for panel, (error, who, owner, loop) in zip(panels, shown, strict=True):
+        _draw_loop(panel, owner, *loop)
         panel.set_title(style.plain(who, 20), loc="left")
         panel.set_title(f"error {error_cell(error)}", loc="right")
     style.legend(figure, panels[0])
@@ -237,7 +253,7 @@ def error_table(comparison: Comparison) -> Picture | None:
         [
             style.plain(id, 28),
             split,
-            name.replace("_", " "),
+            style.words(name),
             *(_cell(values.get(key, np.nan), factor, look) for key, (_, factor, look) in columns.items()),
         ]
         for id, split, name, values in shown

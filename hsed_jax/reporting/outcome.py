@@ -129,8 +129,10 @@ def _references(outcome: Outcome) -> dict[str, str]:
     used = [*outcome.simulator.effects]
     used += [] if outcome.diagnosis is None else outcome.diagnosis.effects
     used += [] if outcome.trail is None else [effect for step in outcome.trail.steps for effect in step.effects]
-    law = outcome.simulator.law
-    return {law.name: law.reference} | {name: outcome.catalogue[name].reference for name in dict.fromkeys(used)}
+    laws = [element.law for element in outcome.simulator.elements]
+    return {law.name: law.reference for law in laws} | {
+        name: outcome.catalogue[name].reference for name in dict.fromkeys(used)
+    }
 
 
 def _doubts(fit: Fit) -> dict[str, Any]:

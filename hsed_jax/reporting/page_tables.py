@@ -9,7 +9,7 @@ import numpy as np
 from hsed_jax.criticism.coordinates import UNITS, coordinates_of
 from hsed_jax.criticism.prediction import has_diverged
 from hsed_jax.measurements import Record
-from hsed_jax.physics.outputs import output
+from hsed_jax.physics.outputs import output, own_name
 from hsed_jax.reporting import style
 from hsed_jax.reporting.finished import SPLITS, FinishedRun
 
@@ -86,7 +86,7 @@ def axes_of(run: FinishedRun) -> dict[str, Axis]:
     axes = {}
     for name, values in found.items():
         divisor, unit = style.readable(output(name).unit, *values)
-        axes[name] = Axis(name.replace("_", " ").capitalize(), divisor, unit_words(unit))
+        axes[name] = Axis(style.words(name).capitalize(), divisor, unit_words(unit))
     return axes
 
 
@@ -97,7 +97,7 @@ def samples_table(run: FinishedRun) -> Table:
     for id, split, models in histories:
         record = _predicted_part(run.campaign[id].record, models)
         kept = thinned(
-            [record.channels[name] for name in ("force", "elongation") if name in record.channels]
+            [values for name, values in record.channels.items() if own_name(name) in ("force", "elongation")]
             or [*record.channels.values()],
             int(np.clip(_ROWS // max(len(histories), 1), _FEWEST, _MOST)),
         )
@@ -158,9 +158,9 @@ def residual_table(run: FinishedRun) -> Table:
     }
     for id, _, models in _histories(run):
         experiment = run.campaign[id]
-        along = {name: values for name, values in coordinates_of(experiment).items() if name in UNITS}
-        along |= {name: np.full(len(along["time"]), value) for name, value in _declared(run, id).items()}
         for name, scale in scales.items():
+            along = {key: values for key, values in coordinates_of(experiment, name).items() if key in UNITS}
+            along |= {key: np.full(len(along["time"]), value) for key, value in _declared(run, id).items()}
             for model, dataset in models.items():
                 if f"{name}_measured" not in dataset:
                     continue
@@ -179,7 +179,7 @@ def residual_table(run: FinishedRun) -> Table:
             label, divisor = _coordinate(run, coordinate, values)
             for low, high, size in _bins(values, residual):
                 rows.append(
-                    {"coordinate": label, "output": name.replace("_", " "), "model": model, "from": low / divisor,
+                    {"coordinate": label, "output": style.words(name), "model": model, "from": low / divisor,
                      "to": high / divisor, "at": 0.5 * (low + high) / divisor, "residual": size}
                 )  # fmt: skip
     return columns(rows)

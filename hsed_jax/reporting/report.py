@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from hsed_jax.criticism.prediction import error_cell
+from hsed_jax.physics.outputs import loops, named
 from hsed_jax.plain import dump_yaml
 from hsed_jax.reporting import charts, style
 from hsed_jax.reporting import page_tables as tables
@@ -75,16 +76,23 @@ def _charts(run: FinishedRun) -> tuple[dict[str, Any], dict[str, tables.Table]]:
     if run.observes_histories:
         data |= {"samples": tables.samples_table(run), "residual": tables.residual_table(run)}
         time = "Time [s]" if run.campaign.has_time else "Row"
-        loop = {"force_measured", "elongation_measured"} <= data["samples"].keys() and "force" in outputs
+        known = [name.removesuffix("_measured") for name in data["samples"] if name.endswith("_measured")]
+        found = [named(owner, "") for owner in loops(known) if named(owner, "force") in outputs]
+        # In the language of the charts a dot would lead into a value.
+        data["samples"] = {_column(name): values for name, values in data["samples"].items()}
+        drawable = {_column(name): axis for name, axis in axes.items()}
+        pairs = [_column(prefix) for prefix in found]
         if windows := tables.windows_table(run):
             data["windows"] = windows
-        drawn["histories"] = charts.histories(axes, outputs, models, time, loop, bool(windows))
+        drawn["histories"] = charts.histories(
+            drawable, [_column(name) for name in outputs], models, time, pairs, bool(windows)
+        )
         if data["residual"]:
             noise = {
-                name.replace("_", " "): v["noise_floor"]
+                style.words(name): v["noise_floor"]
                 for name, v in run.comparisons["before"]["train"]["per_output"].items()
             }
-            named = [name.replace("_", " ") for name in outputs]
+            named = [style.words(name) for name in outputs]
             drawn["residual"] = charts.residual_along(
                 list(dict.fromkeys(data["residual"]["coordinate"])), named, noise, models
             )
@@ -93,6 +101,11 @@ def _charts(run: FinishedRun) -> tuple[dict[str, Any], dict[str, tables.Table]]:
         if data["quantities"]:
             drawn["histories"] = charts.quantities(axes, outputs, models)
     return drawn, data
+
+
+def _column(name: str) -> str:
+    """What the column of an output is called in the table behind the charts."""
+    return name.replace(".", "·")
 
 
 def _stills(run: FinishedRun, names: Sequence[str]) -> Iterator[InlineFigure]:
@@ -144,7 +157,7 @@ def _ranking(run: FinishedRun) -> dict[str, Any]:
         forms = {"probability": "{:.3f}", "log_evidence_gain": "{:.1f}"}
         numbers = [form.format(candidate[key]) if key in candidate else "–" for key, form in forms.items()]
         numbers += [error_cell(candidate.get(key)) for key in ("error_train", "error_test")]
-        rows.append([candidate["effect"].replace("_", " "), candidate["family"], "; ".join(sizes), *numbers])
+        rows.append([style.words(candidate["effect"]), candidate["family"], "; ".join(sizes), *numbers])
     return {"heads": heads, "rows": rows, "named": named, "rest": len(diagnosis["ranking"]) - len(rows)}
 
 
@@ -153,7 +166,7 @@ def _falls(run: FinishedRun) -> list[tuple[str, str, str]]:
     steps, has_test = run.summary.get("improvement", {}).get("steps", []), "test" in run.comparisons.get("before", {})
     return [
         (
-            "+ " + step["effects"][-1].replace("_", " ") if step["effects"] else "as it was",
+            "+ " + style.words(step["effects"][-1]) if step["effects"] else "as it was",
             error_text(step, "error_train", ".4f"),
             error_text(step, "error_test", ".4f") if has_test else "–",
         )

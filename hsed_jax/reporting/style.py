@@ -24,7 +24,7 @@ from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.laws import LAWS
-from hsed_jax.physics.outputs import output
+from hsed_jax.physics.outputs import output, own_name, owner_of
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.structures import OWNER, parameter_of
 
@@ -181,17 +181,17 @@ def readable(unit: str, *values: npt.ArrayLike) -> tuple[float, str]:
 
 def channel_label(name: str, unit: str) -> str:
     """Axis label of a channel or quantity in a given unit: ``Force $r$ [kN]``."""
-    return f"{name.replace('_', ' ').capitalize()} ${output(name).symbol}$ [{unit_text(unit)}]"
+    return f"{words(own_name(name)).capitalize()} ${output(name).symbol}$ [{unit_text(unit)}]"
 
 
 def words(name: str) -> str:
-    """The name of a channel or quantity in running text."""
-    return name.replace("_", " ")
+    """A name in running text; what is of one of several specimens after the name of that."""
+    return name.replace("_", " ").replace(".", ": ")
 
 
 def history_label(name: str, unit: str) -> str:
     """`channel_label` in several lines where the name is long, for panels that stand low above one another."""
-    lines = textwrap.wrap(name.replace("_", " ").capitalize(), 14)
+    lines = textwrap.wrap(words(own_name(name)).capitalize(), 14)
     whole = channel_label(name, unit)
     return whole if len(lines[0]) <= 12 and len(lines) == 1 else "\n".join([*lines, whole[whole.index("$") :]])
 
@@ -203,17 +203,24 @@ def label(name: str, unit: str) -> str:
 
 def symbol(name: str) -> str:
     """The symbol that a parameter declares, in dollars; else a short name as it is set, V_P; else the name as words."""
-    effect, _, own = name.rpartition(".")
-    if effect == OWNER:
+    owner, own = owner_of(name), own_name(name)
+    if owner == OWNER:
         return f"${parameter_of(own).symbol}$"
-    owners = [EFFECTS[effect]] if effect in EFFECTS else [] if effect else LAWS.values()
-    declared = next((known[own] for owner in owners if own in (known := parameters_of(owner))), None)
+    place, effect = owner_of(owner), own_name(owner) if is_of_effect(name) else (owner, "")
+    sources = [EFFECTS[effect]] if effect else [] if "." in place else LAWS.values()
+    declared = next((known[own] for source in sources if own in (known := parameters_of(source))), None)
     if declared:
-        return f"${declared.symbol}$"
+        mark = place.replace("_", r"\_")
+        return rf"${declared.symbol}\,\mathrm{{({mark})}}$" if place else f"${declared.symbol}$"
     if match := re.fullmatch(r"([A-Za-z])(?:_([A-Za-z0-9]+))?", name):
         stem, index = match.groups()
         return f"${stem}_{{{index}}}$" if index else f"${stem}$"
     return name.replace("_", " ").replace("$", r"\$")
+
+
+def is_of_effect(name: str) -> bool:
+    """Whether a parameter is one of an effect of the package."""
+    return own_name(owner_of(name)) in EFFECTS
 
 
 def plain(name: str, longest: int = 40) -> str:

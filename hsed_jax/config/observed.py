@@ -1,0 +1,105 @@
+"""What a study observes: the names of its quantities or channels, as campaign, laboratory and model can give them."""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from hsed_jax.config import parts
+from hsed_jax.config.experiments import MeasuredEntry
+from hsed_jax.config.laboratories import IMPOSED
+from hsed_jax.config.schema import Study
+from hsed_jax.errors import UserError
+from hsed_jax.physics.outputs import CHANNELS, PER_MASS, of_each, own_name, owner_of, quantity
+from hsed_jax.physics.structures import Structure
+from hsed_jax.plain import shown
+
+if TYPE_CHECKING:
+    from hsed_jax.config.build import Built
+
+
+def outputs_of(built: "Built") -> tuple[str, ...]:
+    """Names of the observed quantities or channels.
+
+    Raises:
+        UserError: one is not measured, or is none that the model gives.
+    """
+    study, structure, measured = built.study, built.structure, built.measured
+    owners = [element.name for element in built.elements]
+    if study.observe == "quantities":
+        # A record that ends before is passed over.
+        duration = built.planned.step * built.planned.steps if built.grid is None else math.inf
+        _check_quantities(study.quantities, structure, owners, duration)
+        return tuple(study.quantities)
+    if measured is None:
+        known = _declared(study)
+        names = tuple(study.channels or known or of_each(owners, ("elongation", "force")))
+    else:
+        imposed = (*IMPOSED, "elongation") if built.component_test else IMPOSED
+        known = tuple(name for name in measured.channels if name not in imposed)
+        names = tuple(study.channels or known)
+    for name in names:
+        if known is not None and name not in known:
+            raise UserError(f"channels: {name} was not measured; measured are {', '.join(known) or 'none'}")
+        parts.at("channels", _check_channel, name, structure, owners)
+    if not names:
+        raise UserError("observe: there is no measured channel to compare with; the campaign has only what was imposed")
+    return names
+
+
+def _check_channel(name: str, structure: Structure | None, owners: Sequence[str]) -> None:
+    """Refuse a channel that the model does not give.
+
+    Arguments:
+        name: of the channel.
+        structure: that the specimens are in; None: the specimen is alone.
+        owners: names of the specimens.
+
+    Raises:
+        UserError: there is no such channel, it is imposed, or it is of a mass that does not exist.
+    """
+    masses = range(1, _count(structure) + 1)
+    kinds = [*(f"{kind}_{{}}" for kind in PER_MASS), "acceleration_{}_absolute"]
+    given = [
+        *of_each(owners, [name for name in CHANNELS if name not in IMPOSED]),
+        *(kind.format(mass) for mass in masses for kind in kinds),
+    ]
+    if name not in given:
+        raise UserError(f"there is no channel {shown(name)} that the model gives; it gives {', '.join(given)}")
+
+
+def _check_quantities(
+    names: Sequence[str], structure: Structure | None, owners: Sequence[str], duration: float
+) -> None:
+    """Refuse a quantity that the model does not give.
+
+    Arguments:
+        names: of the quantities.
+        structure: that the specimens are in; None: the specimen is alone.
+        owners: names of the specimens.
+        duration: of the experiments [s].
+
+    Raises:
+        UserError: one is of no specimen that there is, or of masses, and there are none, or of a time after the end.
+    """
+    for name in names:
+        known = quantity(name)
+        if known.of_specimen and owner_of(name) not in owners:
+            each = ", ".join(of_each(owners, (own_name(name),)))
+            raise UserError(f"quantities: there is no {name}; the structure has {each}")
+        if not known.channels(_count(structure)):
+            raise UserError(f"quantities: {name} is one of masses, and a component test has none; leave it out")
+        if known.until > duration:
+            raise UserError(f"quantities: {name} lies beyond the end of the experiments, which last {duration:g} s")
+
+
+def _count(structure: Structure | None) -> int:
+    """Of the masses."""
+    return 0 if structure is None else len(structure.masses)
+
+
+def _declared(study: Study) -> tuple[str, ...] | None:
+    """Channels of responses that the laboratory declares; None where it measures what it is asked for."""
+    entry = study.experiments.laboratory
+    if not isinstance(entry, MeasuredEntry) or not entry.channels:
+        return None
+    return tuple(name for name in entry.channels if name not in IMPOSED)
