@@ -20,8 +20,8 @@ from hsed_jax.config.plan import check_added, left_out
 from hsed_jax.errors import UserError
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.effects.base import slots_of
-from hsed_jax.physics.excitations import Imposed, NearFaultPulse, Tabulated
 from hsed_jax.physics.elements import Element
+from hsed_jax.physics.excitations import Imposed, NearFaultPulse, Tabulated
 from hsed_jax.physics.laws import LAWS, BoucWen
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.scales import Scales

@@ -233,9 +233,8 @@ def output(name: str) -> Output:
 
 def is_quantity(name: str) -> bool:
     """Whether this is the name of a quantity."""
-    owner, own = owner_of(name), own_name(name)
-    known = _quantity(own)
-    return known is not None and _may_have(owner, known)
+    known = _quantity(own_name(name))
+    return known is not None and _may_be(name, known)
 
 
 @functools.cache
@@ -247,7 +246,7 @@ def quantity(name: str) -> Quantity:
     """
     owner, own = owner_of(name), own_name(name)
     known = _quantity(own)
-    if known is None or not _may_have(owner, known):
+    if known is None or not _may_be(name, known):
         raise KeyError(name)
     if not owner:
         return known
@@ -293,7 +292,7 @@ def channel(name: str) -> Output:
     """
     owner, own = owner_of(name), own_name(name)
     known = CHANNELS.get(own) or _of_mass(own)
-    if known is None or not _may_have(owner, known):
+    if known is None or not _may_be(name, known):
         raise KeyError(name)
     return _of(owner, known) if owner else known
 
@@ -309,9 +308,9 @@ def _of_mass(own: str) -> Output | None:
     return Output(f"{of_mass.symbol}_{{{mass}{mark}}}", of_mass.unit, f"{meaning}, mass {mass}", of_specimen=False)
 
 
-def _may_have(owner: str, known: Output) -> bool:
-    """Whether an output may bear the name of a specimen, or none."""
-    return not owner or (known.of_specimen and SPECIMEN.fullmatch(owner) is not None)
+def _may_be(name: str, known: Output) -> bool:
+    """Whether an output may have that of a specimen in its name, or has none."""
+    return "." not in name or (known.of_specimen and SPECIMEN.fullmatch(owner_of(name)) is not None)
 
 
 def _of[T: Output](owner: str, known: T) -> T:

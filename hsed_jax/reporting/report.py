@@ -92,9 +92,9 @@ def _charts(run: FinishedRun) -> tuple[dict[str, Any], dict[str, tables.Table]]:
                 style.words(name): v["noise_floor"]
                 for name, v in run.comparisons["before"]["train"]["per_output"].items()
             }
-            named = [style.words(name) for name in outputs]
+            said = [style.words(name) for name in outputs]
             drawn["residual"] = charts.residual_along(
-                list(dict.fromkeys(data["residual"]["coordinate"])), named, noise, models
+                list(dict.fromkeys(data["residual"]["coordinate"])), said, noise, models
             )
     else:
         data["quantities"] = tables.quantities_table(run)

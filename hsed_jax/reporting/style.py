@@ -206,7 +206,7 @@ def symbol(name: str) -> str:
     owner, own = owner_of(name), own_name(name)
     if owner == OWNER:
         return f"${parameter_of(own).symbol}$"
-    place, effect = owner_of(owner), own_name(owner) if is_of_effect(name) else (owner, "")
+    place, effect = (owner_of(owner), own_name(owner)) if is_of_effect(name) else (owner, "")
     sources = [EFFECTS[effect]] if effect else [] if "." in place else LAWS.values()
     declared = next((known[own] for source in sources if own in (known := parameters_of(source))), None)
     if declared:

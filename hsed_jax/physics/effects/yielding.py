@@ -11,10 +11,10 @@ from hsed_jax.physics.parameters import PhysicalForm, parameter
 @register
 @final
 class Yielding(AbstractSpringEffect):
-    r"""A linear spring yields: $f = k(\Delta u - p)$, $\dot p = \tfrac12(1 + \mathrm{sign}\,x\Delta\dot u)\,|x|\,\Delta\dot u$.
+    r"""A linear spring yields: $f = k(\Delta u - p)$, $\dot p = (1 - \phi + \phi\,\mathrm{sign}(x\Delta\dot u))|x|\Delta\dot u$.
 
-    $x = \delta\,(\Delta u - p)/u_c$ is the elastic elongation over that at which the force comes to its bound, $u_c/\delta$; the
-    unloading is elastic (Bouc–Wen with n = 1, β = γ).  At δ = 0 the bound is infinite.
+    $x = \delta(\Delta u - p)/u_c$ is the elastic elongation over that at which the force comes to its bound, $u_c/\delta$:
+    Bouc–Wen with n = 1 and φ = β/(β + γ), whose unloading is elastic at φ = 1/2.  At δ = 0 the bound is infinite.
     """
 
     name: ClassVar[str] = "yielding"
@@ -33,6 +33,10 @@ class Yielding(AbstractSpringEffect):
         physical=PhysicalForm("inverse_yield_elongation", "1/m", lambda scales: 1 / scales.elongation),
     )
 
+    phi: Scalar = parameter(
+        r"\phi_y", "1", "fullness of the loop, β/(β + γ)", neutral=0.5, lower=0.0, prior={"uniform": [0.5, 1.0]}
+    )
+
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `plastic`."""
         return {"plastic": point.memory["plastic"]}
@@ -40,5 +44,5 @@ class Yielding(AbstractSpringEffect):
     def flow(self, point: SpringPoint) -> dict[str, Scalar]:
         """Rate of the plastic elongation."""
         x = self.delta * (point.elongation - point.memory["plastic"]) / point.scales.elongation
-        share = 0.5 * (1 + jnp.sign(point.rate * x)) * jnp.abs(x)
+        share = (1 - self.phi + self.phi * jnp.sign(point.rate * x)) * jnp.abs(x)
         return {"plastic": share * point.rate}
