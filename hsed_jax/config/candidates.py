@@ -110,6 +110,7 @@ def problem_of(
         models=models,
         names=order,
         units=large.units,
+        pair=large.pair,
         catalogue=catalogue,
         law=np.asarray([k for k in range(len(order)) if k not in of_effects]),
         effects=own,

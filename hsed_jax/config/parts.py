@@ -19,6 +19,7 @@ from hsed_jax.measurements.units import TIME, VELOCITY
 from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.excitations import NearFaultPulse, RecordedMotion
 from hsed_jax.physics.laws import AbstractSpringLaw
+from hsed_jax.physics.pairs import Pair
 from hsed_jax.physics.parameters import Parameter, parameters_of
 from hsed_jax.physics.simulator import Parametrised, Timeline
 from hsed_jax.physics.specimen import unserved
@@ -74,7 +75,7 @@ def recorded_motion(entry: ExcitationEntry, folder: Path) -> tuple[np.ndarray, n
 
 
 def model_parameters(
-    model: ModelEntry, law: type[AbstractSpringLaw], catalogue: Catalogue, of_structure: Mapping[str, Prior]
+    model: ModelEntry, law: type[AbstractSpringLaw], catalogue: Catalogue, of_structure: Mapping[str, Prior], pair: Pair
 ) -> tuple[dict[str, Prior], dict[str, float]]:
     """Free parameters of the model with their priors, those of the structure last, and the fixed ones with their values."""
     of_law = parameters_of(law)
@@ -84,7 +85,8 @@ def model_parameters(
         if name in model.parameters:
             given[name] = (f"model.parameters.{name}", known, model.parameters[name])
         elif known.neutral is None:
-            raise UserError(f"model.parameters.{name}: this key is required ({known.meaning}, {known.unit})")
+            meaning = f"{pair.words(known.meaning)}, {pair.unit(known.unit)}"
+            raise UserError(f"model.parameters.{name}: this key is required ({meaning})")
     for effect, entries in model.effects.items():
         forms = effect_parameters("model.effects", effect, entries, law, catalogue)
         named = {forms[name].name for name in entries}
@@ -145,9 +147,13 @@ def _check_possible(where: str, law: type[AbstractSpringLaw], highest: Mapping[s
 
 
 def parameter_units(
-    names: tuple[str, ...], constants: Mapping[str, float], law: type[AbstractSpringLaw], catalogue: Catalogue
+    names: tuple[str, ...],
+    constants: Mapping[str, float],
+    law: type[AbstractSpringLaw],
+    catalogue: Catalogue,
+    pair: Pair,
 ) -> dict[str, str]:
-    """SI unit of every named parameter."""
+    """SI unit of every named parameter of a specimen that is measured in a pair."""
     units = {}
     for name in names:
         effect, _, rest = name.rpartition(".")
@@ -158,7 +164,8 @@ def parameter_units(
         physical = {p.physical.name: p.physical.unit for p in known.values() if p.physical is not None}
         unit = known[rest].unit if rest in known else physical[rest]
         # With n = 1 the unit of β and γ is an ordinary one.
-        units[name] = "1/m" if unit == "N^(1-n)/m" and constants.get("n", 1.0) == 1 and "n" not in names else unit
+        unit = "1/m" if unit == "N^(1-n)/m" and constants.get("n", 1.0) == 1 and "n" not in names else unit
+        units[name] = pair.unit(unit)
     return units
 
 

@@ -10,6 +10,7 @@ from hsed_jax.criticism.measured import Measured
 from hsed_jax.inference.nested import NestedModels
 from hsed_jax.measurements import Experiment
 from hsed_jax.physics.effects import Catalogue
+from hsed_jax.physics.pairs import Pair
 from hsed_jax.physics.scales import Scales
 
 
@@ -19,6 +20,7 @@ class Problem(NamedTuple):
     Attributes:
         models: the model with every candidate effect in it.
         names, units: of its parameters.
+        pair: that the specimen is measured in.
         catalogue: the candidates.
         law: indices of the parameters that are free without any candidate.
         effects: indices of the parameters of each candidate.
@@ -35,6 +37,7 @@ class Problem(NamedTuple):
     models: NestedModels
     names: tuple[str, ...]
     units: Mapping[str, str]
+    pair: Pair
     catalogue: Catalogue
     law: np.ndarray
     effects: Mapping[str, np.ndarray]

@@ -5,6 +5,7 @@ import numpy as np
 from hsed_jax.measurements.campaign import Campaign
 from hsed_jax.measurements.characteristics import initial_stiffness
 from hsed_jax.measurements.experiment import Record
+from hsed_jax.measurements.units import DIMENSIONLESS
 from hsed_jax.tables import Table
 
 
@@ -15,8 +16,9 @@ def overview(campaign: Campaign) -> Table:
     heads = ["experiment", *(["samples"] if channels else [])]
     heads += [f"{name} [{campaign.unit(name).text}]" for name in (*channels, *campaign.quantities)]
     if loop:
-        force, length = campaign.unit("force").text, campaign.unit("elongation").text
-        heads += [f"initial stiffness [{force}/{length}]", f"dissipated energy [{force} {length}]"]
+        force, elongation = campaign.unit("force").text, campaign.unit("elongation").text
+        over, times = ("", "") if elongation in DIMENSIONLESS else (f"/{elongation}", f" {elongation}")
+        heads += [f"initial stiffness [{force}{over}]", f"dissipated energy [{force}{times}]"]
     rows = []
     for experiment in campaign.completed:
         record = experiment.record
