@@ -110,7 +110,6 @@ def problem_of(
         models=models,
         names=order,
         units=large.units,
-        pair=large.pair,
         catalogue=catalogue,
         law=np.asarray([k for k in range(len(order)) if k not in of_effects]),
         effects=own,
@@ -123,6 +122,7 @@ def problem_of(
         seed=built.study.seed,
         start=start,
         notes=left_out(built.law, built.catalogue),
+        pair=large.pair,
     )
 
 
