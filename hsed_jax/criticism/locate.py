@@ -32,6 +32,7 @@ _READABLE = {
     "m": (("mm", 1e3),),
     "m/s": (("mm/s", 1e3),),
     "rad": (("mrad", 1e3),),
+    "rad/s": (("mrad/s", 1e3),),
     "1": (("", 1.0),),
 }
 _SMALLEST_PART = 0.05

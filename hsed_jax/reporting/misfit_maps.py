@@ -104,7 +104,7 @@ def _numbers(samples: Samples, campaign: Campaign) -> dict[str, tuple[np.ndarray
     for name, values in samples.numbers.items():
         values = np.asarray(values, dtype=float)
         unit = pair.unit(UNITS[name])
-        divisor, unit = (1e-3, "mm/s") if unit == "m/s" else style.readable(unit, values)
+        divisor, unit = (1e-3, f"m{unit}") if unit in ("m/s", "rad/s") else style.readable(unit, values)
         symbol = f" $|{pair.elongation_symbol}|$" if name == "amplitude" else ""
         label = f"{pair.words(_AXES[name])}{symbol} [{style.unit_text(unit)}]"
         if name == "time" and not campaign.has_time:

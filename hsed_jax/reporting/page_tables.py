@@ -232,7 +232,7 @@ def _coordinate(run: FinishedRun, name: str, values: np.ndarray) -> tuple[str, f
     if name == "cycle" or (name == "time" and not run.campaign.has_time):
         return ("row" if name == "time" else "cycle"), 1.0
     unit = run.campaign.pair.unit(UNITS[name])
-    divisor, unit = (1e-3, "mm/s") if unit == "m/s" else style.readable(unit, values)
+    divisor, unit = (1e-3, f"m{unit}") if unit in ("m/s", "rad/s") else style.readable(unit, values)
     return f"{run.campaign.pair.words(_WORDS.get(name, name))} [{unit_words(unit)}]", divisor
 
 
