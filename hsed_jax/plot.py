@@ -170,8 +170,8 @@ def measured_against_predicted(calibration: Calibration, campaign: Campaign | No
     Raises:
         UserError: time histories were observed.
     """
-    comparison, _ = _compared(calibration, campaign, "quantities")
-    return _several(misfit_figures.measured_against_predicted(comparison))
+    comparison, campaign = _compared(calibration, campaign, "quantities")
+    return _several(misfit_figures.measured_against_predicted(comparison, campaign))
 
 
 def posterior(
@@ -261,7 +261,9 @@ def expected(design: AskTell, experiment: str) -> np.ndarray:
     given = ", ".join(f"{n} = {v:.4g} {design.built.space.units[n]}" for n, v in asked.inputs.items())
     found = design.expected(asked)
     measured = design.campaign[experiment].record
-    picture = request_figures.expected_response(f"{experiment} at {given}", found.time, found.channels, measured)
+    picture = request_figures.expected_response(
+        f"{experiment} at {given}", found.time, found.channels, measured, design.built.pair
+    )
     return _several(picture)
 
 

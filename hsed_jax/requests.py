@@ -21,7 +21,7 @@ from hsed_jax.laboratories.answer import QUANTITIES, RECORD, is_answered, left, 
 from hsed_jax.laboratories.base import ExperimentFailed, Measured
 from hsed_jax.laboratories.request import Request
 from hsed_jax.measurements import Record, parse_unit
-from hsed_jax.physics.outputs import EQ_18, further, of_each, output
+from hsed_jax.physics.outputs import EQ_18, further, of_each
 from hsed_jax.physics.simulator import Conditions
 
 BAND = (0.05, 0.5, 0.95)
@@ -109,6 +109,7 @@ class Requests:
         if (folder / "request.json").is_file():
             return
         folder.mkdir(parents=True, exist_ok=True)
+        output = self.built.pair.output
         expected, sensors = self.expected(asked), self.built.sensors
         columns = {"t [s]": expected.time}
         for name, band in expected.channels.items():

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hsed_jax.backend import prepare
-from hsed_jax.config import laboratories, observed, parts, structures
+from hsed_jax.config import laboratories, observed, pairs, parts, structures
 from hsed_jax.config import records as records_of
 from hsed_jax.config.limits import limits_of
 from hsed_jax.config.noise import errors_of
@@ -36,6 +36,7 @@ from hsed_jax.measurements.thinning import thinned
 from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.elements import Element
 from hsed_jax.physics.laws import AbstractSpringLaw
+from hsed_jax.physics.pairs import Pair
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Parametrised, Simulator, Timeline
 from hsed_jax.physics.structures import OWNER, Structure
@@ -94,6 +95,11 @@ class Built:
         """Whether the elongation was imposed on the specimen alone."""
         return self.measured is not None and self.measured.protocol == "displacement"
 
+    @cached_property
+    def pair(self) -> Pair:
+        """What elongation and force of the specimen are, as whoever measures them declares."""
+        return pairs.study_pair(self)
+
     def taken(self, experiments: Sequence[Experiment]) -> tuple[Experiment, ...]:
         """Experiments as they are fitted and scored: long records of a component test are thinned."""
         samples = self.study.measurements.samples
@@ -123,7 +129,7 @@ class Built:
     @cached_property
     def parameters(self) -> tuple[dict[str, Prior], dict[str, float]]:
         """Free parameters of the model with their priors, and the fixed ones with their values."""
-        return self.naming.model_parameters(self.study, self._of_structure)
+        return self.naming.model_parameters(self.study, self._of_structure, self.pair)
 
     @cached_property
     def _of_structure(self) -> dict[str, Prior]:
@@ -145,7 +151,7 @@ class Built:
     def units(self) -> dict[str, str]:
         """SI unit of every free parameter."""
         free, fixed = self.parameters
-        return self.naming.units(tuple(free), fixed)
+        return self.naming.units(tuple(free), fixed, self.pair)
 
     @cached_property
     def excitation(self) -> Parametrised | None:
@@ -275,7 +281,7 @@ class Built:
         """Of each output."""
         source = self.sensors if self.measured is None else self.measured
         declared = source.quantities if self.study.observe == "quantities" else source.channels
-        return errors_of(self.study, self.outputs, declared)
+        return errors_of(self.study, self.outputs, declared, self.pair)
 
     @cached_property
     def posterior(self) -> Posterior:
@@ -286,6 +292,7 @@ class Built:
 
     def data(self, campaign: Campaign, experiments: Sequence[Experiment], size: int | None = None) -> Data:
         """Experiments of a campaign as data, padded to `size` rows."""
+        pairs.check_same(campaign, self.pair)
         relative = np.asarray([error.is_relative for error in self.errors])
         return assemble(self.observation, campaign, self.taken(experiments), relative, size)
 
@@ -300,26 +307,9 @@ class Built:
     @cached_property
     def design(self) -> "SequentialDesign":
         """The sequential design."""
-        from hsed_jax.design.sequential import SequentialDesign
-        from hsed_jax.inference.nuts import Settings
+        from hsed_jax.config.designs import design_of
 
-        entry, sizes = self.study.design, self.study.calibration
-        return SequentialDesign(
-            posterior=self.posterior,
-            space=self.space,
-            size=entry.initial + entry.iterations,
-            gaps=self.observation.gaps(None),
-            settings=Settings(
-                sizes.chains, sizes.step_warmup, sizes.step_draws, sizes.target_acceptance, sizes.sampler
-            ),
-            starts=sizes.starts,
-            candidates=entry.candidates,
-            acquisition=entry.acquisition,
-            kriging=entry.kriging.model_dump(),
-            variance_over_parameters=entry.variance == "inputs_and_parameters",
-            seed=self.study.seed,
-            exceeding=self.limits,
-        )
+        return design_of(self)
 
     @cached_property
     def limits(self) -> Limits | None:
@@ -364,7 +354,7 @@ class Built:
             UserError: something is.
         """
         # Not the simulator, nor a specimen that is one: their scales may take a simulation, which only needs its plan.
-        needed = ["space", "structure", "parameters", "excitation", "outputs", "timeline", "errors"]
+        needed = ["pair", "space", "structure", "parameters", "excitation", "outputs", "timeline", "errors"]
         if self.study.experiments.laboratory is not None or "design" in self.study.steps:
             # A virtual laboratory has a simulator, and the scales of that may take a simulation.
             virtual = self.study.experiments.virtual is not None

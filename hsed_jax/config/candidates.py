@@ -122,6 +122,7 @@ def problem_of(
         seed=built.study.seed,
         start=start,
         notes=built.naming.left_out(),
+        pair=large.pair,
     )
 
 

@@ -23,6 +23,7 @@ from hsed_jax.physics.effects.base import AbstractEffect, is_of_sensors
 from hsed_jax.physics.elements import Element, number_of_spring
 from hsed_jax.physics.laws import AbstractSpringLaw, Elastic
 from hsed_jax.physics.outputs import SPECIMEN, named, own_name, owner_of
+from hsed_jax.physics.pairs import Pair
 from hsed_jax.physics.parameters import Parameter, parameters_of
 from hsed_jax.physics.specimen import unserved
 from hsed_jax.physics.structures import OWNER, parameter_of, spring_name
@@ -156,8 +157,8 @@ class Naming:
         }
         return shared | own
 
-    def units(self, names: Sequence[str], constants: Mapping[str, float]) -> dict[str, str]:
-        """SI unit of every named parameter."""
+    def units(self, names: Sequence[str], constants: Mapping[str, float], pair: Pair) -> dict[str, str]:
+        """SI unit of every named parameter of specimens that are measured in a pair."""
         units = {}
         for name in names:
             owner, own = owner_of(name), own_name(name)
@@ -171,7 +172,8 @@ class Naming:
             exponent = named(owner, "n") if named(owner, "n") in {**constants, **dict.fromkeys(names)} else "n"
             # With n = 1 the unit of β and γ is an ordinary one.
             is_plain = constants.get(exponent, 1.0) == 1 and exponent not in names
-            units[name] = "1/m" if unit == "N^(1-n)/m" and is_plain else unit
+            unit = "1/m" if unit == "N^(1-n)/m" and is_plain else unit
+            units[name] = unit if owner == OWNER else pair.unit(unit)
         return units
 
     def laws(
@@ -203,7 +205,7 @@ class Naming:
         return found | {name: value for name, value in fixed.items() if name in self.of_laws}
 
     def model_parameters(
-        self, study: Study, of_structure: Mapping[str, Prior]
+        self, study: Study, of_structure: Mapping[str, Prior], pair: Pair
     ) -> tuple[dict[str, Prior], dict[str, float]]:
         """Free parameters of the model with their priors, those of the structure last, and the fixed ones with their values.
 
@@ -211,7 +213,7 @@ class Naming:
             UserError: a name that stands for nothing, a value that cannot be, or one that is missing.
         """
         free, fixed = {}, {}
-        for name, (where, known, entry) in self._given(study).items():
+        for name, (where, known, entry) in self._given(study, pair).items():
             if entry == {}:
                 if known.prior is None:
                     raise UserError(
@@ -236,7 +238,7 @@ class Naming:
             )
         return free, fixed
 
-    def _given(self, study: Study) -> dict[str, tuple[str, Parameter, Any]]:
+    def _given(self, study: Study, pair: Pair) -> dict[str, tuple[str, Parameter, Any]]:
         """Everything that the model says or leaves to a default, by name: its place, what is known of it, what is given."""
         said = {name: (f"model.parameters.{name}", entry) for name, entry in study.model.parameters.items()}
         check_names("model.parameters", study.model.parameters, self._sayable)
@@ -245,7 +247,7 @@ class Naming:
             if own is not None:
                 check_names(f"{where}.parameters", own.parameters, parameters_of(element.law))
                 said |= {named(element.name, n): (f"{where}.parameters.{n}", e) for n, e in own.parameters.items()}
-        self._check_complete(said, study)
+        self._check_complete(said, study, pair)
         given = {name: (*said[name][:1], known, said[name][1]) for name, known in self.of_laws.items() if name in said}
         for effect, (where, entries) in effects_of(study).items():
             forms = self.checked_effect(where, effect, entries)
@@ -263,13 +265,14 @@ class Naming:
         apart = [element.name for element in self.elements if element.is_apart]
         return {name: known for name, known in self.of_laws.items() if owner_of(name) not in apart}
 
-    def _check_complete(self, said: Mapping[str, Any], study: Study) -> None:
+    def _check_complete(self, said: Mapping[str, Any], study: Study, pair: Pair) -> None:
         for element in self.elements:
             where, _ = own_model(study, element)
             for name, known in parameters_of(element.law).items():
                 is_said = named(element.name, name) in said or (not element.is_apart and name in said)
                 if known.neutral is None and not is_said:
-                    raise UserError(f"{where}.parameters.{name}: this key is required ({known.meaning}, {known.unit})")
+                    meaning = f"{pair.words(known.meaning)}, {pair.unit(known.unit)}"
+                    raise UserError(f"{where}.parameters.{name}: this key is required ({meaning})")
 
     def true_parameters(self, study: Study) -> dict[str, float]:
         """The parameters of a virtual specimen, or of each of several.

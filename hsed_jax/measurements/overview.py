@@ -5,6 +5,7 @@ import numpy as np
 from hsed_jax.measurements.campaign import Campaign
 from hsed_jax.measurements.characteristics import initial_stiffness
 from hsed_jax.measurements.experiment import Record
+from hsed_jax.measurements.units import DIMENSIONLESS
 from hsed_jax.physics.outputs import loops, named
 from hsed_jax.tables import Table
 
@@ -16,9 +17,10 @@ def overview(campaign: Campaign) -> Table:
     heads = ["experiment", *(["samples"] if channels else [])]
     heads += [f"{name} [{campaign.unit(name).text}]" for name in (*channels, *campaign.quantities)]
     for owner in owners:
-        force, length = (campaign.unit(named(owner, name)).text for name in ("force", "elongation"))
+        force, elongation = (campaign.unit(named(owner, name)).text for name in ("force", "elongation"))
+        over, times = ("", "") if elongation in DIMENSIONLESS else (f"/{elongation}", f" {elongation}")
         of = f" of {owner}" if owner else ""
-        heads += [f"initial stiffness{of} [{force}/{length}]", f"dissipated energy{of} [{force} {length}]"]
+        heads += [f"initial stiffness{of} [{force}{over}]", f"dissipated energy{of} [{force}{times}]"]
     rows = []
     for experiment in campaign.completed:
         record = experiment.record

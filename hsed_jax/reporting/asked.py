@@ -18,14 +18,14 @@ _LABORATORIES = {
 def asked(study: Mapping[str, Any], campaign: Campaign) -> list[str]:
     """Sentences on specimen, excitation, model, experiments, what is observed, its error, and the steps."""
     parts = [_specimen(study, campaign), _excitation(study), _model(study), _experiments(study, campaign)]
-    parts += [_observed(study), _design(study)]
+    parts += [_observed(study, campaign), _design(study)]
     return [sentence for sentence in parts if sentence]
 
 
 def _specimen(study: Mapping[str, Any], campaign: Campaign) -> str:
     structure = study.get("structure")
     if structure is None:
-        return "The specimen alone, driven by the elongation that was imposed on it (component test)."
+        return f"The specimen alone, driven by the {campaign.pair.elongation} that was imposed on it (component test)."
     masses = structure["masses"]
     several = structure.get("specimens") or {"": structure.get("specimen")}
     many = f"{len(masses)} masses" if len(masses) > 1 else "one mass"
@@ -108,8 +108,10 @@ def _experiments(study: Mapping[str, Any], campaign: Campaign) -> str:
     return f"Experiments: a virtual laboratory, {', '.join(counts)}, whose specimen {law}has {effects}, unknown to the model."
 
 
-def _observed(study: Mapping[str, Any]) -> str:
-    what = "the time histories" if study["observe"] == "histories" else _listed(study["quantities"])
+def _observed(study: Mapping[str, Any], campaign: Campaign) -> str:
+    what = "the time histories"
+    if study["observe"] == "quantities":
+        what = _listed([*map(campaign.pair.called, study["quantities"])])
     error = study.get("error")
     if error is None:
         said = "the noise that the campaign declares, inferred where it declares none"

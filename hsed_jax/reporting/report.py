@@ -89,10 +89,10 @@ def _charts(run: FinishedRun) -> tuple[dict[str, Any], dict[str, tables.Table]]:
         )
         if data["residual"]:
             noise = {
-                style.words(name): v["noise_floor"]
+                campaign.pair.called(name): v["noise_floor"]
                 for name, v in run.comparisons["before"]["train"]["per_output"].items()
             }
-            said = [style.words(name) for name in outputs]
+            said = [*map(campaign.pair.called, outputs)]
             drawn["residual"] = charts.residual_along(
                 list(dict.fromkeys(data["residual"]["coordinate"])), said, noise, models
             )
@@ -119,7 +119,7 @@ def _experiments(run: FinishedRun) -> dict[str, Any]:
     heads = ["experiment", "split", "status"]
     heads += [f"{name} [{tables.unit_words(campaign.unit(name).text)}]" for name in campaign.inputs]
     heads += [
-        f"{name.replace('_', ' ')} [{tables.unit_words(campaign.unit(name).text)}]" for name in campaign.quantities
+        f"{campaign.pair.called(name)} [{tables.unit_words(campaign.unit(name).text)}]" for name in campaign.quantities
     ]
     models = [model for model in ("before", "after") if model in run.comparisons]
     heads += [{"before": "error", "after": "error, improved"}[model] for model in models]
@@ -177,11 +177,11 @@ def _falls(run: FinishedRun) -> list[tuple[str, str, str]]:
 def _scales(run: FinishedRun) -> str:
     """The characteristic values that amplitudes of effects are relative to, in readable units; empty without effects."""
     units = {"force": "N", "elongation": "m", "rate": "m/s", "energy": "J"}
-    words = {"rate": "elongation rate", "energy": "absorbed energy"}
-    said = []
+    words = {"force": "force", "elongation": "elongation", "rate": "elongation rate", "energy": "absorbed energy"}
+    pair, said = run.campaign.pair, []
     for name, value in run.summary.get("scales", {}).items():
-        divisor, unit = style.readable(units[name], np.asarray([value]))
-        said.append(f"{words.get(name, name)} {value / divisor:.3g} {unit}")
+        divisor, unit = style.readable(pair.unit(units[name]), np.asarray([value]))
+        said.append(f"{pair.words(words[name])} {value / divisor:.3g} {tables.unit_words(unit)}".rstrip(" –"))
     return ", ".join(said)
 
 
