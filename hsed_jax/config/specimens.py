@@ -350,6 +350,7 @@ def effects_of(study: Study) -> dict[str, tuple[str, Mapping[str, Any]]]:
     Raises:
         UserError: one is given twice.
     """
+    found: dict[str, tuple[str, Mapping[str, Any]]]
     found = {name: ("model.effects", entries) for name, entries in study.model.effects.items()}
     for where, name, entries in _of_own_models(study):
         if name in found:

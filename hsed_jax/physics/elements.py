@@ -4,13 +4,9 @@ import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from jaxtyping import Array, Float
-
 from hsed_jax.physics.laws import BoucWen
 from hsed_jax.physics.laws.base import AbstractSpringLaw
 from hsed_jax.physics.parameters import parameters_of
-
-Scalar = Float[Array, ""] | float
 
 
 class Element(NamedTuple):
@@ -30,7 +26,7 @@ class Element(NamedTuple):
         """Whether effects of a place are effects of it: its own, or what all share."""
         return owner == self.name or (not owner and not self.is_apart)
 
-    def parameters(self, owners: Mapping[str, Mapping[str, Scalar]]) -> dict[str, Scalar]:
+    def parameters[T](self, owners: Mapping[str, Mapping[str, T]]) -> dict[str, T]:
         """The parameters of its law: those shared, unless it has its own."""
         known = parameters_of(self.law)
         shared = {} if self.is_apart else {name: v for name, v in owners.get("", {}).items() if name in known}
