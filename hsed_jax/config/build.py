@@ -12,8 +12,7 @@ import numpy as np
 
 from hsed_jax.backend import prepare
 from hsed_jax.config import laboratories, parts, structures
-from hsed_jax.config import records as records_of
-from hsed_jax.config.laboratories import IMPOSED
+from hsed_jax.config.excitations import excitation_of, protocol_of
 from hsed_jax.config.limits import limits_of
 from hsed_jax.config.noise import errors_of
 from hsed_jax.config.own_effects import catalogue_of
@@ -21,6 +20,7 @@ from hsed_jax.config.plan import check_plan
 from hsed_jax.config.scales import check_scales, scales_of
 from hsed_jax.config.schema import Study
 from hsed_jax.config.spring_laws import law_of
+from hsed_jax.config.timelines import measured_grid, planned_duration, planned_timeline
 from hsed_jax.design.feasible import Limits
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
@@ -33,12 +33,14 @@ from hsed_jax.laboratories.base import ExperimentFailed, Laboratory, experiment_
 from hsed_jax.laboratories.request import Programme
 from hsed_jax.laboratories.sensors import Sensors
 from hsed_jax.measurements import Campaign, Characteristics, Experiment, characteristics, parse_unit, read_campaign
+from hsed_jax.measurements.campaign import Protocol
 from hsed_jax.measurements.thinning import thinned
 from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.laws import AbstractSpringLaw
 from hsed_jax.physics.scales import Scales
-from hsed_jax.physics.simulator import Parametrised, Simulator, Timeline
+from hsed_jax.physics.simulator import Parametrised, Simulator
 from hsed_jax.physics.structures import OWNER, Structure
+from hsed_jax.physics.timeline import Timeline
 
 if TYPE_CHECKING:
     # A check of a study samples nothing, and need not wait for what does.
@@ -84,9 +86,14 @@ class Built:
         return read_campaign(self.study.folder / path)
 
     @property
+    def protocol(self) -> Protocol:
+        """What drives the experiments: the ground or a force, or the elongation of the specimen alone."""
+        return protocol_of(self.study, self.measured)
+
+    @property
     def component_test(self) -> bool:
-        """Whether the elongation was imposed on the specimen alone."""
-        return self.measured is not None and self.measured.protocol == "displacement"
+        """Whether the elongation is imposed on the specimen alone."""
+        return self.protocol == "displacement"
 
     def taken(self, experiments: Sequence[Experiment]) -> tuple[Experiment, ...]:
         """Experiments as they are fitted and scored: long records of a component test are thinned."""
@@ -126,12 +133,12 @@ class Built:
         return {} if entry is None or self.component_test else structures.priors_of(entry)
 
     @cached_property
-    def _steepest(self) -> AbstractSpringLaw:
+    def steepest(self) -> AbstractSpringLaw:
         """The law where its priors make it stiffest and let it yield soonest."""
         return self.law(**parts.law_parameters(self.parameters, self.law.steepest))
 
     @cached_property
-    def _stiffest(self) -> Structure:
+    def stiffest(self) -> Structure:
         """The structure where its priors make its shortest period shortest."""
         return structures.stiffest(self.structure, self._of_structure)
 
@@ -143,8 +150,8 @@ class Built:
 
     @cached_property
     def excitation(self) -> Parametrised | None:
-        """From inputs to a ground motion; None where every experiment brings its record."""
-        return parts.excitation(self.study.excitation, self.study.inputs, self.study.folder)
+        """From inputs to what drives an experiment; None where every experiment brings its record."""
+        return excitation_of(self.study)
 
     @cached_property
     def characteristics(self) -> Characteristics | None:
@@ -159,37 +166,19 @@ class Built:
     @cached_property
     def grid(self) -> Grid | None:
         """Samples and steps per sample of the measured records; None where there are none."""
-        if self.measured is not None and not len(self.measured.completed):
-            raise UserError(f"the campaign {self.measured.name!r} has no completed experiment")
-        taken = () if self.measured is None else self.taken(self.measured.completed.experiments)
-        records = [e.record for e in taken if e.record is not None]
-        if not records:
-            return None
-        if self.component_test:
-            assert self.characteristics is not None
-            middle = self.law(**parts.law_parameters(self.parameters))
-            return records_of.imposed_grid(records, self.characteristics, middle, self._steepest)
-        longest = max(float(np.max(np.diff(record.time), initial=0.0)) for record in records)
-        needed = longest / parts.longest_step(self._stiffest, self._steepest, self.study.excitation, self.space)
-        return records_of.divided(max(len(record) for record in records), needed)
+        return measured_grid(self)
 
     @cached_property
     def timeline(self) -> Timeline:
         """The grid of the integration."""
         if self.grid is not None:
-            return Timeline(0.0, self.grid.every * (self.grid.samples - 1), self.grid.every)
+            return Timeline(None, self.grid.every * (self.grid.samples - 1), self.grid.every)
         return self.planned
 
     @cached_property
     def planned(self) -> Timeline:
         """The grid of the integration for an experiment without a record."""
-        entry = self.study.excitation
-        if entry is None or self.excitation is None:
-            raise UserError("excitation: give near_fault_pulse or recorded, where no record tells the motion")
-        step = entry.step
-        if step is None:
-            step = parts.longest_step(self._stiffest, self._steepest, entry, self.space)
-        return parts.planned_timeline(entry, self.study.folder, step, self.study.observe == "histories")
+        return planned_timeline(self)
 
     @cached_property
     def simulator(self) -> Simulator:
@@ -254,15 +243,16 @@ class Built:
         """Names of the observed quantities or channels."""
         if self.study.observe == "quantities":
             # A record that ends before is passed over.
-            duration = self.planned.step * self.planned.steps if self.grid is None else math.inf
+            duration = planned_duration(self) if self.grid is None else math.inf
             laboratories.check_quantities(self.study.quantities, self.structure, duration)
             return tuple(self.study.quantities)
         if self.measured is None:
             known = laboratories.declared_responses(self.study)
-            names = tuple(self.study.channels or known or ("elongation", "force"))
+            names = tuple(
+                self.study.channels or known or (("force",) if self.component_test else ("elongation", "force"))
+            )
         else:
-            imposed = (*IMPOSED, "elongation") if self.component_test else IMPOSED
-            known = tuple(name for name in self.measured.channels if name not in imposed)
+            known = laboratories.responses(self.measured.channels, component_test=self.component_test)
             names = tuple(self.study.channels or known)
         for name in names:
             if known is not None and name not in known:
@@ -361,7 +351,7 @@ class Built:
         """The campaign that the laboratory fills."""
         return Campaign(
             self.study.study,
-            "ground_motion",
+            self.protocol,
             inputs=dict(self.space.units),
             channels=self.sensors.recorded,
             quantities=dict(self.sensors.quantities),

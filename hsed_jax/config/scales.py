@@ -12,8 +12,9 @@ from hsed_jax.errors import UserError
 from hsed_jax.inference.observation import conditions_of
 from hsed_jax.physics.laws import AbstractSpringLaw
 from hsed_jax.physics.scales import Scales
-from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator, Timeline
+from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator
 from hsed_jax.physics.structures import Structure
+from hsed_jax.physics.timeline import Timeline
 
 if TYPE_CHECKING:
     from hsed_jax.config.build import Built

@@ -37,6 +37,11 @@ _DIMENSIONLESS = {"-", "–", "1"}
 _ENDLESS = re.compile(r"\d{3}|\d[eE]|\d[\s)]*(\*\*|\^)")
 
 
+def dimension_of(unit: str) -> Dimension:
+    """Return the dimension of an SI unit that a channel, quantity or setting is declared in."""
+    return _BY_UNIT[unit]
+
+
 def channel_dimension(name: str) -> Dimension:
     """Return the dimension of a canonical channel (`hsed_jax.physics.outputs`).
 
@@ -47,7 +52,9 @@ def channel_dimension(name: str) -> Dimension:
         return _BY_UNIT[channel(name).unit]
     except KeyError:
         mass = ", ".join(f"{stem}_<i>[_absolute]" for stem in PER_MASS)
-        raise UserError(f"unknown channel {name!r}; allowed: {', '.join(CHANNELS)}, and for mass i {mass}") from None
+        raise UserError(
+            f"unknown channel {name!r}; allowed: {', '.join(CHANNELS)}, and for mass i {mass}, applied_force_<i>"
+        ) from None
 
 
 def quantity_dimension(name: str) -> Dimension:

@@ -197,6 +197,9 @@ PER_MASS: dict[str, Output] = {
     "velocity": Output(r"\dot u", "m/s", "velocity relative to the ground"),
     "acceleration": Output(r"\ddot u", "m/s^2", "acceleration relative to the ground"),
 }
+APPLIED_FORCE = Output("p", "N", "force applied to the structure")
+DRIVERS = ("time", "ground_acceleration")
+"""What no structure responds with; forces applied to its masses are neither responses (`is_driver`)."""
 ALLOWED = ", ".join([*QUANTITIES, "energy_at_TIME (a whole number of s or ms: energy_at_5s, energy_at_500ms)"])
 """The names that a quantity may have, for messages."""
 
@@ -240,6 +243,17 @@ def _time_of(name: str) -> float | None:
     return None if match is None else int(match[1]) / (1000 if match[2] else 1)
 
 
+def driven_mass(name: str) -> int | None:
+    """The mass (from 1) that the force of this channel is applied to; None where it is no such channel."""
+    match = re.fullmatch(r"applied_force_([1-9]\d*)", name)
+    return None if match is None else int(match[1])
+
+
+def is_driver(name: str) -> bool:
+    """Whether a channel is what drives a structure, or the time, and no response."""
+    return name in DRIVERS or driven_mass(name) is not None
+
+
 def channel(name: str) -> Output:
     """Symbol, unit and meaning of a channel.
 
@@ -248,6 +262,8 @@ def channel(name: str) -> Output:
     """
     if name in CHANNELS:
         return CHANNELS[name]
+    if (mass := driven_mass(name)) is not None:
+        return Output(f"p_{{{mass}}}", APPLIED_FORCE.unit, f"{APPLIED_FORCE.meaning}, mass {mass}")
     match = re.fullmatch(r"(displacement|velocity|acceleration)_([1-9]\d*)(_absolute)?", name)
     if match is None:
         raise KeyError(name)

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hsed_jax.physics.excitations import AbstractForcing, Imposed, Tabulated
+from hsed_jax.physics.excitations import AbstractForcing, Imposed, Tabulated, channels_of, driven
 from hsed_jax.physics.laws.base import Memory
 from hsed_jax.physics.specimen import Specimen
 from hsed_jax.physics.structures import Structure, difference
@@ -67,7 +67,7 @@ class AbstractSystem(eqx.Module):
 
 @final
 class ShakenStructure(AbstractSystem):
-    """The structure with the specimen in it, driven by a ground acceleration [m/s²].
+    """The structure with the specimen in it, driven by a ground acceleration [m/s²], by forces on masses, or both.
 
     Arguments:
         structure: masses and springs, and where the specimen sits.
@@ -91,33 +91,37 @@ class ShakenStructure(AbstractSystem):
         still = tuple(jnp.zeros(()) for _ in self.structure.masses)
         return State(still, still, self.specimen.start())
 
-    def rates(self, state: State, sample: Scalar) -> State:
-        """ü = −M⁻¹(C u̇ + K u + b r) − a_g, and the spring's own rates."""
+    def rates(self, state: State, sample: Any) -> State:
+        """ü = −M⁻¹(C u̇ + K u + b r − p) − a_g, and the spring's own rates."""
         elongation, rate = self.kinematics(state, sample)
         force, rates = self.specimen.force_and_rates(elongation, rate, state.memory)
         return State(state.velocity, self._accelerations(state, sample, force), rates)
 
-    def kinematics(self, state: State, sample: Scalar) -> tuple[Scalar, Scalar]:
+    def kinematics(self, state: State, sample: Any) -> tuple[Scalar, Scalar]:
         """Elongation of the specimen [m] and its rate [m/s]."""
         return self.structure.elongation(state.displacement), self.structure.elongation(state.velocity)
 
-    def channels(self, state: State, sample: Scalar, names: tuple[str, ...]) -> dict[str, Scalar]:
+    def channels(self, state: State, sample: Any, names: tuple[str, ...]) -> dict[str, Scalar]:
         """The named channels at one instant, SI units."""
-        values = {"ground_acceleration": jnp.asarray(sample), **self._specimen_channels(state, sample)}
+        ground, _ = driven(sample)
+        values = {"ground_acceleration": ground, **channels_of(sample), **self._specimen_channels(state, sample)}
         for i, acceleration in enumerate(self._accelerations(state, sample, values["force"])):
             values[f"displacement_{i + 1}"] = state.displacement[i]
             values[f"velocity_{i + 1}"] = state.velocity[i]
             values[f"acceleration_{i + 1}"] = acceleration
-            values[f"acceleration_{i + 1}_absolute"] = acceleration + sample
-        return {name: values[name] for name in names}
+            values[f"acceleration_{i + 1}_absolute"] = acceleration + ground
+        return {name: jnp.asarray(values[name]) for name in names}
 
     def steepness(self, forcing: AbstractForcing, step_length: Float[Array, "..."] | float) -> Scalar:
         """The longest step times the frequency of the specimen between the masses at its ends."""
         freed = sum((1 / self.structure.masses[end] for end in self.structure.specimen if end is not None), start=0.0)
         return jnp.max(jnp.asarray(step_length)) * jnp.sqrt(self.specimen.law.stiffness * freed)
 
-    def _accelerations(self, state: State, sample: Scalar, force: Scalar) -> tuple[Scalar, ...]:
+    def _accelerations(self, state: State, sample: Any, force: Scalar) -> tuple[Scalar, ...]:
+        ground, forces = driven(sample)
         pushes: list[Scalar] = [0.0] * len(self.structure.masses)
+        for mass, applied in forces.items():
+            pushes[mass] = pushes[mass] - applied
         for ends, value in (
             *((s.ends, s.stiffness * difference(state.displacement, s.ends)) for s in self.structure.springs),
             (self.structure.specimen, force),
@@ -128,7 +132,7 @@ class ShakenStructure(AbstractSystem):
             if second is not None:
                 pushes[second] = pushes[second] + value
         return tuple(
-            -(sum(c * v for c, v in zip(row, state.velocity, strict=True)) + push) * (1 / mass) - sample
+            -(sum(c * v for c, v in zip(row, state.velocity, strict=True)) + push) * (1 / mass) - ground
             for row, push, mass in zip(self.damping, pushes, self.structure.masses, strict=True)
         )
 
