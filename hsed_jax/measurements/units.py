@@ -51,10 +51,8 @@ def channel_dimension(name: str) -> Dimension:
     try:
         return _BY_UNIT[channel(name).unit]
     except KeyError:
-        mass = ", ".join(f"{stem}_<i>[_absolute]" for stem in PER_MASS)
-        raise UserError(
-            f"unknown channel {name!r}; allowed: {', '.join(CHANNELS)}, and for mass i {mass}, applied_force_<i>"
-        ) from None
+        mass = ", ".join([*(f"{stem}_<i>[_absolute]" for stem in PER_MASS), "applied_force_<i>"])
+        raise UserError(f"unknown channel {name!r}; allowed: {', '.join(CHANNELS)}, and for mass i {mass}") from None
 
 
 def quantity_dimension(name: str) -> Dimension:

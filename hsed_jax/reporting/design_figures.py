@@ -160,7 +160,5 @@ def _response(
     conditions = Conditions({name: jnp.asarray(values[0]) for name, values in space.si(declared[None]).items()})
     known = {name: jnp.asarray(value) for name, value in parameters.items()}
     channels = simulator.respond(known, conditions, _CHANNELS).channels
-    return {
-        "time": np.asarray(simulator.times(conditions.inputs)),
-        **{name: np.asarray(values) for name, values in channels.items()},
-    }
+    time = np.asarray(simulator.times(conditions.inputs))
+    return {"time": time, **{name: np.asarray(values) for name, values in channels.items()}}

@@ -36,11 +36,11 @@ class Applied(NamedTuple):
     A ground motion alone is its acceleration by itself, a number.
     """
 
-    forces: dict[int, Scalar]
-    ground: Scalar | None = None
+    forces: Mapping[int, Any]
+    ground: Any = None
 
 
-def driven(sample: Any) -> tuple[Scalar, dict[int, Scalar]]:
+def driven(sample: Any) -> tuple[Scalar, Mapping[int, Scalar]]:
     """Acceleration of the ground [m/s²] and the forces on masses [N] of one sample of what drives a structure."""
     if isinstance(sample, Applied):
         return 0.0 if sample.ground is None else sample.ground, sample.forces

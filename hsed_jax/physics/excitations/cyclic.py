@@ -3,8 +3,8 @@ r"""A planned component test: the elongation of the specimen is imposed in cycle
 $$\Delta u(t) = a_j\,\sin\frac{v\,t'}{a_j},\qquad \Delta\dot u(t) = v\,\cos\frac{v\,t'}{a_j},\qquad T_j = \frac{2\pi a_j}{v}$$
 
 with $t'$ the time since the first cycle of amplitude $a_j$: the peak rate $v$ is the same at all amplitudes, so elongation and
-rate are continuous where one amplitude follows another.  How long it lasts depends on the amplitudes; a quarter of a cycle has the
-same number of steps at each of them, so that every reversal is the end of a step.
+rate are continuous where one amplitude follows another.  How long it lasts depends on the amplitudes; a quarter of a cycle has
+the same number of steps at each of them, so that every reversal is the end of a step.
 
 Source of the sequence, two cycles at each of growing amplitudes: FEMA 461 (2007), Section 2.8.
 """
@@ -92,7 +92,7 @@ class CyclicElongation(AbstractImposedElongation):
         branch, within = np.divmod(np.arange(2 * steps + 1) * self.branches, 2 * steps)
         turn = np.exp(0.25j * np.pi * within / steps) * np.asarray([1, 1j, -1, -1j])[branch % 4]
         level = np.minimum(branch // (4 * self.cycles), len(self.amplitudes) - 1)
-        return Tabulated(Imposed(jnp.asarray(self.amplitudes)[level] * turn.imag, self.rate * turn.real))
+        return Tabulated(Imposed(jnp.asarray(self.amplitudes)[level] * turn.imag, self.rate * jnp.asarray(turn.real)))
 
     @classmethod
     def sentence(cls, settings: Mapping[str, Any], duration: float | None) -> str:
