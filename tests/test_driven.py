@@ -357,3 +357,18 @@ def test_a_designed_cyclic_test_finds_the_hidden_degradation(tmp_path):
     page = (tmp_path / "run" / "report.html").read_text()
     assert "2 cycles of elongation imposed at each amplitude" in page
     assert (tmp_path / "run" / "figures" / "fig3_excitation.svg").is_file()
+
+
+def test_a_run_with_an_applied_force_reaches_its_report(pushed, tmp_path):
+    loop = yaml.safe_dump({**yaml.safe_load(FRAME), **LOOP, "observe": "quantities", "error": {"relative": 1e-3}})
+    study = pushed("steps=[design, calibrate, compare, diagnose]", "experiments.virtual.test=1", text=loop)
+    run = hx.run(study, output=tmp_path / "run")
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["diagnosis"]["verdict"] == "adequate", summary["diagnosis"]["sentence"]
+    assert summary["calibration"]["map"]["k"] == pytest.approx(K, rel=5e-3)
+    assert len(run.campaign.train) == 3
+    assert "Driven by the force force.csv on mass 1" in (tmp_path / "run" / "report.html").read_text()
+    assert (tmp_path / "run" / "figures" / "fig3_excitation.svg").is_file()
+    # What was run can be run again from its folder.
+    again = hx.load_study(tmp_path / "run" / "study.yaml")
+    assert Built(again).planned == Built(study).planned
