@@ -19,6 +19,9 @@ from hsed_jax.physics.excitations.base import (
     setting,
 )
 
+# As the integration resolves a period (`hsed_jax.config.timelines`).
+_STEPS_PER_PERIOD = 24
+
 
 @final
 class AppliedForce(AbstractExcitation):
@@ -46,6 +49,11 @@ class AppliedForce(AbstractExcitation):
     def duration(self) -> Scalar:
         """When the record ends [s]."""
         return self.time[-1]
+
+    @property
+    def shortest_period(self) -> Scalar:
+        """So long [s] that a step is at most the interval between two samples: an impact must not fall between steps."""
+        return _STEPS_PER_PERIOD * jnp.min(jnp.diff(self.time))
 
     def sample(self, time: Scalar) -> Applied:
         """The force at one instant [s]."""
