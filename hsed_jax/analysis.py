@@ -141,7 +141,7 @@ def compare(calibration: Calibration, campaign: Campaign | None = None) -> Compa
     declared = calibration.fit.posterior.is_declared
     parameters = len(calibration.fit.posterior.model_names)
     notes = [*calibration.fit.correlation_notes(), *thinning_notes(calibration.built, campaign)]
-    if calibration.built.component_test and not campaign.has_time:
+    if calibration.built.component_test and calibration.built.grid is not None and not campaign.has_time:
         notes.append(
             "the records have no time: the row number stands for it, which a rate-independent law does not notice"
         )

@@ -207,7 +207,8 @@ class AskTell(Tabular):
         if (limits := self.built.study.design.limits) is not None:
             most = limits.model_dump(exclude_none=True, exclude={"probability"})
             lines.append(f"  limits: {', '.join(f'{name} {value:g}' for name, value in most.items())} (SI)")
-        files = "request.json, ground_motion.csv, ground_motion.AT2, expected.csv"
+        assert self.built.excitation is not None
+        files = ", ".join(["request.json", *self.built.excitation.constructor.kind.files, "expected.csv"])
         return "\n".join(
             [*lines, f"  request in {folder}: {files}", f"  then: hsed tell {quote(str(self.path))} {quote(asked.id)}"]
         )

@@ -92,15 +92,16 @@ class Improvement(Tabular):
         """Write the improved study as YAML, with comments, its paths relative to the file."""
         path, pair = Path(path), self.original.built.pair
         plain = self.study.written()
-        model, experiments, recorded = plain["model"], plain["experiments"], plain.get("excitation", {}).get("recorded")
+        model, experiments = plain["model"], plain["experiments"]
 
         def beside(name: str) -> str:
             return os.path.relpath(name, path.parent.absolute())
 
         if "campaign" in experiments:
             experiments["campaign"] = beside(experiments["campaign"])
-        if recorded:
-            recorded["file"] = beside(recorded["file"])
+        for settings in plain.get("excitation", {}).values():
+            if isinstance(settings, dict) and "file" in settings:
+                settings["file"] = beside(settings["file"])
         for spring in (model["spring"], experiments.get("virtual", {}).get("spring")):
             if isinstance(spring, dict):
                 spring["file"] = beside(spring["file"])

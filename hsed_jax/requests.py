@@ -21,7 +21,7 @@ from hsed_jax.laboratories.answer import QUANTITIES, RECORD, is_answered, left, 
 from hsed_jax.laboratories.base import ExperimentFailed, Measured
 from hsed_jax.laboratories.request import Request
 from hsed_jax.measurements import Record, parse_unit
-from hsed_jax.physics.outputs import EQ_18, further, of_each
+from hsed_jax.physics.outputs import EQ_18, further, is_driver, of_each
 from hsed_jax.physics.simulator import Conditions
 
 BAND = (0.05, 0.5, 0.95)
@@ -77,9 +77,10 @@ class Requests:
         def band(values: Any) -> np.ndarray:
             return np.quantile(np.asarray(values)[good], BAND, axis=0)
 
-        step, steps, every = self.built.planned
         return Expected(
-            step * every * np.arange(steps // every + 1),
+            np.asarray(
+                self.built.planned_simulator.times({name: jnp.asarray(value) for name, value in asked.si.items()})
+            ),
             {name: band(values) for name, values in channels.items()},
             {name: band(values) for name, values in quantities.items()},
         )
@@ -87,7 +88,7 @@ class Requests:
     @cached_property
     def _respond(self):
         names = tuple(self.built.parameters[0])
-        wanted = [name for name in self.built.sensors.channels if name not in ("time", "ground_acceleration")]
+        wanted = [name for name in self.built.sensors.channels if not is_driver(name)]
         owners = [element.name for element in self.built.elements]
         wanted = list(dict.fromkeys([*wanted, *of_each(owners, ("elongation", "force"))]))
         simulator, more = self.built.planned_simulator, further(tuple(self.built.study.quantities))

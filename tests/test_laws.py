@@ -83,7 +83,7 @@ def conditions(V_P=1.2) -> Conditions:
 def ground():
     """From time to the ground acceleration of `conditions`, on steps of 0.2 ms."""
     step = 2e-4
-    values = np.asarray(jax.vmap(NearFaultPulse(1.2, 0.9).acceleration)(step * np.arange(20_001)))
+    values = np.asarray(jax.vmap(NearFaultPulse(1.2, 0.9).sample)(step * np.arange(20_001)))
     return step, lambda time: values[round(time / step)]
 
 

@@ -100,7 +100,7 @@ def on_half_steps(pulse: NearFaultPulse, step_length) -> np.ndarray:
     ends = np.concatenate([[0.0], np.cumsum(step_length)])
     times = np.empty(2 * len(step_length) + 1)
     times[::2], times[1::2] = ends, (ends[1:] + ends[:-1]) / 2
-    return np.asarray(jax.vmap(pulse.acceleration)(times))
+    return np.asarray(jax.vmap(pulse.sample)(times))
 
 
 def test_elastic_specimen_gives_the_exact_linear_response_to_a_pulse(elastic):

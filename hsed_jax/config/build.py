@@ -11,7 +11,7 @@ import numpy as np
 
 from hsed_jax.backend import prepare
 from hsed_jax.config import laboratories, observed, pairs, parts, structures
-from hsed_jax.config import records as records_of
+from hsed_jax.config.excitations import excitation_of, protocol_of
 from hsed_jax.config.limits import limits_of
 from hsed_jax.config.noise import errors_of
 from hsed_jax.config.own_effects import catalogue_of
@@ -20,6 +20,7 @@ from hsed_jax.config.scales import check_scales, scales_of
 from hsed_jax.config.schema import Study
 from hsed_jax.config.specimens import Naming, effects_of, elements_of, placed
 from hsed_jax.config.spring_laws import law_of
+from hsed_jax.config.timelines import measured_grid, planned_timeline
 from hsed_jax.design.feasible import Limits
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
@@ -32,14 +33,16 @@ from hsed_jax.laboratories.base import ExperimentFailed, Laboratory, experiment_
 from hsed_jax.laboratories.request import Programme
 from hsed_jax.laboratories.sensors import Sensors
 from hsed_jax.measurements import Campaign, Characteristics, Experiment, characteristics, parse_unit, read_campaign
+from hsed_jax.measurements.campaign import Protocol
 from hsed_jax.measurements.thinning import thinned
 from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.elements import Element
 from hsed_jax.physics.laws import AbstractSpringLaw
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.physics.scales import Scales
-from hsed_jax.physics.simulator import Parametrised, Simulator, Timeline
+from hsed_jax.physics.simulator import Parametrised, Simulator
 from hsed_jax.physics.structures import OWNER, Structure
+from hsed_jax.physics.timeline import Timeline
 
 if TYPE_CHECKING:
     # A check of a study samples nothing, and need not wait for what does.
@@ -91,9 +94,14 @@ class Built:
         return read_campaign(self.study.folder / path)
 
     @property
+    def protocol(self) -> Protocol:
+        """What drives the experiments: the ground or a force, or the elongation of the specimen alone."""
+        return protocol_of(self.study, self.measured)
+
+    @property
     def component_test(self) -> bool:
-        """Whether the elongation was imposed on the specimen alone."""
-        return self.measured is not None and self.measured.protocol == "displacement"
+        """Whether the elongation is imposed on the specimen alone."""
+        return self.protocol == "displacement"
 
     @cached_property
     def pair(self) -> Pair:
@@ -138,12 +146,12 @@ class Built:
         return {} if entry is None or self.component_test else structures.priors_of(entry)
 
     @cached_property
-    def _steepest(self) -> tuple[AbstractSpringLaw, ...]:
+    def steepest(self) -> tuple[AbstractSpringLaw, ...]:
         """The laws where their priors make them stiffest and let them yield soonest."""
         return self.naming.laws(self.parameters, steepest=True)
 
     @cached_property
-    def _stiffest(self) -> Structure:
+    def stiffest(self) -> Structure:
         """The structure where its priors make its shortest period shortest."""
         return structures.stiffest(self.structure, self._of_structure)
 
@@ -155,8 +163,8 @@ class Built:
 
     @cached_property
     def excitation(self) -> Parametrised | None:
-        """From inputs to a ground motion; None where every experiment brings its record."""
-        return parts.excitation(self.study.excitation, self.study.inputs, self.study.folder)
+        """From inputs to what drives an experiment; None where every experiment brings its record."""
+        return excitation_of(self.study)
 
     @cached_property
     def characteristics(self) -> Characteristics | None:
@@ -171,37 +179,19 @@ class Built:
     @cached_property
     def grid(self) -> Grid | None:
         """Samples and steps per sample of the measured records; None where there are none."""
-        if self.measured is not None and not len(self.measured.completed):
-            raise UserError(f"the campaign {self.measured.name!r} has no completed experiment")
-        taken = () if self.measured is None else self.taken(self.measured.completed.experiments)
-        records = [e.record for e in taken if e.record is not None]
-        if not records:
-            return None
-        if self.component_test:
-            assert self.characteristics is not None
-            (middle,), (steepest,) = self.naming.laws(self.parameters), self._steepest
-            return records_of.imposed_grid(records, self.characteristics, middle, steepest)
-        longest = max(float(np.max(np.diff(record.time), initial=0.0)) for record in records)
-        needed = longest / parts.longest_step(self._stiffest, self._steepest, self.study.excitation, self.space)
-        return records_of.divided(max(len(record) for record in records), needed)
+        return measured_grid(self)
 
     @cached_property
     def timeline(self) -> Timeline:
         """The grid of the integration."""
         if self.grid is not None:
-            return Timeline(0.0, self.grid.every * (self.grid.samples - 1), self.grid.every)
+            return Timeline(None, self.grid.every * (self.grid.samples - 1), self.grid.every)
         return self.planned
 
     @cached_property
     def planned(self) -> Timeline:
         """The grid of the integration for an experiment without a record."""
-        entry = self.study.excitation
-        if entry is None or self.excitation is None:
-            raise UserError("excitation: give near_fault_pulse or recorded, where no record tells the motion")
-        step = entry.step
-        if step is None:
-            step = parts.longest_step(self._stiffest, self._steepest, entry, self.space)
-        return parts.planned_timeline(entry, self.study.folder, step, self.study.observe == "histories")
+        return planned_timeline(self)
 
     @cached_property
     def simulator(self) -> Simulator:
@@ -338,7 +328,7 @@ class Built:
         """The campaign that the laboratory fills."""
         return Campaign(
             self.study.study,
-            "ground_motion",
+            self.protocol,
             inputs=dict(self.space.units),
             channels=self.sensors.recorded,
             quantities=dict(self.sensors.quantities),

@@ -14,6 +14,7 @@ from hsed_jax.config.pairs import check_masses
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, characteristics, parse_unit
 from hsed_jax.measurements.units import TIME, VELOCITY
+from hsed_jax.physics.outputs import is_driver
 
 # Words that YAML reads as something else than a text.
 _WORDS = ("y", "n", "yes", "no", "on", "off", "true", "false", "null", ".inf", ".nan")
@@ -46,9 +47,7 @@ def initial_study(campaign: Campaign, folder: Path, output: Path) -> str:
     if not len(campaign.train):
         raise UserError(f"{folder}: there is no completed training experiment to start a study from")
     where = os.path.relpath(folder, output.parent)
-    histories = any(e.record is not None for e in campaign.train) and any(
-        c not in ("time", "ground_acceleration") for c in campaign.channels
-    )
+    histories = any(e.record is not None for e in campaign.train) and any(not is_driver(c) for c in campaign.channels)
     stiffness, strength, mass = _guesses(campaign, folder)
     if campaign.protocol == "displacement" and not histories:
         raise UserError(
@@ -174,7 +173,7 @@ def _mass(campaign: Campaign, stiffness: float) -> _Guess:
 def _excitation(campaign: Campaign) -> list[str]:
     """A ground motion for experiments that bring none."""
     if campaign.protocol == "displacement" or all(
-        e.record is not None and "ground_acceleration" in e.record.channels for e in campaign.completed
+        e.record is not None and any(map(is_driver, e.record.channels)) for e in campaign.completed
     ):
         return []
     values = {}

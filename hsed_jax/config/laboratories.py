@@ -1,6 +1,6 @@
 """The laboratory that a study names, and what it measures; each fault names its key."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -31,11 +31,9 @@ from hsed_jax.laboratories.sensors import Sensors
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.measurements import Channel, Noise
 from hsed_jax.measurements.declaration import declared_channel
-from hsed_jax.physics.outputs import output, quantity
+from hsed_jax.physics.outputs import is_driver, output, quantity
 from hsed_jax.physics.simulator import Simulator
 from hsed_jax.physics.structures import Structure
-
-IMPOSED = ("time", "ground_acceleration")
 
 
 @dataclass(frozen=True)
@@ -67,6 +65,16 @@ def _masses(structure: Structure | None) -> int:
     return 0 if structure is None else len(structure.masses)
 
 
+def responses(channels: Iterable[str], *, component_test: bool) -> tuple[str, ...]:
+    """The channels that are a response to what drove the experiments."""
+    return tuple(name for name in channels if not (is_driver(name) or (component_test and name == "elongation")))
+
+
+def driver_of(study: Study) -> str:
+    """The channel that measures what drives the planned experiments of a study."""
+    return "ground_acceleration" if study.excitation is None else study.excitation.channel
+
+
 def sensors_of(study: Study, outputs: tuple[str, ...], structure: Structure | None) -> Sensors:
     """What the laboratory of a study measures.
 
@@ -79,7 +87,7 @@ def sensors_of(study: Study, outputs: tuple[str, ...], structure: Structure | No
         UserError: a channel or unit that is none, or something observed that is not measured.
     """
     entry, where = study.experiments.laboratory, f"experiments.{study.experiments.kind}"
-    histories = study.observe == "histories"
+    histories, driver = study.observe == "histories", driver_of(study)
     channels, quantities = (outputs, ()) if histories else ((), outputs)
     sources = {name: quantity(name).channels(_masses(structure)) for name in quantities}
     if isinstance(entry, OpenSeesEntry) and not histories:
@@ -88,21 +96,21 @@ def sensors_of(study: Study, outputs: tuple[str, ...], structure: Structure | No
         quantities = tuple(name for name in quantities if name in opensees.QUANTITIES)
     if isinstance(entry, VirtualEntry | OpenSeesEntry):
         noise = sensor_noise(f"{where}.noise", entry, (*channels, *quantities))
-        recorded = (*IMPOSED, *(name for name in channels if name not in IMPOSED)) if channels else ()
-        return Sensors(_si(recorded, noise), _si(quantities, noise))
+        recorded = dict.fromkeys(("time", driver, *channels)) if channels else ()
+        return Sensors(_si(recorded, noise), _si(quantities, noise), driver=driver)
     if not isinstance(entry, MeasuredEntry):
         raise UserError("experiments: there is no laboratory")
     if not entry.channels and not entry.quantities:
         recorded = ("time", *channels) if channels else ()
-        return Sensors(_si(recorded, {}), _si(quantities, {}), at_sample_times=histories)
+        return Sensors(_si(recorded, {}), _si(quantities, {}), driver=driver, at_sample_times=histories)
     made = {
         kind: {name: declared_channel(f"{where}.{kind}.{name}", name, given) for name, given in declared.items()}
         for kind, declared in (("channels", entry.channels), ("quantities", entry.quantities))
     }
     columns = {name: given.column or name for name, given in entry.channels.items()}
-    found = parts.at(where, Sensors, made["channels"], made["quantities"], columns, histories)
+    found = parts.at(where, Sensors, made["channels"], made["quantities"], columns, driver, histories)
     for name in quantities:
-        if name not in entry.quantities and not set(sources[name]) <= set(entry.channels):
+        if name not in entry.quantities and not set(sources[name]) <= {*entry.channels, driver}:
             raise UserError(
                 f"{where}: {name} is observed and not measured; declare it in quantities, or its source in channels "
                 f"({', '.join(sources[name])})"
@@ -112,7 +120,7 @@ def sensors_of(study: Study, outputs: tuple[str, ...], structure: Structure | No
     return found
 
 
-def _si(names: tuple[str, ...], noise: Mapping[str, Noise]) -> dict[str, Channel]:
+def _si(names: Iterable[str], noise: Mapping[str, Noise]) -> dict[str, Channel]:
     return {name: Channel(name, output(name).unit, noise=noise.get(name)) for name in names}
 
 
@@ -160,13 +168,15 @@ def _virtual(site: Site) -> VirtualLaboratory:
     return VirtualLaboratory(
         *site.virtual(),
         tuple(study.quantities),
-        tuple(name for name in sensors.channels if name not in IMPOSED),
+        tuple(name for name in sensors.channels if name != "time"),
         _noise(sensors),
         study.seed,
     )
 
 
 def _opensees(site: Site, entry: OpenSeesEntry) -> OpenSeesLaboratory:
+    if driver_of(site.study) != "ground_acceleration":
+        raise UserError("experiments.opensees: it shakes the ground, and the excitation of the study is another")
     assert site.study.structure is not None
     assert site.structure is not None
     if len(site.structure.specimens) > 1:
@@ -183,6 +193,7 @@ def _opensees(site: Site, entry: OpenSeesEntry) -> OpenSeesLaboratory:
     else:
         material = parts.at("experiments.opensees", opensees.built_in, entry.material, entry.parameters)
     opensees.require_openseespy()
+    assert site.programme.timeline.step is not None
     step = site.programme.timeline.step / opensees.STEPS_PER_STEP if entry.step is None else entry.step
     told = structures.true_numbers("experiments.opensees.structure", entry.structure, site.of_structure)
     files = {"model.json": opensees.as_json(opensees.model(site.structure.told(told), material, step))}

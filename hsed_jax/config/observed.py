@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 from hsed_jax.config import parts
 from hsed_jax.config.experiments import MeasuredEntry
-from hsed_jax.config.laboratories import IMPOSED
+from hsed_jax.config.laboratories import driver_of, responses
 from hsed_jax.config.schema import Study
+from hsed_jax.config.timelines import planned_duration
 from hsed_jax.errors import UserError
 from hsed_jax.physics.outputs import CHANNELS, PER_MASS, of_each, own_name, owner_of, quantity
 from hsed_jax.physics.structures import Structure
@@ -27,15 +28,15 @@ def outputs_of(built: "Built") -> tuple[str, ...]:
     owners = [element.name for element in built.elements]
     if study.observe == "quantities":
         # A record that ends before is passed over.
-        duration = built.planned.step * built.planned.steps if built.grid is None else math.inf
+        duration = planned_duration(built) if built.grid is None else math.inf
         _check_quantities(study.quantities, structure, owners, duration)
         return tuple(study.quantities)
     if measured is None:
         known = _declared(study)
-        names = tuple(study.channels or known or of_each(owners, ("elongation", "force")))
+        default = ("force",) if built.component_test else ("elongation", "force")
+        names = tuple(study.channels or known or of_each(owners, default))
     else:
-        imposed = (*IMPOSED, "elongation") if built.component_test else IMPOSED
-        known = tuple(name for name in measured.channels if name not in imposed)
+        known = responses(measured.channels, component_test=built.component_test)
         names = tuple(study.channels or known)
     for name in names:
         if known is not None and name not in known:
@@ -58,9 +59,11 @@ def _check_channel(name: str, structure: Structure | None, owners: Sequence[str]
         UserError: there is no such channel, it is imposed, or it is of a mass that does not exist.
     """
     masses = range(1, _count(structure) + 1)
+    # Without a structure it was imposed.
+    imposed = () if masses else ("elongation",)
     kinds = [*(f"{kind}_{{}}" for kind in PER_MASS), "acceleration_{}_absolute"]
     given = [
-        *of_each(owners, [name for name in CHANNELS if name not in IMPOSED]),
+        *of_each(owners, [name for name, known in CHANNELS.items() if known.of_specimen and name not in imposed]),
         *(kind.format(mass) for mass in masses for kind in kinds),
     ]
     if name not in given:
@@ -102,4 +105,4 @@ def _declared(study: Study) -> tuple[str, ...] | None:
     entry = study.experiments.laboratory
     if not isinstance(entry, MeasuredEntry) or not entry.channels:
         return None
-    return tuple(name for name in entry.channels if name not in IMPOSED)
+    return responses(entry.channels, component_test=driver_of(study) == "elongation")

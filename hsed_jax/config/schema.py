@@ -13,6 +13,7 @@ from pydantic import (
     model_validator,
 )
 
+from hsed_jax.config.excitation_entry import ExcitationEntry
 from hsed_jax.config.experiments import ExperimentsEntry
 from hsed_jax.config.mechanics import ModelEntry, PriorEntry, SpecimenModelEntry, StructureEntry
 from hsed_jax.config.sections import ErrorsEntry, OwnLawEntry, Positive, Section
@@ -25,41 +26,6 @@ from hsed_jax.plain import Number, Whole, name_fault, shown
 from hsed_jax.tables import Table, Tabular
 
 Count = Annotated[Whole, Field(ge=1)]
-Value = Number | str
-"""A number, or the name of an input."""
-
-
-class PulseEntry(Section):
-    """Near-fault pulse; a name refers to an input, a number is fixed."""
-
-    V_P: Value
-    T_P: Value
-    gamma: Value = 2.0
-    nu: Value = 0.10
-
-
-class RecordedEntry(Section):
-    """An accelerogram from a file, times a factor."""
-
-    file: str
-    scale: Value = 1.0
-
-
-class ExcitationEntry(Section):
-    """The ground motion, how long to simulate [s], and the step of the integration [s] (by default from the periods)."""
-
-    near_fault_pulse: PulseEntry | None = None
-    recorded: RecordedEntry | None = None
-    duration: Positive | None = None
-    step: Positive | None = None
-
-    @model_validator(mode="after")
-    def _at_most_one(self) -> "ExcitationEntry":
-        if self.near_fault_pulse is not None and self.recorded is not None:
-            raise ValueError("give either near_fault_pulse or recorded")
-        if self.near_fault_pulse is not None and self.duration is None:
-            raise ValueError("a near_fault_pulse needs a duration [s]")
-        return self
 
 
 class InputEntry(Section):
@@ -339,6 +305,7 @@ class Study(Tabular, Section):
                 entry = functools.reduce(operator.getitem, key.split("."), plain)
                 entry["spring"]["file"] = str((self.folder / model.spring.file).resolve())
         plain["model"]["own_effects"] = [str((self.folder / name).resolve()) for name in self.model.own_effects]
-        if self.excitation is not None and self.excitation.recorded is not None:
-            plain["excitation"]["recorded"]["file"] = str((self.folder / self.excitation.recorded.file).resolve())
+        for settings in plain.get("excitation", {}).values():
+            if isinstance(settings, dict) and "file" in settings:
+                settings["file"] = str((self.folder / settings["file"]).resolve())
         return plain

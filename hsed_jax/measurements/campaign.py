@@ -11,6 +11,7 @@ from hsed_jax.measurements.experiment import Channel, Experiment, Record
 from hsed_jax.measurements.pairs import pair_of
 from hsed_jax.measurements.tables import can_head_record
 from hsed_jax.measurements.units import Unit, channel_dimension, parse_unit, quantity_dimension
+from hsed_jax.physics.outputs import is_driver
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.tables import Table, Tabular
 
@@ -111,12 +112,12 @@ class Campaign(Tabular):
             raise UserError(
                 f"{where}: the record has a time but the campaign no channel time; declare it with its unit"
             )
-        responses = self.channels.keys() - MOTION
+        responses = {name for name in self.channels if not is_driver(name)}
         if strange := record.channels.keys() - self.channels.keys():
             raise UserError(f"{where}: the record has {sorted(strange)}; the campaign declares {sorted(self.channels)}")
         missing = self.channels.keys() - record.channels.keys() - {"time"}
-        # Either everything that was declared, or the ground motion alone (planned, or beside scalar quantities).
-        if missing and (missing != responses or "ground_acceleration" not in self.channels):
+        # Either everything that was declared, or what drives it alone (planned, or beside scalar quantities).
+        if missing and (missing != responses or self.channels.keys() - responses <= {"time"}):
             raise UserError(f"{where}: the record lacks {sorted(missing)}; every declared channel must be there")
         time = self.unit("time").snap(record.time)
         channels = {k: self.unit(k).snap(record.channels[k]) for k in self.channels if k in record.channels}

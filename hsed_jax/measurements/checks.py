@@ -12,7 +12,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.measurements.campaign import Campaign
 from hsed_jax.measurements.experiment import Experiment, Record
 from hsed_jax.measurements.units import channel_dimension, quantity_dimension
-from hsed_jax.physics.outputs import loops, named, own_name, quantity
+from hsed_jax.physics.outputs import is_driver, loops, named, own_name, quantity
 from hsed_jax.physics.pairs import Pair
 
 PLAUSIBLE = {
@@ -140,9 +140,9 @@ def _experiment(campaign: Campaign, experiment: Experiment) -> Iterator[Finding]
         return  # what follows needs a time that runs and numbers that are numbers
     for name, values in record.channels.items():
         if np.ptp(values) == 0:
-            # A free vibration has a constant ground; any other constant channel measured nothing.
+            # A free vibration has a constant ground and no force; any other constant channel measured nothing.
             message = f"it is constant ({values[0]:g}) over the whole record; a dead sensor?"
-            if name == "ground_acceleration":
+            if is_driver(name):
                 yield Finding("doubt", id, name, None, message, "constant")
             else:
                 yield Finding("error", id, name, None, message)
@@ -278,8 +278,10 @@ def _difference_noise(time: np.ndarray, values: np.ndarray, order: int) -> float
 
 
 def _base_lines(pair: Pair, id: str, record: Record) -> Iterator[Finding]:
-    driver = "ground_acceleration" if "ground_acceleration" in record.channels else "elongation"
-    if driver not in record.channels:
+    driver = next(
+        (name for name in (*filter(is_driver, record.channels), "elongation") if name in record.channels), None
+    )
+    if driver is None:
         return
     drive = record.channels[driver] - np.median(record.channels[driver][:QUIET])
     # A first small loading is a motion, too: it begins where the driver leaves its own noise.

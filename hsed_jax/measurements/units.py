@@ -50,6 +50,11 @@ DIMENSIONLESS = {"-", "–", "1"}
 _ENDLESS = re.compile(r"\d{3}|\d[eE]|\d[\s)]*(\*\*|\^)")
 
 
+def dimension_of(unit: str) -> Dimension:
+    """Return the dimension of an SI unit that a channel, quantity or setting is declared in."""
+    return _BY_UNIT[unit]
+
+
 def channel_dimension(name: str, pair: Pair = ELONGATION_AND_FORCE) -> Dimension:
     """Return the dimension of a canonical channel (`hsed_jax.physics.outputs`) of a specimen measured in a pair.
 
@@ -59,7 +64,7 @@ def channel_dimension(name: str, pair: Pair = ELONGATION_AND_FORCE) -> Dimension
     try:
         channel(name)
     except KeyError:
-        mass = ", ".join(f"{stem}_<i>[_absolute]" for stem in PER_MASS)
+        mass = ", ".join([*(f"{stem}_<i>[_absolute]" for stem in PER_MASS), "applied_force_<i>"])
         raise UserError(f"unknown channel {name!r}; allowed: {', '.join(CHANNELS)}, and for mass i {mass}") from None
     return _BY_UNIT[pair.output(name).unit]
 

@@ -203,6 +203,9 @@ PER_MASS: dict[str, Output] = {
 }
 SPECIMEN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 """What the name of a specimen looks like."""
+APPLIED_FORCE = Output("p", "N", "force applied to the structure", of_specimen=False)
+DRIVERS = ("time", "ground_acceleration")
+"""What no structure responds with; forces applied to its masses are neither responses (`is_driver`)."""
 ALLOWED = ", ".join([*QUANTITIES, "energy_at_TIME (a whole number of s or ms: energy_at_5s, energy_at_500ms)"])
 """The names that a quantity may have, for messages."""
 
@@ -284,6 +287,17 @@ def _quantity(own: str) -> Quantity | None:
     return None if match is None else _energy_at(int(match[1]) / (1000 if match[2] else 1))
 
 
+def driven_mass(name: str) -> int | None:
+    """The mass (from 1) that the force of this channel is applied to; None where it is no such channel."""
+    match = re.fullmatch(r"applied_force_([1-9]\d*)", name)
+    return None if match is None else int(match[1])
+
+
+def is_driver(name: str) -> bool:
+    """Whether a channel is what drives a structure, or the time, and no response."""
+    return name in DRIVERS or driven_mass(name) is not None
+
+
 def channel(name: str) -> Output:
     """Symbol, unit and meaning of a channel.
 
@@ -291,10 +305,17 @@ def channel(name: str) -> Output:
         KeyError: there is no such channel.
     """
     owner, own = owner_of(name), own_name(name)
-    known = CHANNELS.get(own) or _of_mass(own)
+    known = CHANNELS.get(own) or _of_applied(own) or _of_mass(own)
     if known is None or not _may_be(name, known):
         raise KeyError(name)
     return _of(owner, known) if owner else known
+
+
+def _of_applied(own: str) -> Output | None:
+    mass = driven_mass(own)
+    if mass is None:
+        return None
+    return replace(APPLIED_FORCE, symbol=f"p_{{{mass}}}", meaning=f"{APPLIED_FORCE.meaning}, mass {mass}")
 
 
 def _of_mass(own: str) -> Output | None:

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from hsed_jax.physics.excitations import Imposed, Tabulated
 from hsed_jax.physics.outputs import output, own_name, owner_of
 from hsed_jax.physics.response import Response
+from hsed_jax.physics.timeline import times
 
 Scalar = Float[Array, ""] | float
 
@@ -51,7 +52,7 @@ def measured(
         return math.prod(slots(slot, owner_of(name)) for slot in output(name).gains)
 
     def sensed(name: str, values: Float[Array, " samples"]) -> Float[Array, " samples"]:
-        time = _times(step_length, every, values.shape[0])
+        time = times(step_length, every, values.shape[0])
         owner, own = owner_of(name), own_name(name)
         delay = delay_of(owner, own)
         if not (isinstance(delay, int | float) and delay == 0):
@@ -108,11 +109,3 @@ def shifted(
         + values[i + 1] * (share * share * (3 - 2 * share))
         + lengths[i] * share * rest * (rest * slopes[i] - share * slopes[i + 1])
     )
-
-
-def _times(step_length: Float[Array, " steps"] | float, every: int, samples: int) -> Float[Array, " samples"]:
-    """When histories were kept [s]."""
-    lengths = jnp.asarray(step_length)
-    if lengths.ndim == 0:
-        return lengths * every * jnp.arange(samples)
-    return jnp.concatenate([jnp.zeros(1), jnp.cumsum(lengths)])[::every]

@@ -17,7 +17,7 @@ from hsed_jax.physics.effects.base import (
     combine,
 )
 from hsed_jax.physics.elements import Element, number_of_spring
-from hsed_jax.physics.excitations import AbstractExcitation, AbstractForcing, Scaled, Tabulated
+from hsed_jax.physics.excitations import AbstractExcitation, AbstractForcing, Shaken, Tabulated
 from hsed_jax.physics.laws import Elastic
 from hsed_jax.physics.outputs import further, own_name, owner_of
 from hsed_jax.physics.parameters import dimensionless
@@ -27,6 +27,7 @@ from hsed_jax.physics.sensors import felt, measured
 from hsed_jax.physics.specimen import Specimen
 from hsed_jax.physics.structures import OWNER, Structure
 from hsed_jax.physics.systems import AbstractSystem, DrivenSpring, ShakenStructure
+from hsed_jax.physics.timeline import Timeline, times
 
 Scalar = Float[Array, ""] | float
 
@@ -45,25 +46,23 @@ class Conditions(NamedTuple):
     recorded: Recorded | None = None
 
 
-class Timeline(NamedTuple):
-    """The grid of the integration: length of a step [s], number of steps, and every how many steps histories are kept."""
-
-    step: float
-    steps: int
-    every: int = 1
-
-
 @final
 class Parametrised[T](eqx.Module):
-    """A constructor whose arguments are numbers or names of inputs."""
+    """A constructor whose arguments are fixed arrays, and numbers or names of inputs, one or a tuple of them."""
 
     constructor: Callable[..., T] = eqx.field(static=True)
     arguments: tuple[tuple[str, Any], ...] = eqx.field(static=True)
+    arrays: Mapping[str, Any] = eqx.field(default_factory=dict)
 
     def __call__(self, inputs: Mapping[str, Scalar]) -> T:
         """The object at these inputs."""
-        values = {name: inputs[value] if isinstance(value, str) else value for name, value in self.arguments}
-        return self.constructor(**values)
+
+        def told(value: Any) -> Any:
+            if isinstance(value, tuple):
+                return tuple(told(one) for one in value)
+            return inputs[value] if isinstance(value, str) else value
+
+        return self.constructor(**self.arrays, **{name: told(value) for name, value in self.arguments})
 
 
 @final
@@ -72,7 +71,7 @@ class Simulator(eqx.Module):
 
     Attributes:
         structure: the numerical substructure; None for a component test.
-        excitation: from inputs to a ground motion; None where every experiment brings its record.
+        excitation: from inputs to what drives it; None where every experiment brings its record.
         timeline: the grid of the integration.
         effects: of spring, structure and test rig.
         scales: characteristic values for the effects; leaves, so that one compiled program can serve any.
@@ -137,15 +136,17 @@ class Simulator(eqx.Module):
         # Here and not above: what only builds or checks a simulator does without diffrax.
         from hsed_jax.physics.integrate import integrate
 
-        step, steps, every = self.timeline
+        steps, every = self.timeline.steps, self.timeline.every
         if conditions.recorded is not None:
             forcing, length = conditions.recorded
         else:
             assert self.excitation is not None
-            forcing, length = self.excitation(conditions.inputs).forcing(step, steps), step
+            excitation = self.excitation(conditions.inputs)
+            length = excitation.step_length(self.timeline)
+            forcing = excitation.forcing(length, steps)
         slots = self._setup(self._given(parameters))
         if slots is not None and self.structure is not None:
-            forcing = Scaled(forcing, slots("ground_motion"))
+            forcing = Shaken(forcing, slots("ground_motion"))
         elif slots is not None:
             assert isinstance(forcing, Tabulated)
             forcing = felt(forcing, slots, jax.numpy.asarray(length))
@@ -156,6 +157,12 @@ class Simulator(eqx.Module):
         if slots is None:
             return response
         return measured(response, slots, length, every, is_imposed=self.structure is None)
+
+    @eqx.filter_jit
+    def times(self, inputs: Mapping[str, Scalar]) -> Float[Array, " samples"]:
+        """When the histories of an experiment without a record are kept [s], from t = 0."""
+        assert self.excitation is not None
+        return times(self.excitation(inputs).step_length(self.timeline), self.timeline.every, self.timeline.samples)
 
     @eqx.filter_jit
     def quantities(self, parameters: Mapping[str, Scalar], conditions: Conditions, names: tuple[str, ...]):

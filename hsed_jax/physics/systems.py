@@ -13,7 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hsed_jax.physics.excitations import AbstractForcing, Imposed, Tabulated
+from hsed_jax.physics.excitations import AbstractForcing, Imposed, Tabulated, channels_of, driven
 from hsed_jax.physics.laws.base import Memory
 from hsed_jax.physics.outputs import named
 from hsed_jax.physics.specimen import Specimen
@@ -83,7 +83,7 @@ class AbstractSystem(eqx.Module):
 
 @final
 class ShakenStructure(AbstractSystem):
-    """The structure with its specimens in it, driven by a ground acceleration [m/s²].
+    """The structure with its specimens in it, driven by a ground acceleration [m/s²], by forces on masses, or both.
 
     Arguments:
         structure: masses and springs, and where the specimens sit.
@@ -125,8 +125,8 @@ class ShakenStructure(AbstractSystem):
         still = tuple(jnp.zeros(()) for _ in self.structure.masses)
         return State(still, still, tuple(specimen.start() for specimen in self.specimens))
 
-    def rates(self, state: State, sample: Scalar) -> State:
-        """ü = −M⁻¹(C u̇ + K u + Σ b r) − a_g, and the specimens' own rates."""
+    def rates(self, state: State, sample: Any) -> State:
+        """ü = −M⁻¹(C u̇ + K u + Σ b r − p) − a_g, and the specimens' own rates."""
         moved = [
             specimen.force_and_rates(*motion, memory)
             for specimen, motion, memory in zip(
@@ -136,20 +136,21 @@ class ShakenStructure(AbstractSystem):
         forces, rates = zip(*moved, strict=True)
         return State(state.velocity, self._accelerations(state, sample, forces), rates)
 
-    def kinematics(self, state: State, sample: Scalar) -> tuple[tuple[Scalar, Scalar], ...]:
+    def kinematics(self, state: State, sample: Any) -> tuple[tuple[Scalar, Scalar], ...]:
         """Elongation of every specimen [m] and its rate [m/s]."""
         return tuple((difference(state.displacement, ends), difference(state.velocity, ends)) for ends in self._places)
 
-    def channels(self, state: State, sample: Scalar, names: tuple[str, ...]) -> dict[str, Scalar]:
+    def channels(self, state: State, sample: Any, names: tuple[str, ...]) -> dict[str, Scalar]:
         """The named channels at one instant, SI units."""
-        values = {"ground_acceleration": jnp.asarray(sample), **self._specimen_channels(state, sample)}
+        ground, _ = driven(sample)
+        values = {"ground_acceleration": ground, **channels_of(sample), **self._specimen_channels(state, sample)}
         forces = [values[named(name, "force")] for name in self.names]
         for i, acceleration in enumerate(self._accelerations(state, sample, forces)):
             values[f"displacement_{i + 1}"] = state.displacement[i]
             values[f"velocity_{i + 1}"] = state.velocity[i]
             values[f"acceleration_{i + 1}"] = acceleration
-            values[f"acceleration_{i + 1}_absolute"] = acceleration + sample
-        return {name: values[name] for name in names}
+            values[f"acceleration_{i + 1}_absolute"] = acceleration + ground
+        return {name: jnp.asarray(values[name]) for name in names}
 
     def steepness(self, forcing: AbstractForcing, step_length: Float[Array, "..."] | float) -> Scalar:
         """The longest step times the frequency of the fastest specimen between the masses at its ends."""
@@ -159,8 +160,11 @@ class ShakenStructure(AbstractSystem):
         ]
         return jnp.max(jnp.asarray(step_length)) * jnp.sqrt(functools.reduce(jnp.maximum, squares))
 
-    def _accelerations(self, state: State, sample: Scalar, forces: Sequence[Scalar]) -> tuple[Scalar, ...]:
+    def _accelerations(self, state: State, sample: Any, forces: Sequence[Scalar]) -> tuple[Scalar, ...]:
+        ground, pushed = driven(sample)
         pushes: list[Scalar] = [0.0] * len(self.structure.masses)
+        for mass, applied in pushed.items():
+            pushes[mass] = pushes[mass] - applied
         for ends, value in (
             *((s.ends, s.stiffness * difference(state.displacement, s.ends)) for s in self._linear),
             *zip(self._places, forces, strict=True),
@@ -171,7 +175,7 @@ class ShakenStructure(AbstractSystem):
             if second is not None:
                 pushes[second] = pushes[second] + value
         return tuple(
-            -(sum(c * v for c, v in zip(row, state.velocity, strict=True)) + push) * (1 / mass) - sample
+            -(sum(c * v for c, v in zip(row, state.velocity, strict=True)) + push) * (1 / mass) - ground
             for row, push, mass in zip(self.damping, pushes, self.structure.masses, strict=True)
         )
 

@@ -4,7 +4,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from hsed_jax.measurements import Campaign
+from hsed_jax.physics.excitations import EXCITATIONS
 from hsed_jax.physics.laws import LAWS
+from hsed_jax.physics.outputs import driven_mass
 from hsed_jax.reporting.page_tables import unit_words
 
 _LABORATORIES = {
@@ -17,7 +19,7 @@ _LABORATORIES = {
 
 def asked(study: Mapping[str, Any], campaign: Campaign) -> list[str]:
     """Sentences on specimen, excitation, model, experiments, what is observed, its error, and the steps."""
-    parts = [_specimen(study, campaign), _excitation(study), _model(study), _experiments(study, campaign)]
+    parts = [_specimen(study, campaign), _excitation(study, campaign), _model(study), _experiments(study, campaign)]
     parts += [_observed(study, campaign), _design(study)]
     return [sentence for sentence in parts if sentence]
 
@@ -42,17 +44,19 @@ def _end(end: int | str) -> str:
     return "the ground" if end == "ground" else f"mass {end}"
 
 
-def _excitation(study: Mapping[str, Any]) -> str:
+def _excitation(study: Mapping[str, Any], campaign: Campaign) -> str:
     excitation, inputs = study.get("excitation") or {}, study.get("inputs") or {}
     ranges = [
         f"{name} {_prior({k: v for k, v in entry.items() if k != 'unit'})} {unit_words(entry['unit'])}".rstrip(" –")
         for name, entry in inputs.items()
     ]
     varied = f"; inputs {', '.join(ranges)}" if ranges else ""
-    if "near_fault_pulse" in excitation:
-        return f"Shaken by near-fault pulses of {excitation['duration']:g} s{varied}."
-    if "recorded" in excitation:
-        return f"Shaken by the recorded motion {excitation['recorded']['file'].rpartition('/')[2]}{varied}."
+    for name, known in EXCITATIONS.items():
+        if name in excitation:
+            return f"{known.sentence(excitation[name], excitation.get('duration'))}{varied}."
+    masses = [str(mass) for name in campaign.channels if (mass := driven_mass(name)) is not None]
+    if masses:
+        return f"Driven by the forces that were measured on mass {' and '.join(masses)}{varied}."
     if study.get("structure") is not None:
         return f"Shaken by the ground motions that were measured{varied}."
     return f"Inputs of the experiments: {', '.join(ranges)}." if ranges else ""

@@ -15,10 +15,12 @@ from hsed_jax.design.space import InputSpace
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.laboratories.virtual import VirtualLaboratory
+from hsed_jax.physics.excitations import channels_of
 from hsed_jax.physics.outputs import named, of_each
 from hsed_jax.physics.simulator import Conditions, Simulator
 from hsed_jax.physics.spectra import response_spectrum
-from hsed_jax.reporting import figures
+from hsed_jax.physics.timeline import Timeline, times
+from hsed_jax.reporting import excitation_figures, figures
 from hsed_jax.reporting.figures import Picture
 from hsed_jax.reporting.outcome import Outcome
 
@@ -32,7 +34,7 @@ def design_pictures(outcome: Outcome) -> Iterator[tuple[str, Picture]]:
     space, laboratory = outcome.space, outcome.laboratory
     has_motion = outcome.simulator.excitation is not None and bool(space.names)
     if laboratory is not None and has_motion:
-        yield "fig3_ground_motions", ground_motions(outcome.simulator, space)
+        yield "fig3_excitation", excitations(outcome.simulator, space)
         yield from _of_specimen(outcome, laboratory)
     if outcome.design is not None and outcome.state is not None:
         if laboratory is not None and len(space.names) == 2 and not laboratory.channels:
@@ -78,26 +80,33 @@ def estimates(outcome: Outcome) -> Picture:
     return figures.estimate_history(outcome.estimates, outcome.band("q05"), outcome.band("q95"), names, units, truth)
 
 
-def ground_motions(simulator: Simulator, space: InputSpace) -> Picture:
-    """Fig. 3 of a model with an excitation: what its inputs' distribution makes of the ground motion."""
+def excitations(simulator: Simulator, space: InputSpace) -> Picture:
+    """Fig. 3 of a model with an excitation: what its inputs' distribution makes of it."""
     assert simulator.excitation is not None
     excitation = simulator.excitation
     step, steps, _ = simulator.timeline
     # Half a step finer than the integration: what the integrator sees.
-    time = 0.5 * step * jnp.arange(2 * steps + 1)
-    periods = jnp.linspace(0.05, 3.0, 60)
+    half = Timeline(None if step is None else 0.5 * step, 2 * steps)
 
     @jax.jit
     @jax.vmap
     def motions(inputs):
-        acceleration = jax.vmap(excitation(inputs).acceleration)(time)
-        return acceleration, response_spectrum(acceleration, 0.5 * step, periods)
+        one = excitation(inputs)
+        time = times(one.step_length(half), 1, half.samples)
+        return time, channels_of(jax.vmap(one.sample)(time))
 
     middle = np.full((1, len(space.names)), 0.5)
     inputs = space.si(space.declared(np.concatenate([middle, space.spread(_MOTIONS)])))
-    accelerations, spectra = (np.asarray(x) for x in motions({k: jnp.asarray(v) for k, v in inputs.items()}))
+    time, found = motions({k: jnp.asarray(v) for k, v in inputs.items()})
+    ((channel, values),) = found.items()
+    if channel != "ground_acceleration":
+        return excitation_figures.histories(channel, np.asarray(time), np.asarray(values))
+    periods = jnp.linspace(0.05, 3.0, 60)
+    assert half.step is not None
+    spectra = jax.jit(jax.vmap(lambda one: response_spectrum(one, half.step, periods)))(values)
+    values, spectra = np.asarray(values), np.asarray(spectra)
     return figures.ground_motions(
-        np.asarray(time), accelerations[1:], accelerations[0], np.asarray(periods), spectra[1:], spectra[0]
+        np.asarray(time[0]), values[1:], values[0], np.asarray(periods), spectra[1:], spectra[0]
     )
 
 
@@ -167,6 +176,5 @@ def _response(
     known = {name: jnp.asarray(value) for name, value in parameters.items()}
     # All specimens at once: one program serves each.
     channels = simulator.respond(known, conditions, of_each(_owners(simulator), _CHANNELS)).channels
-    step, steps, every = simulator.timeline
-    time = step * every * np.arange(steps // every + 1)
+    time = np.asarray(simulator.times(conditions.inputs))
     return {"time": time, **{name: np.asarray(channels[named(owner, name)]) for name in _CHANNELS}}

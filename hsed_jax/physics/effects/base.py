@@ -79,6 +79,7 @@ class AbstractEffect(eqx.Module):
         place: where the physics sits.
         needs_time: it depends on rates or on time, not on the path alone: a test without a time scale cannot show it.
         histories_only: it changes channels but no quantity.
+        ground_only: it means nothing where the ground rests.
         shaken_only: it means nothing in a component test, and does nothing there.
         registered: it is for a catalogue; `register` says so.
     """
@@ -90,6 +91,7 @@ class AbstractEffect(eqx.Module):
     needs_time: ClassVar[bool] = False
     histories_only: ClassVar[bool] = False
     shaken_only: ClassVar[bool] = False
+    ground_only: ClassVar[bool] = False
     registered: ClassVar[bool] = False
 
 
