@@ -188,7 +188,7 @@ def test_a_further_quantity_is_one_entry(monkeypatch, tmp_path):
         "largest rate of the elongation",
         channels=lambda masses: ("elongation_rate",),
         measured=lambda time, channels: float(np.max(np.abs(channels["elongation_rate"]))),
-        kept=_largest(lambda step: step.system.kinematics(*step.end)[1]),
+        kept=_largest(lambda step: step.system.kinematics(*step.end)[step.specimen][1]),
     )
     monkeypatch.setitem(QUANTITIES, "peak_rate", entry)
     study = hx.load_study(PAPER, ["quantities=[peak_rate]", "steps=[calibrate]"])
