@@ -89,7 +89,7 @@ def bouc_wen_frame(slips):
     C = np.outer(root, root) * ((modes * (2 * RATIO * np.sqrt(values))) @ modes.T)
     pulse = NearFaultPulse(0.6, 0.7)
     fine = np.linspace(0.0, 4.0, 40001)
-    ground = np.asarray(jax.vmap(pulse.acceleration)(jnp.asarray(fine)))
+    ground = np.asarray(jax.vmap(pulse.sample)(jnp.asarray(fine)))
 
     def rates(t, y):
         v, z = y[2:4], y[4:]
