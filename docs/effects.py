@@ -22,7 +22,9 @@ from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study
 from hsed_jax.inference.priors import Prior
 from hsed_jax.physics.effects import EFFECTS
+from hsed_jax.physics.elements import Element
 from hsed_jax.physics.excitations import Imposed, Tabulated
+from hsed_jax.physics.laws import Elastic
 from hsed_jax.physics.parameters import Parameter, PhysicalForm, parameters_of
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Conditions, Recorded, Simulator, Timeline
@@ -175,6 +177,10 @@ def _entry(name: str) -> str:
             (effect.shaken_only, "does nothing in a component test"),
             (effect.needs_time, "needs a time scale"),
             (effect.histories_only, "shows in histories, not in quantities"),
+            (
+                getattr(effect, "linear_only", False),
+                "of linear springs alone (`spring_1.yielding`), or of the law `elastic`",
+            ),
         )
         if is_so
     ]
@@ -275,9 +281,13 @@ class ComponentTest:
 
     def picture(self, name: str, size: Mapping[str, float]) -> Picture:
         """The loop, plain and with the effect."""
-        simulator = replace(self.simulator, effects=EFFECTS.only([name]), scales=self.scales)
+        simulator, plain = self.simulator, self.plain
+        if getattr(EFFECTS[name], "linear_only", False):
+            simulator = replace(simulator, elements=(Element(law=Elastic),), constants=(("k", A),))
+            plain = _respond(simulator, {}, self.conditions)
+        simulator = replace(simulator, effects=EFFECTS.only([name]), scales=self.scales)
         changed = _respond(simulator, size, self.conditions)
-        curves = [(channels["elongation"], channels["force"]) for channels in (self.plain, changed)]
+        curves = [(channels["elongation"], channels["force"]) for channels in (plain, changed)]
         return _picture(name, curves, ("elongation", "m"), ("force", "N"))
 
 

@@ -25,7 +25,7 @@ from hsed_jax.inference.fit import Fit, fit
 from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Campaign, stop_at_errors
 from hsed_jax.physics.batch import tiled_map
-from hsed_jax.physics.outputs import further
+from hsed_jax.physics.outputs import further, of_each
 from hsed_jax.physics.response import Response
 from hsed_jax.physics.simulator import AbstractModel, Conditions
 from hsed_jax.tables import Table, Tabular
@@ -142,7 +142,7 @@ def compare(calibration: Calibration, campaign: Campaign | None = None) -> Compa
     declared = calibration.fit.posterior.is_declared
     parameters = len(calibration.fit.posterior.model_names)
     notes = [*calibration.fit.correlation_notes(), *thinning_notes(calibration.built, campaign)]
-    if calibration.built.component_test and not campaign.has_time:
+    if calibration.built.component_test and calibration.built.grid is not None and not campaign.has_time:
         notes.append(
             "the records have no time: the row number stands for it, which a rate-independent law does not notice"
         )
@@ -183,8 +183,8 @@ def simulate(
         study: the study.
         inputs: variable inputs by name in their declared units, numbers or arrays of one common length: a batch.
         parameters: free parameters by name (SI), numbers or arrays; by default the medians of their priors.
-        channels: histories to keep, by default elongation, force and energy as far as the model gives them; `()` for quantities
-            alone, which is faster.
+        channels: histories to keep, by default elongation, force and energy of the specimen or of each, as far as the model
+            gives them; none (an empty tuple) for quantities alone, which is faster.
 
     Returns:
         The response, with the quantities of Eq. 18 and those that the study names; in a batch every array has a leading axis.
@@ -216,7 +216,7 @@ def simulate(
     parameters, inputs = lanes
     model, more = built.planned_simulator, further(tuple(study.quantities))
     if channels is None:
-        channels = tuple(name for name in _CHANNELS if model.gives(name))
+        channels = tuple(name for name in of_each(model.owners, _CHANNELS) if model.gives(name))
     if missing := [name for name in channels if not model.gives(name)]:
         raise UserError(f"channels: the model does not give {missing[0]}")
     if not sizes:

@@ -19,7 +19,6 @@ from hsed_jax.errors import UserError
 from hsed_jax.laboratories.base import ExperimentFailed
 from hsed_jax.measurements import Campaign, Experiment, parse_unit
 from hsed_jax.measurements.experiment import Status
-from hsed_jax.physics.outputs import output
 from hsed_jax.requests import Columns, Expected, Requests
 from hsed_jax.store import RunFolder, laboratory_folder
 from hsed_jax.tables import Table, Tabular
@@ -203,11 +202,13 @@ class AskTell(Tabular):
         again = "" if asked.attempt == 1 else f", attempt {asked.attempt}"
         lines = [f"{asked.id}{again}: {', '.join(f'{n} {v:.4g} {units[n]}' for n, v in asked.inputs.items())}"]
         for name, (low, middle, high) in self.expected(asked).quantities.items():
-            lines.append(f"  {name} expected {middle:.4g} {output(name).unit} ({low:.4g} to {high:.4g})")
+            unit = self.built.pair.output(name).unit
+            lines.append(f"  {name} expected {middle:.4g} {unit} ({low:.4g} to {high:.4g})")
         if (limits := self.built.study.design.limits) is not None:
             most = limits.model_dump(exclude_none=True, exclude={"probability"})
             lines.append(f"  limits: {', '.join(f'{name} {value:g}' for name, value in most.items())} (SI)")
-        files = "request.json, ground_motion.csv, ground_motion.AT2, expected.csv"
+        assert self.built.excitation is not None
+        files = ", ".join(["request.json", *self.built.excitation.constructor.kind.files, "expected.csv"])
         return "\n".join(
             [*lines, f"  request in {folder}: {files}", f"  then: hsed tell {quote(str(self.path))} {quote(asked.id)}"]
         )

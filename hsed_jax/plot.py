@@ -38,7 +38,7 @@ from hsed_jax.workflow import Run
 
 
 def ground_motions(study: Study) -> np.ndarray:
-    """The ground motions that a study's inputs make, and their response spectra (5 % damping).
+    """The ground motions that a study's inputs make, and their response spectra (5 % damping); or the forces or elongations.
 
     Grey: 200 random realisations of the inputs; red: the inputs at the middle of their distributions.
 
@@ -46,12 +46,12 @@ def ground_motions(study: Study) -> np.ndarray:
         study: with an excitation.
 
     Returns:
-        Axes of the accelerations over time and of the spectra, (2,).
+        Axes of the accelerations over time and of the spectra, (2,); of forces or elongations over time, (1,).
     """
     built = Built(study)
     if built.excitation is None or not built.space.names:
         raise UserError(f"the study {study.study!r} has no excitation with inputs to draw")
-    return _several(design_figures.ground_motions(built.planned_simulator, built.space))
+    return _several(design_figures.excitations(built.planned_simulator, built.space))
 
 
 # What a calibrated model makes of its measurements.
@@ -170,8 +170,8 @@ def measured_against_predicted(calibration: Calibration, campaign: Campaign | No
     Raises:
         UserError: time histories were observed.
     """
-    comparison, _ = _compared(calibration, campaign, "quantities")
-    return _several(misfit_figures.measured_against_predicted(comparison))
+    comparison, campaign = _compared(calibration, campaign, "quantities")
+    return _several(misfit_figures.measured_against_predicted(comparison, campaign))
 
 
 def posterior(
@@ -261,7 +261,9 @@ def expected(design: AskTell, experiment: str) -> np.ndarray:
     given = ", ".join(f"{n} = {v:.4g} {design.built.space.units[n]}" for n, v in asked.inputs.items())
     found = design.expected(asked)
     measured = design.campaign[experiment].record
-    picture = request_figures.expected_response(f"{experiment} at {given}", found.time, found.channels, measured)
+    picture = request_figures.expected_response(
+        f"{experiment} at {given}", found.time, found.channels, measured, design.built.pair
+    )
     return _several(picture)
 
 

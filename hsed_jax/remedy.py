@@ -90,17 +90,18 @@ class Improvement(Tabular):
 
     def write(self, path: str | Path) -> None:
         """Write the improved study as YAML, with comments, its paths relative to the file."""
-        path = Path(path)
+        path, pair = Path(path), self.original.built.pair
         plain = self.study.written()
-        model, experiments, recorded = plain["model"], plain["experiments"], plain.get("excitation", {}).get("recorded")
+        model, experiments = plain["model"], plain["experiments"]
 
         def beside(name: str) -> str:
             return os.path.relpath(name, path.parent.absolute())
 
         if "campaign" in experiments:
             experiments["campaign"] = beside(experiments["campaign"])
-        if recorded:
-            recorded["file"] = beside(recorded["file"])
+        for settings in plain.get("excitation", {}).values():
+            if isinstance(settings, dict) and "file" in settings:
+                settings["file"] = beside(settings["file"])
         for spring in (model["spring"], experiments.get("virtual", {}).get("spring")):
             if isinstance(spring, dict):
                 spring["file"] = beside(spring["file"])
@@ -114,8 +115,9 @@ class Improvement(Tabular):
             "model": ["{} beside an effect: the priors of the catalogue (hsed effects NAME shows them)"],
             "experiments": ["relative paths start at the folder of this file"],
             "scales": [
-                "amplitudes of effects are relative to these, as they were when the effects were added: force [N], elongation "
-                "[m], elongation rate [m/s], absorbed energy [J]"
+                "amplitudes of effects are relative to these, as they were when the effects were added: force "
+                f"[{pair.force_unit}], elongation [{pair.elongation_unit}], rate [{pair.unit('m/s')}], absorbed energy "
+                f"[{pair.energy_unit}]"
             ],
         }
         lines = []

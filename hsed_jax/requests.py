@@ -21,7 +21,7 @@ from hsed_jax.laboratories.answer import QUANTITIES, RECORD, is_answered, left, 
 from hsed_jax.laboratories.base import ExperimentFailed, Measured
 from hsed_jax.laboratories.request import Request
 from hsed_jax.measurements import Record, parse_unit
-from hsed_jax.physics.outputs import EQ_18, further, output
+from hsed_jax.physics.outputs import EQ_18, further, is_driver, of_each
 from hsed_jax.physics.simulator import Conditions
 
 BAND = (0.05, 0.5, 0.95)
@@ -77,9 +77,10 @@ class Requests:
         def band(values: Any) -> np.ndarray:
             return np.quantile(np.asarray(values)[good], BAND, axis=0)
 
-        step, steps, every = self.built.planned
         return Expected(
-            step * every * np.arange(steps // every + 1),
+            np.asarray(
+                self.built.planned_simulator.times({name: jnp.asarray(value) for name, value in asked.si.items()})
+            ),
             {name: band(values) for name, values in channels.items()},
             {name: band(values) for name, values in quantities.items()},
         )
@@ -87,11 +88,11 @@ class Requests:
     @cached_property
     def _respond(self):
         names = tuple(self.built.parameters[0])
-        wanted = [name for name in self.built.sensors.channels if name not in ("time", "ground_acceleration")]
-        wanted = list(dict.fromkeys([*wanted, "elongation", "force"]))
         model, more = self.built.planned_simulator, further(tuple(self.built.study.quantities))
-        wanted = [name for name in wanted if model.gives(name)]
-        peaks = [name for name in dict.fromkeys((*EQ_18, *more)) if model.gives(name)]
+        measured = [name for name in self.built.sensors.channels if not is_driver(name)]
+        wanted = [*measured, *of_each(model.owners, ("elongation", "force"))]
+        wanted = [name for name in dict.fromkeys(wanted) if model.gives(name)]
+        peaks = [name for name in dict.fromkeys((*of_each(model.owners, EQ_18), *more)) if model.gives(name)]
 
         def one(theta, inputs):
             parameters = dict(zip(names, theta, strict=False))
@@ -110,6 +111,7 @@ class Requests:
         if (folder / "request.json").is_file():
             return
         folder.mkdir(parents=True, exist_ok=True)
+        output = self.built.pair.output
         expected, sensors = self.expected(asked), self.built.sensors
         columns = {"t [s]": expected.time}
         for name, band in expected.channels.items():

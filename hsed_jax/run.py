@@ -192,8 +192,8 @@ def _effects(options: Any) -> int:
 
 def _check(options: Any) -> int:
     from hsed_jax.config.build import Built
+    from hsed_jax.config.excitations import sentence_of
     from hsed_jax.config.load import load_study
-    from hsed_jax.config.plan import left_out
     from hsed_jax.config.records import forecast, thinning_notes
     from hsed_jax.measurements import check_campaign, overview, stop_at_errors
 
@@ -211,8 +211,10 @@ def _check(options: Any) -> int:
             print(note)
         print(forecast(built, built.measured))
         stop_at_errors(built.measured, accepted)
+    if built.excitation is not None and built.grid is None:
+        print(f"{sentence_of(study)}; {built.planned.steps} steps of the integration")
     if "diagnose" in study.steps:
-        for note in left_out(built.law, built.catalogue):
+        for note in built.naming.left_out():
             print(f"diagnose: {note}")
     print(f"{options.study}: the study is valid; its steps are {', '.join(study.steps)}")
     return 0

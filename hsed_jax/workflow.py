@@ -11,6 +11,7 @@ from hsed_jax.conduct import Asked, Conduct
 from hsed_jax.config.build import Built
 from hsed_jax.config.records import forecast
 from hsed_jax.config.schema import Study
+from hsed_jax.config.specimens import effects_of
 from hsed_jax.criticism import locate as locating
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.findings import Diagnosis
@@ -201,7 +202,7 @@ class Run:
             return self.improvement.calibration.built.scales
         if self.diagnosis is not None and self.diagnosis.ranking:
             return self.diagnosis.scales
-        return self.built.scales if self.study.model.effects else None
+        return self.built.scales if effects_of(self.study) else None
 
     # The design: Steps 1 to 8 of the paper.
 

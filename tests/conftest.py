@@ -44,7 +44,7 @@ def reference_table() -> pd.DataFrame:
 def paper_structure() -> Structure:
     """Two masses, each on its spring to the ground, the specimen between them; 5 % damping, formed with A_ref."""
     springs = (Spring((None, 0), 4e5), Spring((None, 1), 1e6))
-    return Structure((8e3, 9e3), springs, (0, 1), ModalDamping(0.05, specimen_stiffness=5e5))
+    return Structure((8e3, 9e3), springs, ((0, 1),), ModalDamping(0.05, specimen_stiffness=5e5))
 
 
 @pytest.fixture(scope="session")

@@ -44,7 +44,7 @@ def test_pulse_velocity_is_equation_16(inputs):
 def test_pulse_acceleration_is_the_derivative_of_velocity(inputs):
     pulse = NearFaultPulse(**inputs)
     t = np.linspace(0.001, 0.999, 500) * pulse.duration
-    acceleration = jax.vmap(pulse.acceleration)(t)
+    acceleration = jax.vmap(pulse.sample)(t)
     scale = np.abs(acceleration).max()
     # Measured 3e-16 of the peak.
     np.testing.assert_allclose(acceleration, jax.vmap(jax.grad(pulse.velocity))(t), rtol=0, atol=5e-15 * scale)
@@ -56,7 +56,7 @@ def test_pulse_acceleration_is_the_derivative_of_velocity(inputs):
 @pytest.mark.parametrize("inputs", PULSES)
 def test_pulse_starts_and_ends_smoothly_and_is_zero_outside(inputs):
     pulse = NearFaultPulse(**inputs)
-    for function in (pulse.velocity, pulse.acceleration):
+    for function in (pulse.velocity, pulse.sample):
         for time in (0.0, float(pulse.duration)):
             assert abs(function(time)) < 1e-12
         for time in (-1e-9, -3.0, float(pulse.duration) + 1e-9, 100.0):
@@ -77,7 +77,7 @@ def test_pulse_leaves_no_permanent_displacement(inputs):
 def test_rotating_phasors_equal_direct_evaluation(inputs, step):
     steps = round(10 / step)
     pulse = NearFaultPulse(**inputs)
-    direct = jax.vmap(pulse.acceleration)(0.5 * step * jnp.arange(2 * steps + 1))
+    direct = jax.vmap(pulse.sample)(0.5 * step * jnp.arange(2 * steps + 1))
     np.testing.assert_allclose(sampled(pulse.forcing(step, steps), steps), direct, rtol=0, atol=1e-10)
 
 
@@ -100,7 +100,7 @@ def test_record_is_linear_between_uneven_samples_and_zero_outside():
     motion = RecordedMotion(time, values)
     t = np.array([0.0, 0.0999, 0.1, 0.15, 0.35, 0.5, 0.6, 0.6001, 9.0])
     expected = [0, 0, 1, -0.5, 1, 4, 0.5, 0, 0]
-    np.testing.assert_allclose(jax.vmap(motion.acceleration)(t), expected, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(jax.vmap(motion.sample)(t), expected, rtol=0, atol=1e-14)
     steps = 40
     grid = 0.5 * 0.025 * np.arange(2 * steps + 1)
     expected = np.interp(grid, time, values, left=0, right=0)

@@ -101,7 +101,7 @@ def test_the_request_tells_inputs_motion_and_what_is_wanted(bench, tmp_path):
         head, *rows = csv.reader(file)
     assert head == ["t [s]", "ag [m/s^2]"]
     time, ground = np.array(rows, float).T
-    assert request["ground_motion"] == {"step": time[1], "samples": time.size}
+    assert request["ground_motion"] == {"step": time[1], "samples": time.size, "channel": "ground_acceleration"}
     assert time[0] == 0 and time[-1] == pytest.approx(4.0)
     d = 1e-6
     slope = (velocity(time + d, **INPUTS) - velocity(time - d, **INPUTS)) / (2 * d)

@@ -20,6 +20,7 @@ from hsed_jax.config.plan import check_added, left_out
 from hsed_jax.errors import UserError
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.effects.base import slots_of
+from hsed_jax.physics.elements import Element
 from hsed_jax.physics.excitations import Imposed, NearFaultPulse, Tabulated
 from hsed_jax.physics.laws import LAWS, BoucWen
 from hsed_jax.physics.parameters import parameters_of
@@ -66,10 +67,12 @@ def cycles(seed=0, turns=25, each=150) -> np.ndarray:
 
 def oscillator(law, steps=400, effects=(), **changes) -> Simulator:
     """A mass on the specimen, shaken by a pulse for 4 s."""
-    structure = Structure((MASS,), (), (None, 0), RayleighDamping(DAMPING / MASS, 0.0))
+    structure = Structure((MASS,), (), ((None, 0),), RayleighDamping(DAMPING / MASS, 0.0))
     pulse = Parametrised(NearFaultPulse, (("V_P", "V_P"), ("T_P", "T_P")))
     timeline = Timeline(4 / steps, steps)
-    return Simulator(structure, pulse, timeline, EFFECTS.only(effects), SCALES, law=LAWS[law], **changes)
+    return Simulator(
+        structure, pulse, timeline, EFFECTS.only(effects), SCALES, elements=(Element(law=LAWS[law]),), **changes
+    )
 
 
 def conditions(V_P=1.2) -> Conditions:
@@ -80,7 +83,7 @@ def conditions(V_P=1.2) -> Conditions:
 def ground():
     """From time to the ground acceleration of `conditions`, on steps of 0.2 ms."""
     step = 2e-4
-    values = np.asarray(jax.vmap(NearFaultPulse(1.2, 0.9).acceleration)(step * np.arange(20_001)))
+    values = np.asarray(jax.vmap(NearFaultPulse(1.2, 0.9).sample)(step * np.arange(20_001)))
     return step, lambda time: values[round(time / step)]
 
 
@@ -176,7 +179,7 @@ def test_a_component_test_finds_turns_between_its_samples(law):
     whole = amplitude * np.sin(omega * np.linspace(0, 1, 20_001) + 0.3)
     fine = np.concatenate([np.linspace(0, whole[0], 50), whole])
     force = along(law, fine, **CASES[law])
-    simulator = Simulator(None, None, Timeline(0.01, steps), law=LAWS[law])
+    simulator = Simulator(None, None, Timeline(0.01, steps), elements=(Element(law=LAWS[law]),))
     recorded = Recorded(Tabulated(jax.tree.map(jnp.asarray, imposed)), jnp.full(steps, 1 / steps))
     found = simulator.respond(CASES[law], Conditions({}, recorded), ("force",))
     assert found.ok

@@ -274,7 +274,7 @@ def test_what_diverged_is_kept_off_the_axes():
     for name, picture in misfit_pictures(broken, locate(wild, campaign), campaign):
         for panel in picture.figure.axes:
             assert np.abs([*panel.get_xlim(), *panel.get_ylim()]).max() < 1e3, name
-    assert "diverged" in texts(misfit_figures.error_table(broken))
+    assert "diverged" in texts(misfit_figures.error_table(broken, campaign))
     assert "error diverged" in texts(misfit_figures.loops(broken, campaign))
     assert cycles(broken, campaign) is not None
 
@@ -306,5 +306,5 @@ def test_the_table_has_the_worst_first_and_dashes_for_what_is_not_known():
         id: {o: {**v, "nrmse": np.nan} for o, v in x.items()} for id, x in comparison.train.per_experiment.items()
     }
     comparison = replace(comparison, train=replace(comparison.train, per_experiment=broken))
-    assert "–" in texts(misfit_figures.error_table(comparison))
+    assert "–" in texts(misfit_figures.error_table(comparison, campaign))
     assert error_map(comparison, campaign) is None

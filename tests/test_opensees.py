@@ -51,7 +51,7 @@ def short(experiments, **changes):
 def test_links_between_points_are_the_stiffness_and_damping_of_the_structure():
     masses, between, stiffness = np.array([3e3, 5e3, 2e3]), [(None, 0), (2, 0), (1, 2)], [4e5, 2e5, 7e5]
     springs = tuple(Spring(ends, k) for ends, k in zip(between, stiffness, strict=True))
-    structure = Structure(tuple(masses), springs, (1, None), ModalDamping(np.array([0.02, 0.05, 0.08]), 3e5))
+    structure = Structure(tuple(masses), springs, ((1, None),), ModalDamping(np.array([0.02, 0.05, 0.08]), 3e5))
     made = opensees.model(structure, {}, 1e-3)
     assert made["masses"] == masses.tolist() and made["specimen"] == [2, 0]
 

@@ -60,10 +60,10 @@ ELASTIC = {"A": STIFFNESS, "beta": 0.0, "gamma": 0.0, "n": 1.0}
 
 def pushed(step, steps, padding=0):
     """An undamped elastic oscillator under a constant acceleration of the ground: u = −(a/ω²)(1 − cos ωt)."""
-    structure = Structure((MASS,), (), (None, 0), ModalDamping(0.0, STIFFNESS))
+    structure = Structure((MASS,), (), ((None, 0),), ModalDamping(0.0, STIFFNESS))
     lengths = np.concatenate([np.full(steps, step), np.zeros(padding)])
     motion = Tabulated(jnp.full(2 * lengths.size + 1, PUSH))
-    simulator = Simulator(structure, None, Timeline(0.0, lengths.size))
+    simulator = Simulator(structure, None, Timeline(None, lengths.size))
     response = simulator.respond(ELASTIC, Conditions({}, Recorded(motion, jnp.asarray(lengths))), quantities=NEW)
     assert response.ok
     return {name: float(value) for name, value in response.quantities.items()}
@@ -99,7 +99,7 @@ def test_quantities_of_an_imposed_elongation():
     path = Imposed(jnp.asarray(0.03 * np.sin(2 * time)), jnp.asarray(0.06 * np.cos(2 * time)))
     conditions = Conditions({}, Recorded(Tabulated(path), jnp.full(steps, step)))
     names = ("residual_elongation", "energy_at_1100ms")
-    found = Simulator(None, None, Timeline(0.0, steps)).respond(ELASTIC, conditions, quantities=names).quantities
+    found = Simulator(None, None, Timeline(None, steps)).respond(ELASTIC, conditions, quantities=names).quantities
     assert found["residual_elongation"] == pytest.approx(0.03 * np.sin(3.2), rel=1e-12)
     assert found["energy_at_1100ms"] == pytest.approx(0.5 * STIFFNESS * (0.03 * np.sin(2.2)) ** 2, rel=1e-6)
 
@@ -188,7 +188,7 @@ def test_a_further_quantity_is_one_entry(monkeypatch, tmp_path):
         "largest rate of the elongation",
         channels=lambda masses: ("elongation_rate",),
         measured=lambda time, channels: float(np.max(np.abs(channels["elongation_rate"]))),
-        kept=_largest(lambda step: step.system.kinematics(*step.end)[1]),
+        kept=_largest(lambda step: step.system.kinematics(*step.end)[step.specimen][1]),
     )
     monkeypatch.setitem(QUANTITIES, "peak_rate", entry)
     study = hx.load_study(PAPER, ["quantities=[peak_rate]", "steps=[calibrate]"])

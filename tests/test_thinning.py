@@ -8,7 +8,8 @@ import pytest
 import hsed_jax as hx
 from hsed_jax.config.build import Built
 from hsed_jax.config.parts import law_parameters
-from hsed_jax.config.records import forecast, imposed_grid, thinning_notes
+from hsed_jax.config.records import forecast, thinning_notes
+from hsed_jax.config.timelines import imposed_grid
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Experiment, Record, characteristics
 from hsed_jax.measurements.thinning import loss, thinned

@@ -1,7 +1,6 @@
 """From what a user said to the objects that compute: no `None` reaches the numerics."""
 
 import dataclasses
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,18 +10,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hsed_jax.backend import prepare
-from hsed_jax.config import laboratories, parts, structures
-from hsed_jax.config import records as records_of
+from hsed_jax.config import laboratories, observed, pairs, parts, structures
 from hsed_jax.config.designs import design_of, settings_of
+from hsed_jax.config.excitations import excitation_of, protocol_of
 from hsed_jax.config.functions import FunctionEntry
-from hsed_jax.config.laboratories import IMPOSED
 from hsed_jax.config.limits import limits_of
+from hsed_jax.config.mechanics import ModelEntry
 from hsed_jax.config.noise import errors_of
 from hsed_jax.config.own_effects import catalogue_of
 from hsed_jax.config.plan import check_added, check_plan
 from hsed_jax.config.scales import check_scales, scales_of
-from hsed_jax.config.schema import ModelEntry, Study
+from hsed_jax.config.schema import Study
+from hsed_jax.config.specimens import Naming, effects_of, elements_of, placed
 from hsed_jax.config.spring_laws import law_of
+from hsed_jax.config.timelines import longest_step, measured_grid, planned_timeline
 from hsed_jax.design.feasible import Limits
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
@@ -35,12 +36,16 @@ from hsed_jax.laboratories.base import Laboratory
 from hsed_jax.laboratories.request import Programme
 from hsed_jax.laboratories.sensors import Sensors
 from hsed_jax.measurements import Campaign, Characteristics, Experiment, characteristics, parse_unit, read_campaign
+from hsed_jax.measurements.campaign import Protocol
 from hsed_jax.measurements.thinning import thinned
 from hsed_jax.physics.effects import Catalogue
+from hsed_jax.physics.elements import Element
 from hsed_jax.physics.laws import AbstractSpringLaw
+from hsed_jax.physics.pairs import Pair
 from hsed_jax.physics.scales import Scales
-from hsed_jax.physics.simulator import AbstractModel, Parametrised, Simulator, Timeline
+from hsed_jax.physics.simulator import AbstractModel, Parametrised, Simulator
 from hsed_jax.physics.structures import OWNER, Structure
+from hsed_jax.physics.timeline import Timeline
 
 if TYPE_CHECKING:
     # A check of a study samples nothing, and need not wait for what does.
@@ -80,13 +85,19 @@ class Built:
     @cached_property
     def catalogue(self) -> Catalogue:
         """The effects that the study may name; its own files of effects are executed."""
-        return catalogue_of(self.study)
+        structure = None if self.component_test else self.study.structure
+        return placed(catalogue_of(self.study), self.elements, 0 if structure is None else len(structure.springs))
 
     @cached_property
-    def law(self) -> type[AbstractSpringLaw]:
-        """The spring law of the model; the file of an own one is executed."""
+    def elements(self) -> tuple[Element, ...]:
+        """The specimens of the model; the files of own laws are executed."""
         assert isinstance(self.study.model, ModelEntry)
-        return law_of("model.spring", self.study.model.spring, self.study.folder)
+        return elements_of(self.study, law_of("model.spring", self.study.model.spring, self.study.folder))
+
+    @cached_property
+    def naming(self) -> Naming:
+        """What the names of parameters and effects stand for."""
+        return Naming(self.elements, self.catalogue)
 
     @cached_property
     def measured(self) -> Campaign | None:
@@ -97,9 +108,19 @@ class Built:
         return read_campaign(self.study.folder / path)
 
     @property
+    def protocol(self) -> Protocol:
+        """What drives the experiments: the ground or a force, or the elongation of the specimen alone."""
+        return protocol_of(self.study, self.measured)
+
+    @property
     def component_test(self) -> bool:
-        """Whether the elongation was imposed on the specimen alone."""
-        return self.measured is not None and self.measured.protocol == "displacement"
+        """Whether the elongation is imposed on the specimen alone."""
+        return self.protocol == "displacement"
+
+    @cached_property
+    def pair(self) -> Pair:
+        """What elongation and force of the specimen are, as whoever measures them declares."""
+        return pairs.study_pair(self)
 
     def taken(self, experiments: Sequence[Experiment]) -> tuple[Experiment, ...]:
         """Experiments as they are fitted and scored: long records of a component test are thinned."""
@@ -130,8 +151,7 @@ class Built:
     @cached_property
     def parameters(self) -> tuple[dict[str, Prior], dict[str, float]]:
         """Free parameters of the model with their priors, and the fixed ones with their values."""
-        assert isinstance(self.study.model, ModelEntry)
-        return parts.model_parameters(self.study.model, self.law, self.catalogue, self._of_structure)
+        return self.naming.model_parameters(self.study, self._of_structure, self.pair)
 
     @cached_property
     def _of_structure(self) -> dict[str, Prior]:
@@ -140,35 +160,35 @@ class Built:
         return {} if entry is None or self.component_test else structures.priors_of(entry)
 
     @cached_property
-    def _steepest(self) -> AbstractSpringLaw:
-        """The law where its priors make it stiffest and let it yield soonest."""
-        return self.law(**parts.law_parameters(self.parameters, self.law.steepest))
+    def steepest(self) -> tuple[AbstractSpringLaw, ...]:
+        """The laws where their priors make them stiffest and let them yield soonest."""
+        return self.naming.laws(self.parameters, steepest=True)
 
     @cached_property
-    def middle(self) -> AbstractSpringLaw:
-        """The law in the middle of its priors."""
-        return self.law(**parts.law_parameters(self.parameters))
+    def laws(self) -> tuple[AbstractSpringLaw, ...]:
+        """The laws in the middle of their priors; none of a model that has no law."""
+        return self.naming.laws(self.parameters)
 
     @cached_property
-    def _stiffest(self) -> Structure:
+    def stiffest(self) -> Structure:
         """The structure where its priors make its shortest period shortest."""
         return structures.stiffest(self.structure, self._of_structure)
 
     @cached_property
-    def _longest_step(self) -> float:
-        """Of the integration [s]."""
-        return parts.longest_step(self._stiffest, self._steepest, self.study.excitation, self.space)
+    def longest_step(self) -> float:
+        """The longest one of the integration [s]."""
+        return longest_step(self.stiffest, self.steepest, self.excitation, self.space)
 
     @cached_property
     def units(self) -> dict[str, str]:
         """SI unit of every free parameter."""
         free, fixed = self.parameters
-        return parts.parameter_units(tuple(free), fixed, self.law, self.catalogue)
+        return self.naming.units(tuple(free), fixed, self.pair)
 
     @cached_property
     def excitation(self) -> Parametrised | None:
-        """From inputs to a ground motion; None where every experiment brings its record."""
-        return parts.excitation(self.study.excitation, self.study.inputs, self.study.folder)
+        """From inputs to what drives an experiment; None where every experiment brings its record."""
+        return excitation_of(self.study)
 
     @cached_property
     def characteristics(self) -> Characteristics | None:
@@ -183,35 +203,24 @@ class Built:
     @cached_property
     def grid(self) -> Grid | None:
         """Samples and steps per sample of the measured records; None where there are none."""
-        records = records_of.measured(self)
-        if not records:
-            return None
-        if self.component_test:
-            assert self.characteristics is not None
-            return records_of.imposed_grid(records, self.characteristics, self.middle, self._steepest)
-        longest = max(float(np.max(np.diff(record.time), initial=0.0)) for record in records)
-        return records_of.divided(max(len(record) for record in records), longest / self._longest_step)
+        return measured_grid(self)
 
     @cached_property
     def timeline(self) -> Timeline:
         """The grid of the integration."""
         if self.grid is not None:
-            return Timeline(0.0, self.grid.every * (self.grid.samples - 1), self.grid.every)
+            return Timeline(None, self.grid.every * (self.grid.samples - 1), self.grid.every)
         return self.planned
 
     @cached_property
     def planned(self) -> Timeline:
         """The grid of the integration for an experiment without a record."""
-        entry = self.study.excitation
-        if entry is None or self.excitation is None:
-            raise UserError("excitation: give near_fault_pulse or recorded, where no record tells the motion")
-        step = self._longest_step if entry.step is None else entry.step
-        return parts.planned_timeline(entry, self.study.folder, step, self.study.observe == "histories")
+        return planned_timeline(self)
 
     @cached_property
     def simulator(self) -> AbstractModel:
         """The computational simulator."""
-        return self._simulator(self.law, tuple(self.study.model.effects), tuple(self.parameters[1].items()))
+        return self._simulator(self.elements, tuple(effects_of(self.study)), tuple(self.parameters[1].items()))
 
     @cached_property
     def planned_simulator(self) -> AbstractModel:
@@ -231,12 +240,13 @@ class Built:
         return Programme(self.space.units, self.excitation, timeline)
 
     @cached_property
-    def specimen_law(self) -> type[AbstractSpringLaw]:
-        """The spring law of the virtual specimen: its own, or the model's."""
+    def true_elements(self) -> tuple[Element, ...]:
+        """The virtual specimens: the law of those that share the model's may be another one."""
         virtual = self.study.experiments.virtual
         if virtual is None or virtual.spring is None:
-            return self.law
-        return law_of("experiments.virtual.spring", virtual.spring, self.study.folder)
+            return self.elements
+        law = law_of("experiments.virtual.spring", virtual.spring, self.study.folder)
+        return tuple(e if e.is_apart else e._replace(law=law) for e in self.elements)
 
     @cached_property
     def specimen(self) -> dict[str, float]:
@@ -245,11 +255,11 @@ class Built:
         assert virtual is not None
         told = structures.true_numbers("experiments.virtual.structure", virtual.structure, self._of_structure)
         of_structure = {f"{OWNER}.{name}": value for name, value in told.items()}
-        return parts.true_parameters(virtual, self.specimen_law, self.catalogue) | of_structure
+        return Naming(self.true_elements, self.catalogue).true_parameters(self.study) | of_structure
 
     def _virtual(self) -> tuple[Simulator, dict[str, float]]:
         assert self.study.experiments.virtual is not None
-        return self._simulator(self.specimen_law, tuple(self.study.experiments.virtual.effects), ()), self.specimen
+        return self._simulator(self.true_elements, tuple(self.study.experiments.virtual.effects), ()), self.specimen
 
     @cached_property
     def laboratory(self) -> Laboratory:
@@ -260,34 +270,11 @@ class Built:
     @cached_property
     def outputs(self) -> tuple[str, ...]:
         """Names of the observed quantities or channels."""
-        if self.study.observe == "quantities":
-            self._check_quantities()
-            return tuple(self.study.quantities)
-        if self.measured is None:
-            known = laboratories.declared_responses(self.study)
-            names = tuple(self.study.channels or known or ("elongation", "force"))
-        else:
-            imposed = (*IMPOSED, "elongation") if self.component_test else IMPOSED
-            known = tuple(name for name in self.measured.channels if name not in imposed)
-            names = tuple(self.study.channels or known)
-        for name in names:
-            if known is not None and name not in known:
-                raise UserError(f"channels: {name} was not measured; measured are {', '.join(known) or 'none'}")
-            parts.at("channels", self._check_channel, name)
-        if not names:
-            raise UserError(
-                "observe: there is no measured channel to compare with; the campaign has only what was imposed"
-            )
-        return names
+        return observed.outputs_of(self)
 
-    def _check_quantities(self) -> None:
-        """Refuse quantities that the model does not give; a record that ends before the time of one is passed over."""
-        duration = self.planned.step * self.planned.steps if self.grid is None else math.inf
-        laboratories.check_quantities(self.study.quantities, self.structure, duration)
-
-    def _check_channel(self, name: str) -> None:
-        """Refuse a channel that the model does not give."""
-        laboratories.check_response(name, self.structure)
+    def check_outputs(self, names: tuple[str, ...]) -> None:
+        """Refuse quantities or channels that the model does not give."""
+        observed.check_outputs(self, names)
 
     @cached_property
     def observation(self) -> Observation:
@@ -303,7 +290,7 @@ class Built:
         """Of each output."""
         source = self.sensors if self.measured is None else self.measured
         declared = source.quantities if self.study.observe == "quantities" else source.channels
-        return errors_of(self.study, self.outputs, declared)
+        return errors_of(self.study, self.outputs, declared, self.pair)
 
     @cached_property
     def posterior(self) -> Posterior:
@@ -314,6 +301,7 @@ class Built:
 
     def data(self, campaign: Campaign, experiments: Sequence[Experiment], size: int | None = None) -> Data:
         """Experiments of a campaign as data, padded to `size` rows."""
+        pairs.check_same(campaign, self.pair)
         relative = np.asarray([error.is_relative for error in self.errors])
         return assemble(self.observation, campaign, self.taken(experiments), relative, size)
 
@@ -343,7 +331,7 @@ class Built:
         """The campaign that the laboratory fills."""
         return Campaign(
             self.study.study,
-            "ground_motion",
+            self.protocol,
             inputs=dict(self.space.units),
             channels=self.sensors.recorded,
             quantities=dict(self.sensors.quantities),
@@ -371,27 +359,28 @@ class Built:
 
     def _check_effects(self) -> None:
         """Refuse effects that cannot be added to the model."""
-        check_added(self.study.model, self.study.improve.add or [], self.law, self.catalogue, "improve.add: ")
+        check_added(self.study, self.study.improve.add or [], self.naming, "improve.add: ")
 
     def _needed(self, performs: bool) -> list[str]:
         """What a check builds: not the simulator, nor a specimen that is one, whose scales may take a simulation."""
-        needed = ["space", "structure", "parameters", "excitation", "outputs", "timeline", "errors"]
+        needed = ["pair", "space", "structure", "parameters", "excitation", "outputs", "timeline", "errors"]
         if self.study.experiments.laboratory is not None or "design" in self.study.steps:
             virtual = self.study.experiments.virtual is not None
             needed += ["sensors", "programme", *(["specimen"] if virtual else ["laboratory"] if performs else [])]
         return needed
 
     def _simulator(
-        self, law: type[AbstractSpringLaw], effects: tuple[str, ...], constants: tuple[tuple[str, float], ...]
+        self, elements: tuple[Element, ...], effects: tuple[str, ...], constants: tuple[tuple[str, float], ...]
     ) -> Simulator:
         follows = self.study.structure is not None and self.study.structure.damping.specimen_stiffness == "model"
+        present = self.catalogue.only(effects)
         return Simulator(
             structure=self.structure,
             excitation=self.excitation,
             timeline=self.timeline,
-            effects=self.catalogue.only(effects),
+            effects=present,
             scales=self.scales,
             constants=constants,
             damping_follows_model=follows,
-            law=law,
+            elements=elements,
         )

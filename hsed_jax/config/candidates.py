@@ -7,8 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from hsed_jax.config.build import Built
-from hsed_jax.config.plan import ORDER, check_added, left_out
+from hsed_jax.config.laboratories import driver_of
+from hsed_jax.config.plan import ORDER, check_added
 from hsed_jax.config.schema import ImproveEntry, ScalesEntry, Study
+from hsed_jax.config.specimens import effects_of
 from hsed_jax.criticism.compare import compare
 from hsed_jax.criticism.measured import Measured
 from hsed_jax.criticism.prediction import Prediction
@@ -22,9 +24,11 @@ from hsed_jax.inference.priors import Prior
 from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Campaign, Experiment, Record
 from hsed_jax.physics.effects import Catalogue
+from hsed_jax.physics.excitations import AbstractExcitation
+from hsed_jax.physics.outputs import is_driver
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.simulator import Conditions
-from hsed_jax.physics.specimen import unserved
+from hsed_jax.physics.timeline import Timeline, times
 
 # Experiments that could be made, to look for one that tells rivals apart.
 _CANDIDATES = 32
@@ -34,17 +38,24 @@ _PADDING = 16
 
 def applicable(built: Built, campaign: Campaign) -> list[str]:
     """Effects of the catalogue that the model lacks and the measurements could show."""
-    has_time = campaign.has_time or not built.component_test
+    has_time = campaign.has_time or not built.component_test or built.grid is None
+    is_shaken = "ground_acceleration" in drivers(built, campaign)
     quantities = built.study.observe == "quantities"
     return [
         name
-        for name, effect in built.catalogue.items()
-        if name not in built.study.model.effects
-        and not unserved(effect, built.law)
-        and (has_time or not effect.needs_time)
-        and not (quantities and effect.histories_only)
-        and not (built.component_test and effect.shaken_only)
+        for name in built.naming.candidates
+        if name not in effects_of(built.study)
+        and not built.naming.unserved(name)
+        and (has_time or not built.catalogue[name].needs_time)
+        and not (quantities and built.catalogue[name].histories_only)
+        and not (built.component_test and built.catalogue[name].shaken_only)
+        and (is_shaken or not built.catalogue[name].ground_only)
     ]
+
+
+def drivers(built: Built, campaign: Campaign) -> list[str]:
+    """Channels that measure what drives the structure, or what would."""
+    return [name for name in campaign.channels if is_driver(name) and name != "time"] or [driver_of(built.study)]
 
 
 def with_effects(built: Built, effects: Sequence[str]) -> Study:
@@ -54,7 +65,7 @@ def with_effects(built: Built, effects: Sequence[str]) -> Study:
         UserError: there is no such effect, the model has it, or it stands twice.
     """
     study = built.study
-    check_added(study.model, effects, built.law, built.catalogue)
+    check_added(study, effects, built.naming)
     model = study.model.model_copy(update={"effects": {**study.model.effects, **{name: {} for name in effects}}})
     # Ready to be improved again: what was chosen by hand this time is for the diagnosis to find next time.
     steps = [step for step in ORDER if step in study.steps or (step == "diagnose" and "improve" in study.steps)]
@@ -121,7 +132,8 @@ def problem_of(
         candidates=inputs,
         seed=built.study.seed,
         start=start,
-        notes=left_out(built.law, built.catalogue),
+        notes=built.naming.left_out(),
+        pair=large.pair,
     )
 
 
@@ -165,7 +177,10 @@ def _candidates(
 ) -> tuple[list[dict[str, float]], Conditions | None]:
     """Inputs of experiments that could be made, in declared units, and their conditions; none without an excitation of inputs."""
     space = built.space
-    if built.excitation is None or not space.names or built.component_test:
+    excitation = built.excitation
+    if excitation is None or not space.names or excitation.constructor.kind.protocol != built.protocol:
+        return [], None
+    if not built.component_test and drivers(built, campaign) != [driver_of(built.study)]:
         return [], None
     declared = space.declared(space.initial_design(_CANDIDATES) if cube is None else cube)
     si = space.si(declared)
@@ -173,10 +188,18 @@ def _candidates(
     conditions = []
     for number in range(len(declared)):
         inputs = dict(longest.inputs) | {name: float(values[number]) for name, values in si.items()}
-        record = None if longest.record is None else Record(longest.record.time, {})
+        record = None if longest.record is None else Record(_times(excitation(inputs), longest.record.time), {})
         experiment = Experiment(f"candidate {number + 1}", inputs, record=record)
-        conditions.append(conditions_of(experiment, campaign, built.grid, built.excitation))
+        conditions.append(conditions_of(experiment, campaign, built.grid, excitation))
     return [dict(zip(space.names, row.tolist(), strict=True)) for row in declared], stacked(conditions)
+
+
+def _times(excitation: AbstractExcitation, recorded: np.ndarray) -> np.ndarray:
+    """When an experiment that could be made would be sampled: as the recorded ones, or until its own end."""
+    own = Timeline(None, len(recorded) - 1)
+    if excitation.kind.protocol == "displacement":
+        return np.asarray(times(excitation.step_length(own), 1, own.samples))
+    return recorded
 
 
 def _padded(conditions: Conditions) -> Conditions:

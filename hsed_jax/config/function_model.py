@@ -10,35 +10,35 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hsed_jax.config import laboratories, parts
-from hsed_jax.config import records as records_of
+from hsed_jax.config import parts
 from hsed_jax.config.build import Built
 from hsed_jax.config.functions import FunctionEntry
 from hsed_jax.config.sections import InputEntry
-from hsed_jax.config.spring_laws import law_of
+from hsed_jax.config.specimens import Naming, by_owner, elements_of
+from hsed_jax.config.timelines import TOLD, duration_of, measured_records
 from hsed_jax.errors import UserError
 from hsed_jax.inference.observation import Grid, conditions_of
 from hsed_jax.inference.priors import Prior
 from hsed_jax.laboratories.command import check_template
 from hsed_jax.measurements import parse_unit
 from hsed_jax.models.differences import Differenced, Free, failure, unpadded
-from hsed_jax.models.function import RESERVED, FunctionModel, Respond, is_output, known_outputs, outputs_of
+from hsed_jax.models.function import FunctionModel, Respond, is_output, is_told, known_outputs, outputs_of
 from hsed_jax.models.program import Program
+from hsed_jax.physics.elements import Element
 from hsed_jax.physics.laws import AbstractSpringLaw
-from hsed_jax.physics.outputs import CHANNELS, PER_MASS
-from hsed_jax.physics.simulator import AbstractModel, Conditions, Timeline
+from hsed_jax.physics.outputs import CHANNELS, PER_MASS, is_driver
+from hsed_jax.physics.simulator import AbstractModel, Conditions
 from hsed_jax.physics.structures import Structure
+from hsed_jax.physics.timeline import Timeline
 from hsed_jax.plain import shown
 from hsed_jax.python_files import module_of
-
-# Of the motion that a function is told where nothing is integrated.
-_SAMPLES = 1000
 
 
 class BuiltOfFunction(Built):
     """Everything a study needs to run whose model is a function or a program.
 
-    Nothing is integrated here, so that steps are the samples of the records, and the structure is that of a virtual specimen.
+    Nothing is integrated here, so that steps are the samples of the records; structure, specimens and laws are those of a virtual
+    laboratory.
     """
 
     @property
@@ -51,8 +51,8 @@ class BuiltOfFunction(Built):
         return f"model.{self._entry.described[0]}"
 
     @cached_property
-    def law(self) -> type[AbstractSpringLaw]:
-        """There is none.
+    def naming(self) -> Naming:
+        """There is none: its names are the function's own.
 
         Raises:
             UserError: always; what asks for it cannot be had.
@@ -76,6 +76,8 @@ class BuiltOfFunction(Built):
                 f"structure: {next(iter(self._of_structure))} has a prior, but the model is a function, which has its own "
                 "structure; give a number here and the prior in model.parameters"
             )
+        if own := [key for key in self.study.models if key != "model"]:
+            raise UserError(f"{own[0]}: the model is a function, which has its own specimens; leave this model out")
         free, fixed = {}, {}
         for name, entry in self._entry.parameters.items():
             if isinstance(entry, InputEntry):
@@ -102,37 +104,40 @@ class BuiltOfFunction(Built):
         return units
 
     @cached_property
-    def middle(self) -> AbstractSpringLaw:
-        """The law of the virtual specimen, whose scales and steps are asked for here."""
-        return self.specimen_law(**{name: value for name, value in self.specimen.items() if "." not in name})
+    def elements(self) -> tuple[Element, ...]:
+        """The specimens that are measured; of virtual ones `true_elements` have the laws, and of others nothing asks for one."""
+        virtual = self.study.experiments.virtual
+        if virtual is not None and virtual.spring is None:
+            raise UserError("experiments.virtual.spring: this key is required, as the model has no spring law")
+        return elements_of(self.study, Element().law)
+
+    @cached_property
+    def laws(self) -> tuple[AbstractSpringLaw, ...]:
+        """The laws of the virtual specimens, whose scales and steps are asked for here; none where there are none."""
+        if self.study.experiments.virtual is None:
+            return ()
+        owners = by_owner(self.specimen)
+        return tuple(element.law(**element.parameters(owners)) for element in self.true_elements)
 
     @property
-    def _steepest(self) -> AbstractSpringLaw:
-        return self.middle
+    def steepest(self) -> tuple[AbstractSpringLaw, ...]:
+        """The same: they are known."""
+        return self.laws
 
     @cached_property
-    def specimen_law(self) -> type[AbstractSpringLaw]:
-        """The spring law of the virtual specimen."""
-        virtual = self.study.experiments.virtual
-        if virtual is None or virtual.spring is None:
-            raise UserError("experiments.virtual.spring: this key is required, as the model has no spring law")
-        return law_of("experiments.virtual.spring", virtual.spring, self.study.folder)
-
-    @cached_property
-    def _longest_step(self) -> float:
-        entry = self.study.excitation
-        assert entry is not None
-        if self.study.experiments.virtual is not None:
-            return super()._longest_step
-        if entry.recorded is not None:
-            return float(parts.recorded_motion(entry, self.study.folder)[0][1])
-        assert entry.duration is not None
-        return entry.duration / _SAMPLES
+    def longest_step(self) -> float:
+        """That of the integration of virtual specimens, else the interval of the record or a share of the duration [s]."""
+        if self.laws:
+            return super().longest_step
+        assert self.excitation is not None
+        if "time" in self.excitation.arrays:
+            return float(np.min(np.diff(self.excitation.arrays["time"])))
+        return duration_of(self) / TOLD
 
     @cached_property
     def grid(self) -> Grid | None:
         """Samples of the measured records, a step for each; None where there are none."""
-        records = records_of.measured(self)
+        records = measured_records(self)
         return Grid(max(len(record) for record in records), 1) if records else None
 
     @cached_property
@@ -146,22 +151,20 @@ class BuiltOfFunction(Built):
         quantities = self.study.observe == "quantities"
         return None if quantities and self.grid is None and self.excitation is None else super().timeline
 
-    def _check_quantities(self) -> None:
-        # What the function gives, its first call tells.
-        if self.structure is not None:
-            super()._check_quantities()
-
-    def _check_channel(self, name: str) -> None:
-        if self.structure is not None:
-            super()._check_channel(name)
-        elif not is_output(name):
-            known = [*(k for k in CHANNELS if k not in laboratories.IMPOSED), *(f"{kind}_1" for kind in PER_MASS)]
-            raise UserError(f"there is no channel {shown(name)}; there are {', '.join(known)} and so on")
+    def check_outputs(self, names: tuple[str, ...]) -> None:
+        """Refuse what the specimens in a structure do not have, if there is one; what the function gives its first call tells."""
+        if self.structure is not None or self.laws:
+            super().check_outputs(names)
+        elif unknown := [name for name in names if not is_output(name)]:
+            known = [*(name for name in CHANNELS if not is_driver(name)), *(f"{kind}_1" for kind in PER_MASS)]
+            raise UserError(
+                f"channels: there is no channel {shown(unknown[0])}; there are {', '.join(known)} and so on"
+            )
 
     def _check_effects(self) -> None:
         design = self.study.design
         if {"diagnose", "improve"} & set(self.study.steps) or self.study.improve.add:
-            _ = self.law
+            _ = self.naming
         for asked, key in (
             (design.acquisition == "discriminate", "acquisition"),
             (design.stop.verdict, "stop.verdict"),
@@ -262,7 +265,7 @@ class BuiltOfFunction(Built):
 
     def _check_names(self) -> None:
         inputs = [*self.study.inputs, *(() if self.measured is None else self.measured.inputs)]
-        if taken := [name for name in inputs if name in RESERVED]:
+        if taken := [name for name in inputs if is_told(name)]:
             raise UserError(
                 f"inputs.{taken[0]}: a function is told a history of this name; give the input another name"
             )

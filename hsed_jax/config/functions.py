@@ -1,7 +1,7 @@
 """What a user may say of a model that is no spring law: a Python function, or a program."""
 
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -19,7 +19,7 @@ class FunctionEntry(Section):
     command: ProgramEntry | None = None
     derivatives: Literal["jax", "differences"] | None = None
     parameters: Annotated[dict[str, Number | InputEntry], Field(min_length=1)]
-    effects: ClassVar[dict[str, dict[str, float]]] = {}
+    effects: ClassVar[dict[str, dict[str, Number | dict[str, Any]]]] = {}
     """None: they are a spring law's."""
     own_effects: ClassVar[list[str]] = []
 

@@ -10,9 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from hsed_jax.config.floors import floor_count, floors_of
+from hsed_jax.config.pairs import check_masses
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, characteristics, parse_unit
 from hsed_jax.measurements.units import TIME, VELOCITY
+from hsed_jax.physics.outputs import is_driver
 
 # Words that YAML reads as something else than a text.
 _WORDS = ("y", "n", "yes", "no", "on", "off", "true", "false", "null", ".inf", ".nan")
@@ -36,19 +38,21 @@ def initial_study(campaign: Campaign, folder: Path, output: Path) -> str:
         output: where the study will be; the path to the campaign is written relative to it.
 
     Raises:
-        UserError: the campaign has no completed training experiment, or nothing that tells stiffness and strength.
+        UserError: the campaign has no completed training experiment, or nothing that tells stiffness and strength; or it was
+            shaken, and the specimen measured in another pair than elongation and force.
     """
+    pair = campaign.pair
+    if campaign.protocol == "ground_motion":
+        check_masses(str(folder), pair)
     if not len(campaign.train):
         raise UserError(f"{folder}: there is no completed training experiment to start a study from")
     where = os.path.relpath(folder, output.parent)
-    histories = any(e.record is not None for e in campaign.train) and any(
-        c not in ("time", "ground_acceleration") for c in campaign.channels
-    )
+    histories = any(e.record is not None for e in campaign.train) and any(not is_driver(c) for c in campaign.channels)
     stiffness, strength, mass = _guesses(campaign, folder)
     if campaign.protocol == "displacement" and not histories:
         raise UserError(
-            f"{folder}: the protocol is displacement, but no experiment has a record of the elongation that was imposed "
-            "and the force that was measured"
+            f"{folder}: the protocol is displacement, but no experiment has a record of the {pair.elongation} that was imposed "
+            f"and the {pair.force} that was measured"
         )
     lines = [
         f"# A study of {' '.join(campaign.name.split())}, written by `hsed init` from the data in {where}.",
@@ -62,11 +66,11 @@ def initial_study(campaign: Campaign, folder: Path, output: Path) -> str:
         "model:",
         "  spring: bouc_wen",
         "  parameters:",
-        f"    # initial stiffness [N/m]: {_round(stiffness.value)} is the {stiffness.source};",
+        f"    # initial stiffness [{pair.unit('N/m')}]: {_round(stiffness.value)} is the {pair.words(stiffness.source)};",
         "    # within a factor of 4 with 95 %",
         f"    A: {{lognormal: [{math.log(stiffness.value):.3f}, 0.7]}}",
-        f"    # stiffness over strength [1/m]: the strength A/beta is about {strength.source},",
-        f"    # {_round(strength.value)} N (median over experiments); within a factor of 4 with 95 %",
+        f"    # stiffness over strength [{pair.unit('1/m')}]: the strength A/beta is about {pair.words(strength.source)},",
+        f"    # {_round(strength.value)} {pair.force_unit} (median over experiments); within a factor of 4 with 95 %",
         f"    beta: {{lognormal: [{math.log(stiffness.value / strength.value):.3f}, 0.7]}}",
         "    gamma: 0.0                              # symmetric loading and unloading: the usual first assumption",
         "    n: 1.0                                  # the smoothest yielding: the usual first assumption",
@@ -131,7 +135,7 @@ def _guesses(campaign: Campaign, folder: Path) -> tuple[_Guess, _Guess, _Guess]:
 
 def _structure(campaign: Campaign, stiffness: float, mass: _Guess) -> list[str]:
     if campaign.protocol == "displacement":
-        return ["# structure: none, the elongation was imposed on the specimen alone", ""]
+        return [f"# structure: none, the {campaign.pair.elongation} was imposed on the specimen alone", ""]
     count = floor_count(campaign)
     springs = [f"{{between: [{i}, {i + 1}], stiffness: {stiffness:.4g}}}" for i in range(1, count)]
     guess = "one mass on the specimen" if count == 1 else f"{count} equal storeys, the specimen the lowest"
@@ -169,7 +173,7 @@ def _mass(campaign: Campaign, stiffness: float) -> _Guess:
 def _excitation(campaign: Campaign) -> list[str]:
     """A ground motion for experiments that bring none."""
     if campaign.protocol == "displacement" or all(
-        e.record is not None and "ground_acceleration" in e.record.channels for e in campaign.completed
+        e.record is not None and any(map(is_driver, e.record.channels)) for e in campaign.completed
     ):
         return []
     values = {}

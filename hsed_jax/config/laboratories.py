@@ -1,6 +1,6 @@
 """The laboratory that a study names, and what it measures; each fault names its key."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -31,15 +31,12 @@ from hsed_jax.laboratories.sensors import Sensors
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.measurements import Campaign, Channel, Experiment, Noise
 from hsed_jax.measurements.declaration import declared_channel
-from hsed_jax.physics.outputs import CHANNELS, PER_MASS, output, quantity
+from hsed_jax.physics.outputs import is_driver, output, quantity
 from hsed_jax.physics.simulator import Simulator
 from hsed_jax.physics.structures import Structure
-from hsed_jax.plain import shown
 
 if TYPE_CHECKING:
     from hsed_jax.config.build import Built
-
-IMPOSED = ("time", "ground_acceleration")
 
 
 @dataclass(frozen=True)
@@ -67,55 +64,18 @@ class Site:
     function: Callable[..., Any] | None
 
 
-def check_response(name: str, structure: Structure | None) -> None:
-    """Refuse a channel that the model does not give.
-
-    Arguments:
-        name: of the channel.
-        structure: that the specimen is in; None: the specimen is alone.
-
-    Raises:
-        UserError: there is no such channel, it is imposed, or it is of a mass that does not exist.
-    """
-    masses = range(1, _masses(structure) + 1)
-    kinds = [*(f"{kind}_{{}}" for kind in PER_MASS), "acceleration_{}_absolute"]
-    given = [
-        *(name for name in CHANNELS if name not in IMPOSED),
-        *(kind.format(mass) for mass in masses for kind in kinds),
-    ]
-    if name not in given:
-        raise UserError(f"there is no channel {shown(name)} that the model gives; it gives {', '.join(given)}")
-
-
-def check_quantities(names: Sequence[str], structure: Structure | None, duration: float) -> None:
-    """Refuse a quantity that the model does not give.
-
-    Arguments:
-        names: of the quantities.
-        structure: that the specimen is in; None: the specimen is alone.
-        duration: of the experiments [s].
-
-    Raises:
-        UserError: one is of masses, and there are none, or of a time after the end.
-    """
-    for name in names:
-        known = quantity(name)
-        if not known.channels(_masses(structure)):
-            raise UserError(f"quantities: {name} is one of masses, and a component test has none; leave it out")
-        if known.until > duration:
-            raise UserError(f"quantities: {name} lies beyond the end of the experiments, which last {duration:g} s")
-
-
 def _masses(structure: Structure | None) -> int:
     return 0 if structure is None else len(structure.masses)
 
 
-def declared_responses(study: Study) -> tuple[str, ...] | None:
-    """Channels of responses that the laboratory declares; None where it measures what it is asked for."""
-    entry = study.experiments.laboratory
-    if not isinstance(entry, MeasuredEntry) or not entry.channels:
-        return None
-    return tuple(name for name in entry.channels if name not in IMPOSED)
+def responses(channels: Iterable[str], *, component_test: bool) -> tuple[str, ...]:
+    """The channels that are a response to what drove the experiments."""
+    return tuple(name for name in channels if not (is_driver(name) or (component_test and name == "elongation")))
+
+
+def driver_of(study: Study) -> str:
+    """The channel that measures what drives the planned experiments of a study."""
+    return "ground_acceleration" if study.excitation is None else study.excitation.channel
 
 
 def sensors_of(study: Study, outputs: tuple[str, ...], structure: Structure | None) -> Sensors:
@@ -130,7 +90,7 @@ def sensors_of(study: Study, outputs: tuple[str, ...], structure: Structure | No
         UserError: a channel or unit that is none, or something observed that is not measured.
     """
     entry, where = study.experiments.laboratory, f"experiments.{study.experiments.kind}"
-    histories = study.observe == "histories"
+    histories, driver = study.observe == "histories", driver_of(study)
     channels, quantities = (outputs, ()) if histories else ((), outputs)
     sources = {name: quantity(name).channels(_masses(structure)) for name in quantities}
     if isinstance(entry, OpenSeesEntry) and not histories:
@@ -139,21 +99,21 @@ def sensors_of(study: Study, outputs: tuple[str, ...], structure: Structure | No
         quantities = tuple(name for name in quantities if name in opensees.QUANTITIES)
     if isinstance(entry, VirtualEntry | OpenSeesEntry):
         noise = sensor_noise(f"{where}.noise", entry, (*channels, *quantities))
-        recorded = (*IMPOSED, *(name for name in channels if name not in IMPOSED)) if channels else ()
-        return Sensors(_si(recorded, noise), _si(quantities, noise))
+        recorded = dict.fromkeys(("time", driver, *channels)) if channels else ()
+        return Sensors(_si(recorded, noise), _si(quantities, noise), driver=driver)
     if not isinstance(entry, MeasuredEntry):
         raise UserError("experiments: there is no laboratory")
     if not entry.channels and not entry.quantities:
         recorded = ("time", *channels) if channels else ()
-        return Sensors(_si(recorded, {}), _si(quantities, {}), at_sample_times=histories)
+        return Sensors(_si(recorded, {}), _si(quantities, {}), driver=driver, at_sample_times=histories)
     made = {
         kind: {name: declared_channel(f"{where}.{kind}.{name}", name, given) for name, given in declared.items()}
         for kind, declared in (("channels", entry.channels), ("quantities", entry.quantities))
     }
     columns = {name: given.column or name for name, given in entry.channels.items()}
-    found = parts.at(where, Sensors, made["channels"], made["quantities"], columns, histories)
+    found = parts.at(where, Sensors, made["channels"], made["quantities"], columns, driver, histories)
     for name in quantities:
-        if name not in entry.quantities and not set(sources[name]) <= set(entry.channels):
+        if name not in entry.quantities and not set(sources[name]) <= {*entry.channels, driver}:
             raise UserError(
                 f"{where}: {name} is observed and not measured; declare it in quantities, or its source in channels "
                 f"({', '.join(sources[name])})"
@@ -163,7 +123,7 @@ def sensors_of(study: Study, outputs: tuple[str, ...], structure: Structure | No
     return found
 
 
-def _si(names: tuple[str, ...], noise: Mapping[str, Noise]) -> dict[str, Channel]:
+def _si(names: Iterable[str], noise: Mapping[str, Noise]) -> dict[str, Channel]:
     return {name: Channel(name, output(name).unit, noise=noise.get(name)) for name in names}
 
 
@@ -227,15 +187,21 @@ def _virtual(site: Site) -> VirtualLaboratory:
     return VirtualLaboratory(
         *site.virtual(),
         tuple(study.quantities),
-        tuple(name for name in sensors.channels if name not in IMPOSED),
+        tuple(name for name in sensors.channels if name != "time"),
         _noise(sensors),
         study.seed,
     )
 
 
 def _opensees(site: Site, entry: OpenSeesEntry) -> OpenSeesLaboratory:
+    if driver_of(site.study) != "ground_acceleration":
+        raise UserError("experiments.opensees: it shakes the ground, and the excitation of the study is another")
     assert site.study.structure is not None
     assert site.structure is not None
+    if len(site.structure.specimens) > 1:
+        raise UserError(
+            "experiments.opensees: it performs tests of one specimen; several are for the laboratory virtual"
+        )
     if site.study.structure.damping.specimen_stiffness == "model":
         raise UserError(
             "structure.damping.specimen_stiffness: the laboratory opensees needs a number [N/m] to form C with"
@@ -246,6 +212,7 @@ def _opensees(site: Site, entry: OpenSeesEntry) -> OpenSeesLaboratory:
     else:
         material = parts.at("experiments.opensees", opensees.built_in, entry.material, entry.parameters)
     opensees.require_openseespy()
+    assert site.programme.timeline.step is not None
     step = site.programme.timeline.step / opensees.STEPS_PER_STEP if entry.step is None else entry.step
     told = structures.true_numbers("experiments.opensees.structure", entry.structure, site.of_structure)
     files = {"model.json": opensees.as_json(opensees.model(site.structure.told(told), material, step))}

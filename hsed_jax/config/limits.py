@@ -1,12 +1,14 @@
 """The limits that a study sets to its experiments."""
 
+from collections.abc import Sequence
+
 import jax.numpy as jnp
 
 from hsed_jax.config.schema import LimitsEntry
 from hsed_jax.design.feasible import Limits
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
-from hsed_jax.physics.outputs import QUANTITIES, further
+from hsed_jax.physics.outputs import QUANTITIES, further, is_quantity, named, of_each, owner_of
 from hsed_jax.physics.simulator import AbstractModel, Conditions
 
 
@@ -15,7 +17,7 @@ def limits_of(entry: LimitsEntry, model: AbstractModel, names: tuple[str, ...], 
 
     Arguments:
         entry: what the user said.
-        model: of the planned ground motion.
+        model: of the planned experiments.
         names: of the model's free parameters.
         space: of the inputs.
 
@@ -23,15 +25,16 @@ def limits_of(entry: LimitsEntry, model: AbstractModel, names: tuple[str, ...], 
         UserError: no limit is given, or one is of what the model does not predict.
     """
     known = {known.limit: name for name, known in QUANTITIES.items() if known.limit is not None}
-    most = {known[limit]: value for limit, value in entry.model_dump(include=set(known), exclude_none=True).items()}
+    given = entry.model_dump(include=set(known), exclude_none=True)
+    most = {name: value for limit, value in given.items() for name in _of_all(known[limit], model.owners)}
     quantities = further(tuple(most))
     if entry.velocity is not None:
-        most["velocity"] = entry.velocity
+        most |= dict.fromkeys(of_each(model.owners, ("velocity",)), entry.velocity)
     if not most:
         raise UserError(f"design.limits: give at least one of {', '.join([*known, 'velocity'])}")
-    channels = ("elongation_rate",) if "velocity" in most else ()
+    channels = of_each(model.owners, ("elongation_rate",)) if entry.velocity is not None else ()
 
-    for name in (*channels, *(name for name in most if name in QUANTITIES)):
+    for name in (*channels, *(name for name in most if is_quantity(name))):
         if not model.gives(name):
             raise UserError(f"design.limits: the model does not give {name}")
 
@@ -39,8 +42,13 @@ def limits_of(entry: LimitsEntry, model: AbstractModel, names: tuple[str, ...], 
         parameters = dict(zip(names, theta, strict=False))
         response = model.respond(parameters, Conditions(space.inputs(point)), channels, quantities)
         values = dict(response.quantities)
-        if channels:
-            values["velocity"] = jnp.max(jnp.abs(response.channels["elongation_rate"]))
+        for name in channels:
+            values[named(owner_of(name), "velocity")] = jnp.max(jnp.abs(response.channels[name]))
         return values, response.ok
 
     return Limits(most, entry.probability, respond)
+
+
+def _of_all(quantity: str, owners: Sequence[str]) -> tuple[str, ...]:
+    """A quantity of each specimen, or of the structure."""
+    return of_each(owners, (quantity,)) if QUANTITIES[quantity].of_specimen else (quantity,)

@@ -8,16 +8,18 @@ from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import Error
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Channel
-from hsed_jax.physics.outputs import is_quantity, output, quantity
+from hsed_jax.physics.outputs import is_quantity, quantity
+from hsed_jax.physics.pairs import Pair
 
 
-def errors_of(study: Study, outputs: Sequence[str], declared: Mapping[str, Channel]) -> tuple[Error, ...]:
+def errors_of(study: Study, outputs: Sequence[str], declared: Mapping[str, Channel], pair: Pair) -> tuple[Error, ...]:
     """The errors of the outputs.
 
     Arguments:
         study: says what they are, or leaves it to what is declared.
         outputs: names of what is observed.
         declared: what campaign or laboratory measures, by name.
+        pair: that the specimen is measured in.
 
     Raises:
         UserError: an error of what is not observed, or one relative to a quantity that may be negative or zero.
@@ -30,7 +32,7 @@ def errors_of(study: Study, outputs: Sequence[str], declared: Mapping[str, Chann
         # Of a history the model may miss as much as there is; a quantity off by half is already a poor model.
         unknown = Prior("half_normal", 0.3 if study.observe == "quantities" else 1.0)
         told = unknown if size.unknown else float(size.relative or size.absolute or 0.0)
-        errors.append(_error(name, told, size.absolute is None, entry))
+        errors.append(_error(name, told, size.absolute is None, entry, pair))
     return tuple(errors)
 
 
@@ -48,7 +50,7 @@ def per_output[Entry: NoiseEntry](
     return dict(entry)
 
 
-def _error(name: str, size: float | Prior, is_relative: bool, entry: ErrorEntry) -> Error:
+def _error(name: str, size: float | Prior, is_relative: bool, entry: ErrorEntry, pair: Pair) -> Error:
     """The error of an output.
 
     Raises:
@@ -57,7 +59,7 @@ def _error(name: str, size: float | Prior, is_relative: bool, entry: ErrorEntry)
     if is_relative and is_quantity(name) and quantity(name).is_signed:
         raise UserError(
             f"error.{name}: {name} may be negative or zero, and no error is relative to that; give it an absolute one "
-            f"[{output(name).unit}], such as error: {{{name}: {{absolute: 0.001}}}}"
+            f"[{pair.output(name).unit}], such as error: {{{name}: {{absolute: 0.001}}}}"
         )
     return Error(size, is_relative, entry.correlated, entry.inflate)
 

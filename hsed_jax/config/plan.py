@@ -4,12 +4,10 @@ import difflib
 from collections.abc import Sequence
 from itertools import pairwise
 
-from hsed_jax.config.schema import AnyModelEntry, Study
+from hsed_jax.config.schema import Study
+from hsed_jax.config.specimens import Naming, effects_of
 from hsed_jax.errors import UserError
 from hsed_jax.memory import check_memory
-from hsed_jax.physics.effects import Catalogue
-from hsed_jax.physics.laws import AbstractSpringLaw
-from hsed_jax.physics.specimen import unserved
 
 # An experiment as an object, with its inputs and quantities [bytes].
 _EXPERIMENT = 1000
@@ -42,7 +40,8 @@ def check_plan(study: Study) -> None:
 def _check_sizes(study: Study) -> None:
     """Refuse sizes that memory cannot hold, by the arrays and objects that each is certain to need."""
     design, sizes = study.design, study.calibration
-    free = [entry for entry in study.model.parameters.values() if not isinstance(entry, float)]
+    given = [entry for model in study.models.values() for entry in model.parameters.values()]
+    free = [entry for entry in given if not isinstance(entry, float)]
     test = 0 if study.experiments.virtual is None else study.experiments.virtual.test
     asked = design.iterations if "design" in study.steps else 0
     experiments = design.initial + asked + test if study.experiments.laboratory is not None else 1
@@ -62,33 +61,25 @@ def _check_sizes(study: Study) -> None:
         check_memory(f"{key}: {count}", count * each)
 
 
-def check_added(
-    model: AnyModelEntry, effects: Sequence[str], law: type[AbstractSpringLaw], catalogue: Catalogue, where: str = ""
-) -> None:
+def check_added(study: Study, effects: Sequence[str], naming: Naming, where: str = "") -> None:
     """Refuse effects that cannot be added to a model.
 
     Raises:
         UserError: one is unknown, there already, given twice, or nothing that the law can have.
     """
     for name in effects:
-        if name not in catalogue:
-            close = difflib.get_close_matches(name, catalogue, n=1)
+        if name not in naming.catalogue:
+            close = difflib.get_close_matches(name, naming.catalogue, n=1)
             hint = f" (did you mean {close[0]}?)" if close else ""
             raise UserError(
-                f"{where}there is no effect {name!r}{hint}; the catalogue has {', '.join(sorted(catalogue))}"
+                f"{where}there is no effect {name!r}{hint}; the catalogue has {', '.join(sorted(naming.catalogue))}"
             )
-        if name in model.effects:
+        if name in effects_of(study):
             raise UserError(f"{where}the model has {name} already")
-        if missing := unserved(catalogue[name], law):
+        if missing := naming.unserved(name):
             raise UserError(f"{where}{name} cannot be added: {missing}")
         if list(effects).count(name) > 1:
             raise UserError(f"{where}{name} is to be added twice")
-
-
-def left_out(law: type[AbstractSpringLaw], catalogue: Catalogue) -> list[str]:
-    """What a law keeps out of a diagnosis, in a sentence; nothing where it has a place for every effect."""
-    out = [name for name, effect in catalogue.items() if unserved(effect, law)]
-    return [f"not looked for, as the law {law.name} has no place for them: {', '.join(out)}"] if out else []
 
 
 def _check_design(study: Study) -> None:

@@ -1,19 +1,20 @@
 """Characteristic values of a study: as given, else from the campaign, else from the plain model."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
 
+from hsed_jax.config.specimens import effects_of
 from hsed_jax.errors import UserError
 from hsed_jax.inference.observation import conditions_of
-from hsed_jax.physics.laws import AbstractSpringLaw
+from hsed_jax.physics.outputs import named, of_each
 from hsed_jax.physics.parameters import parameters_of
+from hsed_jax.physics.response import Response
 from hsed_jax.physics.scales import Scales
-from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator, Timeline
-from hsed_jax.physics.structures import Structure
+from hsed_jax.physics.simulator import Conditions, Simulator
 
 if TYPE_CHECKING:
     from hsed_jax.config.build import Built
@@ -30,7 +31,13 @@ def scales_of(built: "Built") -> Scales:
     told = _told(built)
     plain = Scales()
     if _are_missing(built):
-        plain = _simulated(built.structure, built.excitation, built.timeline, built.middle, _conditions(built))
+        simulator = Simulator(built.structure, built.excitation, built.timeline, elements=built.elements)
+        middle = {
+            named(element.name, name): getattr(law, name)
+            for element, law in zip(built.elements, built.laws, strict=True)
+            for name in parameters_of(law)
+        }
+        plain = _simulated(simulator, middle, _conditions(built))
     return Scales(*(simulated if value is None else value for value, simulated in zip(told, plain, strict=True)))
 
 
@@ -53,7 +60,7 @@ def _told(built: "Built") -> list[float | None]:
 def _are_missing(built: "Built") -> bool:
     """Whether there are effects, and neither study nor campaign tell all that they need."""
     virtual = built.study.experiments.virtual
-    has_effects = bool(built.study.model.effects or (virtual and virtual.effects))
+    has_effects = bool(effects_of(built.study) or (virtual and virtual.effects))
     return has_effects and built.study.scales is None and None in _told(built)
 
 
@@ -67,26 +74,23 @@ def _conditions(built: "Built") -> list[Conditions]:
     return [Conditions({name: jnp.asarray(values[0]) for name, values in middle.items()})]
 
 
-def _simulated(
-    structure: Structure | None,
-    excitation: Parametrised | None,
-    timeline: Timeline,
-    middle: AbstractSpringLaw,
-    experiments: Sequence[Conditions],
-) -> Scales:
+def _simulated(plain: Simulator, middle: Mapping[str, float], experiments: Sequence[Conditions]) -> Scales:
     """What the model without effects does in the middle of its priors, the median over experiments, to two digits.
+
+    Of several specimens the most.
 
     Raises:
         UserError: it does nothing, or its simulation diverges.
     """
-    plain = Simulator(structure=structure, excitation=excitation, timeline=timeline, law=type(middle))
-    rows = []
-    parameters = {name: getattr(middle, name) for name in parameters_of(middle)}
+    owners, rows = [element.name for element in plain.elements], []
     for conditions in experiments:
-        response = plain.respond(parameters, conditions, ("elongation_rate",))
-        peaks = (response.quantities[name] for name in ("peak_force", "peak_elongation"))
-        rate = np.abs(response.channels["elongation_rate"]).max()
-        rows.append([float(value) for value in (*peaks, rate, response.quantities["dissipated_energy"])])
+        response = plain.respond(middle, conditions, of_each(owners, ("elongation_rate",)))
+
+        def most(quantity: str, found: Response = response) -> float:
+            return max(float(found.quantities[name]) for name in of_each(owners, (quantity,)))
+
+        rate = max(float(np.abs(values).max()) for values in response.channels.values())
+        rows.append([most("peak_force"), most("peak_elongation"), rate, most("dissipated_energy")])
     found = [float(f"{value:.2g}") for value in np.median(rows, axis=0)]
     if not all(math.isfinite(value) and value > 0 for value in found):
         raise UserError(

@@ -3,167 +3,22 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    BeforeValidator,
-    Discriminator,
-    Field,
-    PrivateAttr,
-    Tag,
-    create_model,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, PrivateAttr, create_model, field_validator, model_validator
 
+from hsed_jax.config.excitation_entry import ExcitationEntry
 from hsed_jax.config.experiments import ExperimentsEntry
 from hsed_jax.config.functions import FunctionEntry
-from hsed_jax.config.sections import (
-    MODELS,
-    ErrorsEntry,
-    InputEntry,
-    OwnLawEntry,
-    Positive,
-    PriorEntry,
-    Section,
-    SpringEntry,
-    one_distribution,
-)
+from hsed_jax.config.mechanics import AnyModelEntry, ModelEntry, SpecimenModelEntry, StructureEntry
+from hsed_jax.config.sections import ErrorsEntry, InputEntry, OwnLawEntry, Positive, Section
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
 from hsed_jax.measurements.checks import DoubtKind
 from hsed_jax.physics.effects.base import AbstractEffect
-from hsed_jax.physics.outputs import ALLOWED, EQ_18, QUANTITIES, is_quantity
+from hsed_jax.physics.outputs import ALLOWED, EQ_18, QUANTITIES, is_quantity, of_each
 from hsed_jax.plain import Number, Whole, name_fault, shown
 from hsed_jax.tables import Table, Tabular
 
 Count = Annotated[Whole, Field(ge=1)]
-Ratio = Annotated[Number, Field(ge=0, lt=1)]
-End = Whole | Literal["ground"]
-Value = Number | str
-"""A number, or the name of an input."""
-
-
-def _prior_or_default(value: Any) -> Any:
-    return value if value == {} else one_distribution(value)
-
-
-ParameterEntry = Number | Annotated[dict[str, Any], BeforeValidator(_prior_or_default)]
-"""A fixed number, or a prior; `{}` is the prior that law or catalogue have for it."""
-NotNegative = Annotated[Number, Field(ge=0)]
-
-
-class LinearSpringEntry(Section):
-    """A linear spring of the structure."""
-
-    between: tuple[End, End]
-    stiffness: NotNegative | PriorEntry
-
-
-class SpecimenEntry(Section):
-    """Where the specimen sits; its elongation is the displacement of the second end less that of the first."""
-
-    between: tuple[End, End]
-
-
-class Rayleigh(Section):
-    """Rayleigh damping C = alpha M + beta K."""
-
-    alpha: NotNegative | PriorEntry
-    beta: NotNegative | PriorEntry
-
-
-class Damping(Section):
-    """Modal or Rayleigh damping; the specimen counts with `specimen_stiffness` [N/m], or with that of the model (`model`)."""
-
-    modal: Ratio | PriorEntry | list[Ratio | PriorEntry] | None = None
-    rayleigh: Rayleigh | None = None
-    specimen_stiffness: Positive | Literal["model"]
-
-    @model_validator(mode="after")
-    def _one_kind(self) -> "Damping":
-        if (self.modal is None) == (self.rayleigh is None):
-            raise ValueError("give either modal or rayleigh")
-        return self
-
-
-class StructureEntry(Section):
-    """Masses [kg], linear springs [N/m], the specimen and the damping; a number with a prior is calibrated with the law."""
-
-    masses: Annotated[list[Positive | PriorEntry], Field(min_length=1)]
-    springs: list[LinearSpringEntry]
-    specimen: SpecimenEntry
-    damping: Damping
-
-
-class PulseEntry(Section):
-    """Near-fault pulse; a name refers to an input, a number is fixed."""
-
-    V_P: Value
-    T_P: Value
-    gamma: Value = 2.0
-    nu: Value = 0.10
-
-
-class RecordedEntry(Section):
-    """An accelerogram from a file, times a factor."""
-
-    file: str
-    scale: Value = 1.0
-
-
-class ExcitationEntry(Section):
-    """The ground motion, how long to simulate [s], and the step of the integration [s] (by default from the periods)."""
-
-    near_fault_pulse: PulseEntry | None = None
-    recorded: RecordedEntry | None = None
-    duration: Positive | None = None
-    step: Positive | None = None
-
-    @model_validator(mode="after")
-    def _at_most_one(self) -> "ExcitationEntry":
-        if self.near_fault_pulse is not None and self.recorded is not None:
-            raise ValueError("give either near_fault_pulse or recorded")
-        if self.near_fault_pulse is not None and self.duration is None:
-            raise ValueError("a near_fault_pulse needs a duration [s]")
-        return self
-
-
-class ModelEntry(Section):
-    """The computational simulator: the spring law, its parameters, its effects."""
-
-    spring: SpringEntry = "bouc_wen"
-    parameters: dict[str, ParameterEntry]
-    effects: dict[str, dict[str, ParameterEntry]] = {}
-    own_effects: list[str] = []
-    """Python files with effects of your own, relative to the study; they join the catalogue."""
-
-    @property
-    def code(self) -> list[str]:
-        """Files that are executed where the model is built."""
-        return [*([self.spring.file] if isinstance(self.spring, OwnLawEntry) else []), *self.own_effects]
-
-    @property
-    def described(self) -> tuple[str, str]:
-        """What kind of model it is, and which."""
-        return "law", self.spring.law if isinstance(self.spring, OwnLawEntry) else self.spring
-
-    def located(self, folder: Path) -> "ModelEntry":
-        """The same with absolute paths: written elsewhere, a relative path would lead elsewhere."""
-        changes: dict[str, Any] = {"own_effects": [str((folder / name).resolve()) for name in self.own_effects]}
-        if isinstance(law := self.spring, OwnLawEntry):
-            own = {"file": str((folder / law.file).resolve()), "class": law.law}
-            changes["spring"] = OwnLawEntry.model_validate(own)
-        return self.model_copy(update=changes)
-
-
-def _kind_of_model(value: Any) -> str:
-    keys = value if isinstance(value, dict) else getattr(value, "model_fields_set", ())
-    return MODELS[bool({"function", "command"} & set(keys))]
-
-
-AnyModelEntry = Annotated[
-    Annotated[ModelEntry, Tag(MODELS[0])] | Annotated[FunctionEntry, Tag(MODELS[1])], Discriminator(_kind_of_model)
-]
-"""A spring law with effects, or a function."""
 
 
 class KrigingEntry(Section):
@@ -288,7 +143,7 @@ class Study(Tabular, Section):
     structure: StructureEntry | None = None
     excitation: ExcitationEntry | None = None
     inputs: dict[str, InputEntry] = {}
-    model: AnyModelEntry
+    model: AnyModelEntry = ModelEntry()
     experiments: ExperimentsEntry
     measurements: MeasurementsEntry = MeasurementsEntry()
     observe: Literal["quantities", "histories"] = "quantities"
@@ -301,6 +156,15 @@ class Study(Tabular, Section):
     design: DesignEntry = DesignEntry()
     calibration: CalibrationEntry = CalibrationEntry()
     improve: ImproveEntry = ImproveEntry()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _quantities_of_each(cls, value: Any) -> Any:
+        structure = value.get("structure") if isinstance(value, dict) else None
+        several = structure.get("specimens") if isinstance(structure, dict) else None
+        if isinstance(several, dict) and "quantities" not in value:
+            return {**value, "quantities": list(of_each([str(name) for name in several], EQ_18))}
+        return value
 
     @field_validator("study")
     @classmethod
@@ -360,9 +224,17 @@ class Study(Tabular, Section):
         """What is executed where the study is built: its model, laws, effects, and its laboratory that is a Python function."""
         python, virtual = self.experiments.python, self.experiments.virtual
         law = None if virtual is None else virtual.spring
+        models = [file for model in self.models.values() for file in model.code]
         laws = [law.file] if isinstance(law, OwnLawEntry) else []
         functions = [python.file] if python is not None and python.file is not None else []
-        return list(dict.fromkeys([*self.model.code, *laws, *functions]))
+        return list(dict.fromkeys([*models, *laws, *functions]))
+
+    @property
+    def models(self) -> dict[str, SpecimenModelEntry | FunctionEntry]:
+        """The model of the study, and those of specimens that have their own, by their keys."""
+        several = (None if self.structure is None else self.structure.specimens) or {}
+        own = {name: entry.model for name, entry in several.items() if entry.model is not None}
+        return {"model": self.model} | {f"structure.specimens.{name}.model": model for name, model in own.items()}
 
     def _table(self) -> Table:
         def words(name: str, given: Any) -> str:
@@ -375,13 +247,20 @@ class Study(Tabular, Section):
                 given = f"{kind} {', '.join(map(str, numbers)) if isinstance(numbers, list) else numbers}"
             return f"{name} {given}"
 
+        def of_model(key: str, model: SpecimenModelEntry | FunctionEntry) -> list[tuple[str, str]]:
+            of = "" if key == "model" else f" of {key.split('.')[2]}"
+            kind, which = model.described
+            return [
+                (f"{kind}{of}", which),
+                *((f"parameter{of}", words(name, given)) for name, given in model.parameters.items()),
+                *(
+                    (f"effect{of}", " ".join([name, *(words(k, v) for k, v in given.items())]))
+                    for name, given in model.effects.items()
+                ),
+            ]
+
         rows = [
-            self.model.described,
-            *(("parameter", words(name, given)) for name, given in self.model.parameters.items()),
-            *(
-                ("effect", " ".join([name, *(words(k, v) for k, v in given.items())]))
-                for name, given in self.model.effects.items()
-            ),
+            *(row for key, model in self.models.items() if model.parameters for row in of_model(key, model)),
             *(("input", words(name, entry)) for name, entry in self.inputs.items()),
             ("observed", "time histories" if self.observe == "histories" else ", ".join(self.quantities)),
             ("steps", ", ".join(self.steps)),
@@ -393,6 +272,9 @@ class Study(Tabular, Section):
         plain = self.model_dump(mode="json", exclude_none=True)
         plain["model"] = self.model.located(self.folder).model_dump(mode="json", exclude_none=True)
         plain["experiments"] = self.experiments.located(self.folder).model_dump(mode="json", exclude_none=True)
-        if self.excitation is not None and self.excitation.recorded is not None:
-            plain["excitation"]["recorded"]["file"] = str((self.folder / self.excitation.recorded.file).resolve())
+        if self.structure is not None:
+            plain["structure"] = self.structure.located(self.folder).model_dump(mode="json", exclude_none=True)
+        for settings in plain.get("excitation", {}).values():
+            if isinstance(settings, dict) and "file" in settings:
+                settings["file"] = str((self.folder / settings["file"]).resolve())
         return plain

@@ -5,8 +5,8 @@ from typing import Any
 
 import jax.numpy as jnp
 
+from hsed_jax.config.mechanics import StructureEntry
 from hsed_jax.config.parts import possible, prior, within
-from hsed_jax.config.schema import StructureEntry
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
 from hsed_jax.physics.structures import OWNER, ModalDamping, RayleighDamping, Spring, Structure, parameter_of
@@ -20,7 +20,17 @@ def structure(entry: StructureEntry) -> Structure:
         return float(priors[f"{OWNER}.{name}"].quantile(0.5)) if isinstance(given, dict) else float(given)
 
     stiffness = entry.damping.specimen_stiffness
-    reference = 1.0 if stiffness == "model" else float(stiffness)
+    reference: Any = 1.0 if stiffness == "model" else stiffness
+    if isinstance(reference, dict):
+        names = list(entry.specimens or {})
+        if sorted(reference) != sorted(names):
+            raise UserError(
+                "structure.damping.specimen_stiffness: give one number, or one for each of several specimens: "
+                f"{', '.join(names) or 'there are none'}"
+            )
+        reference = tuple(float(reference[name]) for name in names)
+    elif stiffness == "model" and len(entry.places) > 1:
+        reference = (1.0,) * len(entry.places)
     numbers = {name: number(name, given) for name, (_, given) in _numbers(entry).items()}
     if entry.damping.rayleigh is not None:
         damping: Any = RayleighDamping(numbers["alpha"], numbers["beta"], reference)
@@ -35,7 +45,7 @@ def structure(entry: StructureEntry) -> Structure:
     masses = [numbers[f"mass_{i + 1}"] for i in range(len(entry.masses))]
     springs = [Spring(ends(s.between), numbers[f"stiffness_{i + 1}"]) for i, s in enumerate(entry.springs)]
     try:
-        return Structure(masses, springs, ends(entry.specimen.between), damping)
+        return Structure(masses, springs, [ends(place) for place in entry.places], damping)
     except ValueError as error:
         raise UserError(f"structure: {error}") from None
 

@@ -6,6 +6,7 @@ outputs averaged in the square.  `noise_floor` is the same figure for the noise.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.inference.correlation import SIGNIFICANT, judge, size_p_value
 from hsed_jax.inference.likelihood import whitened
 from hsed_jax.measurements import noise_estimate
+from hsed_jax.physics.outputs import named, own_name, owner_of
 from hsed_jax.tables import Table, Tabular, cell
 
 # Errors up to this multiple of the noise are the noise, whatever their significance: nobody knows a noise better.
@@ -263,19 +265,19 @@ def noise_sizes(prediction: Prediction, output: str, declared: bool) -> np.ndarr
 
 def _add_energy_errors(prediction: Prediction, per_experiment: dict[str, dict[str, dict[str, float]]]) -> None:
     """RMS error of the energy absorbed per cycle over its RMS, where force and elongation are both known."""
-    if "force" not in prediction.outputs:
-        return
-    for row, experiment in enumerate(prediction.experiments):
+    forces = [name for name in prediction.outputs if own_name(name) == "force"]
+    for (row, experiment), name in product(enumerate(prediction.experiments), forces):
         if experiment.record is None or experiment.id not in per_experiment:
             continue
-        force, predicted, _, _ = prediction.histories(row, "force")
-        if "elongation" in prediction.outputs:
-            elongation, stretched, _, _ = prediction.histories(row, "elongation")
-        elif "elongation" in experiment.record.channels:
-            elongation = stretched = experiment.record["elongation"]
+        force, predicted, _, _ = prediction.histories(row, name)
+        along = named(owner_of(name), "elongation")
+        if along in prediction.outputs:
+            elongation, stretched, _, _ = prediction.histories(row, along)
+        elif along in experiment.record.channels:
+            elongation = stretched = experiment.record[along]
         else:
             continue
-        used = prediction.used[row, prediction.columns("force")][: len(force)]
+        used = prediction.used[row, prediction.columns(name)][: len(force)]
         if used.sum() < 3 or not np.ptp(elongation[used]) > 0:
             continue
         cycles = cycle_numbers(elongation[used])
@@ -283,7 +285,7 @@ def _add_energy_errors(prediction: Prediction, per_experiment: dict[str, dict[st
         ours = energy_per_cycle(predicted[used], stretched[used], cycles)
         rms = float(np.sqrt(np.mean(there**2)))
         if rms > 0:
-            per_experiment[experiment.id]["force"]["energy_error"] = float(np.sqrt(np.mean((ours - there) ** 2))) / rms
+            per_experiment[experiment.id][name]["energy_error"] = float(np.sqrt(np.mean((ours - there) ** 2))) / rms
 
 
 def _plain(split: Split) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from hsed_jax.criticism.cycles import absorbed_energy, branches, cycle_numbers, 
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, Experiment
+from hsed_jax.physics.outputs import channel, named, owner_of
 
 
 @dataclass(frozen=True)
@@ -45,8 +46,8 @@ def samples_of(prediction: Prediction, campaign: Campaign) -> Samples:
     for output in prediction.outputs:
         beyond[output], noise[output] = _beyond_noise(prediction, output)
     for row, experiment in enumerate(prediction.experiments):
-        along = coordinates_of(experiment)
         for output in prediction.outputs:
+            along = coordinates_of(experiment, output)
             columns = prediction.columns(output)
             used = prediction.used[row, columns]
             length = int(used.size) if experiment.record is None else len(experiment.record)
@@ -136,13 +137,18 @@ def _rates_vary(frequency: np.ndarray) -> bool:
     return bool(fast > 1.5 * slow)
 
 
-def coordinates_of(experiment: Experiment) -> dict[str, np.ndarray]:
-    """Coordinates of every sample of a record: when it was measured, and where on the loop."""
+def coordinates_of(experiment: Experiment, output: str) -> dict[str, np.ndarray]:
+    """Coordinates of every sample of an output: when it was measured, and where on the loop of its specimen.
+
+    What is of no specimen has its place on the loop of the first.
+    """
     record = experiment.record
     assert record is not None
     size = len(record)
     unknown = np.full(size, np.nan)
-    force, elongation = record.channels.get("force"), record.channels.get("elongation")
+    owners = dict.fromkeys(owner_of(name) for name in record.channels if channel(name).of_specimen)
+    owner = owner_of(output) or next(iter(owners), "")
+    force, elongation = (record.channels.get(named(owner, name)) for name in ("force", "elongation"))
     along = {name: unknown for name in (*UNITS, "frequency")}
     along["time"] = record.time
     along["branch"] = along["sign of the force"] = np.full(size, "unknown")

@@ -194,10 +194,11 @@ def _estimate(problem: Problem, effect: str, fit: Descent, sample: Sampled | Non
     for known in parameters_of(problem.catalogue[effect]).values():
         column = problem.names.index(f"{effect}.{known.name}")
         numbers = _moments(problem, fit, sample, column)
-        found[known.name] = numbers | {"unit": known.unit}
+        found[known.name] = numbers | {"unit": problem.pair.unit(known.unit)}
         if known.physical is not None:
             factor = known.physical.factor(problem.scales)
-            found[known.physical.name] = {k: v * factor for k, v in numbers.items()} | {"unit": known.physical.unit}
+            unit = problem.pair.unit(known.physical.unit)
+            found[known.physical.name] = {k: v * factor for k, v in numbers.items()} | {"unit": unit}
     return found
 
 

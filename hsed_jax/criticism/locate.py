@@ -22,9 +22,19 @@ from hsed_jax.criticism.coordinates import UNITS, Samples, quantities_of, sample
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.measurements import Campaign
 from hsed_jax.physics.outputs import output
+from hsed_jax.physics.pairs import ELONGATION_AND_FORCE, Pair
 from hsed_jax.tables import Table, Tabular
 
-_READABLE = {"J": (("kJ", 1e-3), ("J", 1.0)), "m": (("mm", 1e3),), "m/s": (("mm/s", 1e3),), "1": (("", 1.0),)}
+_READABLE = {
+    "J": (("kJ", 1e-3), ("J", 1.0)),
+    "J/m": (("kJ/m", 1e-3), ("J/m", 1.0)),
+    "J/m^3": (("MJ/m³", 1e-6), ("kJ/m³", 1e-3), ("J/m³", 1.0)),
+    "m": (("mm", 1e3),),
+    "m/s": (("mm/s", 1e3),),
+    "rad": (("mrad", 1e3),),
+    "rad/s": (("mrad/s", 1e3),),
+    "1": (("", 1.0),),
+}
 _SMALLEST_PART = 0.05
 _LEAST = 0.02
 _CLEAR = 0.3
@@ -50,6 +60,7 @@ class Place:
         bias_elsewhere: the same of all other samples.
         of_force: whether strength is the word for what was measured; else size.
         items: what an even misfit follows: the motion, or the measured values.
+        pair: that the specimen was measured in.
     """
 
     coordinate: str
@@ -64,6 +75,7 @@ class Place:
     bias_elsewhere: float = 0.0
     of_force: bool = True
     items: str = "motion"
+    pair: Pair = ELONGATION_AND_FORCE
 
     @property
     def sentence(self) -> str:
@@ -94,21 +106,26 @@ class Place:
                     return f"{'after' if self.part == 'above' else 'up to'} row {self.limit:.0f}"
                 return f"{'after' if self.part == 'above' else 'until'} {_plain(self.limit)} s"
             # An input is read in the unit it was declared in.
-            choices = _READABLE[self.unit] if self.coordinate in UNITS else ((self.unit, 1.0),)
+            choices = _READABLE.get(self.unit, ((self.unit, 1.0),)) if self.coordinate in UNITS else ((self.unit, 1.0),)
             unit, factor = next((c for c in choices if abs(self.limit) * c[1] >= 1), choices[-1])
-            name = {"energy": "an absorbed energy", "amplitude": "elongations", "speed": "elongation rates"}.get(
-                self.coordinate, self.coordinate
-            )
+            name = {
+                "energy": "an absorbed energy",
+                "amplitude": self.pair.words("elongations"),
+                "speed": f"{self.pair.elongation} rates",
+            }.get(self.coordinate, self.coordinate)
             return f"at {name} {self.part} {_plain(self.limit * factor)} {unit}".rstrip()
         templates = {
             "branch": {
                 "loading": "on loading",
                 "unloading": "on unloading",
                 "reversal": "just after reversals",
-                "near zero": "near zero force",
+                "near zero": f"near zero {self.pair.force}",
             },
-            "sign of the force": {"positive": "at positive force", "negative": "at negative force"},
-            "output": {self.part: f"in {self.part}"},
+            "sign of the force": {
+                "positive": f"at positive {self.pair.force}",
+                "negative": f"at negative {self.pair.force}",
+            },
+            "output": {self.part: f"in {self.pair.words(self.part)}"},
             "experiment": {self.part: f"in experiment {self.part}"},
         }
         return templates[self.coordinate][self.part]
@@ -139,7 +156,10 @@ class Location(Tabular):
 
     def summary(self) -> list[dict[str, Any]]:
         """The places as plain data."""
-        return [{**place.__dict__, "sentence": place.sentence} for place in self.places]
+        return [
+            {key: value for key, value in place.__dict__.items() if key != "pair"} | {"sentence": place.sentence}
+            for place in self.places
+        ]
 
     def _table(self) -> Table:
         rows = [
@@ -167,7 +187,9 @@ def locate(prediction: Prediction, campaign: Campaign) -> Location:
     histories = prediction.groups.size > len(prediction.outputs)
     samples = samples_of(prediction, campaign) if histories else quantities_of(prediction)
     of_force = all(output(name).is_strength for name in prediction.outputs)
-    found = [_best_limit(name, UNITS[name], values, samples) for name, values in samples.numbers.items()]
+    found = [
+        _best_limit(name, campaign.pair.unit(UNITS[name]), values, samples) for name, values in samples.numbers.items()
+    ]
     found += [_best_word(name, words, samples) for name, words in samples.words.items()]
     for name in campaign.inputs:
         unit = campaign.unit(name)
@@ -181,6 +203,7 @@ def locate(prediction: Prediction, campaign: Campaign) -> Location:
             unit="row" if place.coordinate == "time" and not campaign.has_time else place.unit,
             of_force=of_force,
             items="motion" if histories else "measured values",
+            pair=campaign.pair,
         )
         for place in found
         if place is not None and place.information > least

@@ -10,6 +10,7 @@ from hsed_jax.criticism.measured import Measured
 from hsed_jax.inference.nested import NestedModels
 from hsed_jax.measurements import Experiment
 from hsed_jax.physics.effects import Catalogue
+from hsed_jax.physics.pairs import ELONGATION_AND_FORCE, Pair
 from hsed_jax.physics.scales import Scales
 
 
@@ -30,6 +31,7 @@ class Problem(NamedTuple):
         seed: of random numbers.
         start: the model as it is, as a calibration left it, (P,); None where there was none.
         notes: what a reader should know of the candidates, in sentences.
+        pair: that the specimen is measured in.
     """
 
     models: NestedModels
@@ -47,6 +49,7 @@ class Problem(NamedTuple):
     seed: int
     start: np.ndarray | None = None
     notes: Sequence[str] = ()
+    pair: Pair = ELONGATION_AND_FORCE
 
     @property
     def rows(self) -> int:

@@ -18,7 +18,8 @@ from jaxtyping import Array, Float
 from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import Data, data_of
 from hsed_jax.measurements import Campaign, Experiment, Record
-from hsed_jax.physics.excitations import AbstractExcitation, Imposed, Tabulated
+from hsed_jax.physics.excitations import AbstractExcitation, Applied, Imposed, Tabulated
+from hsed_jax.physics.outputs import driven_mass, is_driver
 from hsed_jax.physics.simulator import AbstractModel, Conditions, Recorded
 
 # Where two estimates of a slope differ by this share of the slopes nearby, the motion has a corner.
@@ -43,7 +44,7 @@ class Quantities:
     Attributes:
         names: of the quantities.
         grid: where the excitation is recorded; None where the inputs define it.
-        excitation: from inputs to a ground motion, for records that have none.
+        excitation: from inputs to what drives an experiment, for records that do not tell.
         masses: how many the structure has.
     """
 
@@ -83,7 +84,7 @@ class Histories:
         samples: of the longest record.
         grid: where the excitation is recorded; None where the inputs define it and all records share the times of the
             model's timeline.
-        excitation: from inputs to a ground motion, for records that have none.
+        excitation: from inputs to what drives an experiment, for records that do not tell.
     """
 
     names: tuple[str, ...]
@@ -218,18 +219,20 @@ def conditions_of(experiment: Experiment, campaign: Campaign, grid: Grid | None,
             "longest one that the model was built for; calibrate on a campaign that holds it (as a test experiment)"
         )
     lengths, half_steps = _grid_of(record.time, grid)
-    if campaign.protocol == "displacement":
+    measured = [name for name in record.channels if is_driver(name)]
+    # An experiment that could be made has times, and nothing that was measured.
+    if campaign.protocol == "displacement" and (record.channels or excitation is None):
         samples: Any = _imposed(record, half_steps, experiment.id)
-    elif "ground_acceleration" in record.channels:
-        samples = _between(record, half_steps)
+    elif measured:
+        samples = _driven(record, half_steps, measured)
     elif excitation is not None:
-        motion = excitation(experiment.inputs)
-        samples = jax.vmap(motion.acceleration)(jnp.asarray(half_steps - record.time[0]))
+        samples = jax.vmap(excitation(experiment.inputs).sample)(jnp.asarray(half_steps - record.time[0]))
     else:
         raise UserError(
-            f"experiment {experiment.id!r}: its record has no ground_acceleration and the study no excitation; give one"
+            f"experiment {experiment.id!r}: its record has no ground_acceleration and the study no excitation; give one (or "
+            "the force on mass 1 as a channel applied_force_1)"
         )
-    return Conditions(inputs, Recorded(Tabulated(_arrays(samples)), jnp.asarray(lengths)))
+    return Conditions(inputs, Recorded(Tabulated(jax.tree.map(jnp.asarray, samples)), jnp.asarray(lengths)))
 
 
 def _record(experiment: Experiment) -> Record:
@@ -246,14 +249,21 @@ def _grid_of(time: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     return lengths, time[0] + np.concatenate([[0.0], np.cumsum(np.repeat(lengths / 2, 2))])
 
 
-def _between(record: Record, times: np.ndarray) -> np.ndarray:
-    """The measured ground acceleration between its samples: a cubic spline, since a line cuts off the peaks (2 % at 16 samples
-    to a period)."""
+def _driven(record: Record, times: np.ndarray, measured: Sequence[str]) -> Any:
+    """The measured ground acceleration by itself, or with the measured forces on masses."""
+    samples = {name: _between(record, times, name) for name in measured}
+    ground = samples.pop("ground_acceleration", None)
+    forces = {mass - 1: force for name, force in samples.items() if (mass := driven_mass(name)) is not None}
+    return Applied(forces, ground) if forces else ground
+
+
+def _between(record: Record, times: np.ndarray, name: str) -> np.ndarray:
+    """A measured channel between its samples: a cubic spline, since a line cuts off the peaks (2 % at 16 samples to a period)."""
     from scipy.interpolate import CubicSpline
 
     if len(record) < 4:
-        return np.interp(times, record.time, record["ground_acceleration"])
-    return CubicSpline(record.time, record["ground_acceleration"])(np.minimum(times, record.time[-1]))
+        return np.interp(times, record.time, record[name])
+    return CubicSpline(record.time, record[name])(np.minimum(times, record.time[-1]))
 
 
 def _imposed(record: Record, times: np.ndarray, name: str) -> Imposed:
@@ -282,12 +292,6 @@ def _imposed(record: Record, times: np.ndarray, name: str) -> Imposed:
     curve = CubicHermiteSpline(time, elongation, slopes)
     inside = np.minimum(times, record.time[-1])
     return Imposed(curve(inside), curve.derivative()(inside))
-
-
-def _arrays(samples: Any) -> Any:
-    if isinstance(samples, Imposed):
-        return Imposed(jnp.asarray(samples.elongation), jnp.asarray(samples.rate))
-    return jnp.asarray(samples)
 
 
 def stacked(conditions: Sequence[Conditions]) -> Conditions:

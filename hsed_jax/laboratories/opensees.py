@@ -165,7 +165,7 @@ def model(structure: Structure, material: Mapping[str, Any], step: float) -> dic
         links[_points(spring.ends)][0] += float(spring.stiffness)
     for i, j in links:
         links[i, j][1] = float(damping[j - 1].sum() if i == 0 else -damping[i - 1, j - 1])
-    first, second = (0 if end is None else end + 1 for end in structure.specimen)
+    first, second = (0 if end is None else end + 1 for end in structure.specimens[0])
     return {
         "masses": [float(mass) for mass in structure.masses],
         "links": [[i, j, *values] for (i, j), values in links.items() if any(values)],

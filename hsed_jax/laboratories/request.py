@@ -1,7 +1,7 @@
-"""What a laboratory outside this program is told: the inputs of an experiment, its ground motion, and when to sample.
+"""What a laboratory outside this program is told: the inputs of an experiment, what drives it, and when to sample.
 
-`request.json` has the inputs with their units and in SI, and the columns and units of what is wanted back;
-`ground_motion.csv` and `ground_motion.AT2` have the motion.
+`request.json` has the inputs with their units and in SI, and the columns and units of what is wanted back; beside it lies what
+drives the experiment: `ground_motion.csv` and `.AT2`, `applied_force.csv`, or `imposed_elongation.csv`.
 """
 
 import json
@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,11 @@ import numpy as np
 
 from hsed_jax.laboratories.base import experiment_id
 from hsed_jax.measurements import Channel, parse_unit, write_at2
-from hsed_jax.physics.simulator import Parametrised, Timeline
+from hsed_jax.physics.excitations import AbstractExcitation, channels_of
+from hsed_jax.physics.excitations.base import Kind
+from hsed_jax.physics.outputs import output
+from hsed_jax.physics.simulator import Parametrised
+from hsed_jax.physics.timeline import Timeline, times
 
 # Between samples a motion is read as a line; with so many samples to a step of the integration (some 190 to the shortest
 # period) that cuts 1.3e-4 off a peak.
@@ -34,8 +38,9 @@ class Request:
         inputs: the variable inputs by name, in the units of the study.
         units: those units.
         si: the inputs in SI.
-        time: times of the ground motion [s], shape (n,), from 0 at equal steps.
-        ground_acceleration: the ground motion [m/s²], shape (n,), linear between the samples.
+        kind: what drives it.
+        time: times of what drives it [s], shape (n,), from 0; of a ground motion or force at equal steps.
+        driver: what drives it by the channel that would measure it, SI, shape (n,), linear between the samples.
         sample_times: when the study compares histories [s], shape (m,); a record at these times need not be interpolated.
     """
 
@@ -44,9 +49,15 @@ class Request:
     inputs: dict[str, float]
     units: dict[str, str]
     si: dict[str, float]
+    kind: Kind
     time: np.ndarray
-    ground_acceleration: np.ndarray
+    driver: dict[str, np.ndarray]
     sample_times: np.ndarray
+
+    @property
+    def ground_acceleration(self) -> np.ndarray:
+        """The ground motion [m/s²], shape (n,)."""
+        return self.driver["ground_acceleration"]
 
     def write(
         self,
@@ -55,7 +66,7 @@ class Request:
         quantities: Mapping[str, Channel],
         more: Mapping[str, Any] | None = None,
     ) -> None:
-        """Write `request.json`, `ground_motion.csv` and `ground_motion.AT2` into a folder.
+        """Write `request.json` and the file of what drives the experiment into a folder.
 
         Arguments:
             folder: where to.
@@ -67,22 +78,24 @@ class Request:
         def wanted(declared: Mapping[str, Channel]) -> dict[str, dict[str, str]]:
             return {name: {"column": channel.column, "unit": channel.unit} for name, channel in declared.items()}
 
+        ((channel, values),) = self.driver.items()
         content = {
             "id": self.id,
             "inputs": {
                 name: {"value": value, "unit": self.units[name], "si": self.si[name]}
                 for name, value in self.inputs.items()
             },
-            "ground_motion": {"step": float(self.time[1]), "samples": self.time.size},
-            "record": {"step": float(self.sample_times[1]), "samples": self.sample_times.size},
+            self.kind.file: _grid(self.time) | {"channel": channel},
+            "record": _grid(self.sample_times),
             "channels": wanted(channels),
             "quantities": wanted(quantities),
             **(more or {}),
         }
-        rows = zip(self.time.tolist(), self.ground_acceleration.tolist(), strict=True)
-        lines = ["t [s],ag [m/s^2]", *(f"{t!r},{a!r}" for t, a in rows)]
-        (folder / "ground_motion.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-        write_at2(folder / "ground_motion.AT2", float(self.time[1]), self.ground_acceleration, f"experiment {self.id}")
+        rows = zip(self.time.tolist(), values.tolist(), strict=True)
+        lines = [f"t [s],{self.kind.column} [{output(channel).unit}]", *(f"{t!r},{value!r}" for t, value in rows)]
+        (folder / f"{self.kind.file}.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        for name in self.kind.files[1:]:
+            write_at2(folder / name, float(self.time[1]), values, f"experiment {self.id}")
         (folder / "request.json").write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
@@ -92,34 +105,47 @@ class Programme:
 
     Attributes:
         units: of the inputs.
-        excitation: from inputs (SI) to a ground motion.
+        excitation: from inputs (SI) to what drives an experiment.
         timeline: of the study's simulator.
     """
 
     units: Mapping[str, str]
-    excitation: Parametrised
+    excitation: Parametrised[AbstractExcitation]
     timeline: Timeline
 
     def request(self, number: int, inputs: Mapping[str, float]) -> Request:
         """The request for experiment `number` (from 0) at `inputs` (SI)."""
         si = {name: float(value) for name, value in inputs.items()}
-        step, steps, every = self.timeline
+        time, driver, sample_times = self._driven({name: jnp.asarray(value) for name, value in si.items()})
         return Request(
             experiment_id(number),
             number,
             {name: float(parse_unit(self.units[name]).from_si(value)) for name, value in si.items()},
             {name: self.units[name] for name in si},
             si,
-            self._time,
-            np.asarray(self._motion({name: jnp.asarray(value) for name, value in si.items()})),
-            step * every * np.arange(steps // every + 1),
+            cast("type[AbstractExcitation]", self.excitation.constructor).kind,
+            np.asarray(time),
+            {name: np.asarray(values) for name, values in driver.items()},
+            np.asarray(sample_times),
         )
 
-    @property
-    def _time(self) -> np.ndarray:
-        return self.timeline.step / _SAMPLES_PER_STEP * np.arange(self.timeline.steps * _SAMPLES_PER_STEP + 1)
-
     @cached_property
-    def _motion(self):
-        time = jnp.asarray(self._time)
-        return jax.jit(lambda inputs: jax.vmap(self.excitation(inputs).acceleration)(time))
+    def _driven(self):
+        """Times and samples of what drives an experiment, and the times of its record, from the inputs."""
+        step, steps, every = self.timeline
+        fine = Timeline(None if step is None else step / _SAMPLES_PER_STEP, steps * _SAMPLES_PER_STEP)
+
+        def driven(inputs):
+            excitation = self.excitation(inputs)
+            time = times(excitation.step_length(fine), 1, fine.samples)
+            length = excitation.step_length(self.timeline)
+            return time, channels_of(jax.vmap(excitation.sample)(time)), times(length, every, self.timeline.samples)
+
+        return jax.jit(driven)
+
+
+def _grid(time: np.ndarray) -> dict[str, Any]:
+    """How many samples, and how far apart, or where that differs, when."""
+    steps = np.diff(time)
+    is_even = bool(np.ptp(steps) < 1e-6 * steps.mean())
+    return ({"step": float(time[1])} if is_even else {"times": time.tolist()}) | {"samples": time.size}

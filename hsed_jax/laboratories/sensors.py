@@ -11,8 +11,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.laboratories.base import ExperimentFailed
 from hsed_jax.laboratories.request import Request
 from hsed_jax.measurements import Campaign, Channel, Experiment, Record, check_campaign
-
-_GROUND = Channel("ground_acceleration", "m/s^2")
+from hsed_jax.physics.outputs import output
 
 
 @dataclass(frozen=True)
@@ -23,6 +22,7 @@ class Sensors:
         channels: of its records, with the time; none where it keeps no records.
         quantities: numbers that it hands over by themselves.
         columns: by channel, the column of its record files: a name, or a position from 1 where they have no header.
+        driver: the channel that measures what drives the experiments.
         at_sample_times: interpolate records linearly to the times at which the study compares histories.
 
     Raises:
@@ -32,6 +32,7 @@ class Sensors:
     channels: Mapping[str, Channel] = field(default_factory=dict)
     quantities: Mapping[str, Channel] = field(default_factory=dict)
     columns: Mapping[str, str] = field(default_factory=dict)
+    driver: str = "ground_acceleration"
     at_sample_times: bool = False
 
     def __post_init__(self):
@@ -44,10 +45,10 @@ class Sensors:
 
     @property
     def recorded(self) -> dict[str, Channel]:
-        """The channels of the records as they are kept: the ground motion that was asked for is one of them."""
-        if not self.channels or _GROUND.name in self.channels:
+        """The channels of the records as they are kept: what was to drive the experiment is one of them."""
+        if not self.channels or self.driver in self.channels:
             return dict(self.channels)
-        return {**self.channels, _GROUND.name: _GROUND}
+        return {**self.channels, self.driver: Channel(self.driver, output(self.driver).unit)}
 
     def record(self, request: Request, columns: Mapping[str, Any], source: str, *, partial: bool = False) -> Record:
         """A record in SI.
@@ -76,10 +77,10 @@ class Sensors:
                 raise ExperimentFailed(f"{source}: {finding.channel}{when}: {finding.message}")
         if self.at_sample_times and not partial:
             record = _sampled(record, request.sample_times, source)
-        if _GROUND.name in record.channels:
+        if self.driver in record.channels:
             return record
-        ground = np.interp(record.time, request.time, request.ground_acceleration, left=0.0, right=0.0)
-        return replace(record, channels={**record.channels, _GROUND.name: ground})
+        planned = np.interp(record.time, request.time, request.driver[self.driver], left=0.0, right=0.0)
+        return replace(record, channels={**record.channels, self.driver: planned})
 
     def numbers(self, values: Mapping[str, Any], source: str) -> dict[str, float]:
         """The quantities in SI.

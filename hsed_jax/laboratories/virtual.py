@@ -19,7 +19,8 @@ class VirtualLaboratory:
         simulator: with the effects of the true specimen.
         parameters: the true parameters (SI).
         quantities: what is measured, one number per experiment.
-        channels: histories that are measured instead, at the samples of the simulator's timeline.
+        channels: histories that are measured instead, what drives the experiment among them, at the samples of the simulator's
+            timeline.
         noise: per quantity; none where absent.
         seed: of the noise; the noise of an experiment depends on its number alone.
     """
@@ -57,12 +58,11 @@ class VirtualLaboratory:
         return dict(zip(self.quantities, np.asarray(values).tolist(), strict=True))
 
     def _record(self, inputs: Mapping[str, float], random: np.random.Generator) -> Record:
-        names = ("ground_acceleration", *self.channels)
-        response = self.simulator.respond(self.parameters, _conditions(inputs), names)
+        conditions = _conditions(inputs)
+        response = self.simulator.respond(self.parameters, conditions, self.channels)
         if not response.ok:
             raise ExperimentFailed("the simulation of the specimen diverged")
-        step, steps, every = self.simulator.timeline
-        time = step * every * np.arange(steps // every + 1)
+        time = np.asarray(self.simulator.times(conditions.inputs))
         channels = {name: np.asarray(values) for name, values in response.channels.items()}
         return Record(time, {name: noisy(values, self.noise.get(name), random) for name, values in channels.items()})
 

@@ -13,7 +13,9 @@ from hsed_jax.measurements.experiment import Channel as Channel
 from hsed_jax.measurements.experiment import Experiment as Experiment
 from hsed_jax.measurements.experiment import Noise as Noise
 from hsed_jax.measurements.experiment import Record as Record
+from hsed_jax.measurements.histories import read_history as read_history
 from hsed_jax.measurements.overview import overview as overview
+from hsed_jax.measurements.pairs import pair_of as pair_of
 from hsed_jax.measurements.readers import read_campaign as read_campaign
 from hsed_jax.measurements.thinning import half_cycles as half_cycles
 from hsed_jax.measurements.units import Unit as Unit

@@ -8,8 +8,11 @@ import numpy as np
 
 from hsed_jax.errors import UserError
 from hsed_jax.measurements.experiment import Channel, Experiment, Record
+from hsed_jax.measurements.pairs import pair_of
 from hsed_jax.measurements.tables import can_head_record
 from hsed_jax.measurements.units import Unit, channel_dimension, parse_unit, quantity_dimension
+from hsed_jax.physics.outputs import is_driver
+from hsed_jax.physics.pairs import Pair
 from hsed_jax.tables import Table, Tabular
 
 if TYPE_CHECKING:
@@ -36,9 +39,10 @@ class Campaign(Tabular):
         quantities: Quantities of experiments.csv by canonical name.
         experiments: The experiments, in order.
         source: Where it was read from.
+        pair: What elongation and force are, as their units say: rotation and moment, strain and stress, or just these.
 
     Raises:
-        UserError: An unknown channel, a wrong unit, a duplicate id, or an experiment that does not fit.
+        UserError: An unknown channel, a wrong unit, units of no pair, a duplicate id, or an experiment that does not fit.
     """
 
     name: str
@@ -48,9 +52,13 @@ class Campaign(Tabular):
     quantities: dict[str, Channel] = field(default_factory=dict)
     experiments: tuple[Experiment, ...] = ()
     source: str | None = field(default=None, compare=False)
+    pair: Pair = field(init=False, compare=False)
 
     def __post_init__(self):
         """Check the declaration, then move every value to one that its declared unit can write."""
+        declared = {f"channels.{name}": c for name, c in self.channels.items()}
+        declared |= {f"quantities.{name}": q for name, q in self.quantities.items()}
+        object.__setattr__(self, "pair", pair_of(declared))
         object.__setattr__(self, "_units", declared_units(self))
         object.__setattr__(self, "experiments", tuple(self._settled(e) for e in self.experiments))
         seen = set()
@@ -104,12 +112,12 @@ class Campaign(Tabular):
             raise UserError(
                 f"{where}: the record has a time but the campaign no channel time; declare it with its unit"
             )
-        responses = self.channels.keys() - MOTION
+        responses = {name for name in self.channels if not is_driver(name)}
         if strange := record.channels.keys() - self.channels.keys():
             raise UserError(f"{where}: the record has {sorted(strange)}; the campaign declares {sorted(self.channels)}")
         missing = self.channels.keys() - record.channels.keys() - {"time"}
-        # Either everything that was declared, or the ground motion alone (planned, or beside scalar quantities).
-        if missing and (missing != responses or "ground_acceleration" not in self.channels):
+        # Either everything that was declared, or what drives it alone (planned, or beside scalar quantities).
+        if missing and (missing != responses or self.channels.keys() - responses <= {"time"}):
             raise UserError(f"{where}: the record lacks {sorted(missing)}; every declared channel must be there")
         time = self.unit("time").snap(record.time)
         channels = {k: self.unit(k).snap(record.channels[k]) for k in self.channels if k in record.channels}
@@ -268,7 +276,7 @@ def declared_units(campaign: Campaign) -> dict[str, Unit]:
                 raise UserError(f"{where}: column {channel.column!r} looks like a number or comment; give it a name")
             columns[channel.column] = where
             try:
-                units[name] = parse_unit(channel.unit, dimension_of(name))
+                units[name] = parse_unit(channel.unit, dimension_of(name, campaign.pair))
             except UserError as error:
                 raise UserError(f"{where}: {error}") from None
     taken = {*RESERVED_COLUMNS, *(q.column for q in campaign.quantities.values())}

@@ -6,10 +6,11 @@ import numpy as np
 
 from hsed_jax.measurements.campaign import Campaign
 from hsed_jax.measurements.experiment import Experiment, Record
+from hsed_jax.physics.outputs import loops, named, owner_of
 
 
 class Characteristics(NamedTuple):
-    """Typical magnitudes over the experiments of a campaign; NaN where nothing tells.
+    """Typical magnitudes over the experiments of a campaign, of several specimens the most; NaN where nothing tells.
 
     Attributes:
         force: median over experiments of the largest force [N].
@@ -34,11 +35,11 @@ def characteristics(campaign: Campaign) -> Characteristics:
     return Characteristics(*values)
 
 
-def initial_stiffness(record: Record) -> float:
+def initial_stiffness(record: Record, specimen: str = "") -> float:
     """Slope [N/m] of force against elongation while the elongation first grows to a tenth of its peak; NaN without both."""
-    if not {"force", "elongation"} <= record.channels.keys():
+    if specimen not in loops(record.channels):
         return float("nan")
-    force, elongation = record["force"], record["elongation"]
+    force, elongation = record[named(specimen, "force")], record[named(specimen, "elongation")]
     size = np.abs(elongation - elongation[0])
     beyond = np.flatnonzero(size > 0.1 * size.max())
     first = slice(0, max(int(beyond[0]) + 1 if beyond.size else 3, 3))
@@ -48,16 +49,25 @@ def initial_stiffness(record: Record) -> float:
     return slope if slope > 0 else float("nan")
 
 
-def _of(experiment: Experiment) -> tuple[float, ...]:
+def _of(experiment: Experiment) -> np.ndarray:
+    """Of the specimen that has most of each, (5,)."""
+    record = experiment.record
+    names = [*experiment.quantities, *([] if record is None else record.channels)]
+    rows = [_of_specimen(experiment, specimen) for specimen in dict.fromkeys(["", *(owner_of(name) for name in names)])]
+    return np.fmax.reduce(rows)
+
+
+def _of_specimen(experiment: Experiment, specimen: str) -> tuple[float, ...]:
     record, rate, stiffness = experiment.record, float("nan"), float("nan")
-    if record is not None and "elongation" in record.channels:
+    elongation = named(specimen, "elongation")
+    if record is not None and elongation in record.channels:
         # A high quantile: single noisy differences are no rates.
-        rate = float(np.quantile(np.abs(np.gradient(record["elongation"], record.time)), 0.98))
-        stiffness = initial_stiffness(record)
+        rate = float(np.quantile(np.abs(np.gradient(record[elongation], record.time)), 0.98))
+        stiffness = initial_stiffness(record, specimen)
     return (
-        experiment.quantity("peak_force"),
-        experiment.quantity("peak_elongation"),
+        experiment.quantity(named(specimen, "peak_force")),
+        experiment.quantity(named(specimen, "peak_elongation")),
         rate,
-        abs(experiment.quantity("dissipated_energy")),
+        abs(experiment.quantity(named(specimen, "dissipated_energy"))),
         stiffness,
     )

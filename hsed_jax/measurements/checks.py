@@ -12,9 +12,19 @@ from hsed_jax.errors import UserError
 from hsed_jax.measurements.campaign import Campaign
 from hsed_jax.measurements.experiment import Experiment, Record
 from hsed_jax.measurements.units import channel_dimension, quantity_dimension
-from hsed_jax.physics.outputs import quantity
+from hsed_jax.physics.outputs import is_driver, loops, named, own_name, quantity
+from hsed_jax.physics.pairs import Pair
 
-PLAUSIBLE = {"length": (1e-6, 5.0), "velocity": (1e-5, 50.0), "acceleration": (1e-3, 500.0), "force": (1e-2, 1e9)}
+PLAUSIBLE = {
+    "length": (1e-6, 5.0),
+    "velocity": (1e-5, 50.0),
+    "acceleration": (1e-3, 500.0),
+    "force": (1e-2, 1e9),
+    "angle": (1e-6, 2.0),
+    "moment": (1e-2, 1e10),
+    "strain": (1e-6, 10.0),
+    "stress": (1e3, 1e11),
+}
 """Range of the largest magnitude [SI] by dimension; outside, the unit is suspect."""
 
 PLAUSIBLE_GROUND_ACCELERATION = (1e-2, 40.0)
@@ -117,10 +127,11 @@ def noise_estimate(time, values) -> float:
 def _experiment(campaign: Campaign, experiment: Experiment) -> Iterator[Finding]:
     id, record = experiment.id, experiment.record
     for name, value in experiment.quantities.items():
-        low, high = PLAUSIBLE.get(quantity_dimension(name).name, (0.0, np.inf))
+        dimension = quantity_dimension(name, campaign.pair)
+        low, high = PLAUSIBLE.get(dimension.name, (0.0, np.inf))
         low = 0.0 if quantity(name).is_signed else low
         if not low <= abs(value) <= high:
-            yield Finding("doubt", id, name, None, _absurd(abs(value), quantity_dimension(name).si, low, high), "unit")
+            yield Finding("doubt", id, name, None, _absurd(abs(value), dimension.si, low, high), "unit")
     if record is None:
         return
     errors = list(_time(id, record)) + [f for name in record.channels for f in _finite(id, record, name)]
@@ -129,20 +140,20 @@ def _experiment(campaign: Campaign, experiment: Experiment) -> Iterator[Finding]
         return  # what follows needs a time that runs and numbers that are numbers
     for name, values in record.channels.items():
         if np.ptp(values) == 0:
-            # A free vibration has a constant ground; any other constant channel measured nothing.
+            # A free vibration has a constant ground and no force; any other constant channel measured nothing.
             message = f"it is constant ({values[0]:g}) over the whole record; a dead sensor?"
-            if name == "ground_acceleration":
+            if is_driver(name):
                 yield Finding("doubt", id, name, None, message, "constant")
             else:
                 yield Finding("error", id, name, None, message)
             continue
         yield from _plateaus(id, record, name)
-        yield from _magnitude(id, record, name)
+        yield from _magnitude(campaign.pair, id, record, name)
         yield from _noise(campaign, id, record, name)
     if not campaign.has_time:
-        yield from _jumps(id, record)
-    yield from _base_lines(id, record)
-    yield from _energy(id, record)
+        yield from _jumps(campaign.pair, id, record)
+    yield from _base_lines(campaign.pair, id, record)
+    yield from _energy(campaign.pair, id, record)
 
 
 def _time(id: str, record: Record) -> Iterator[Finding]:
@@ -166,19 +177,20 @@ def _time(id: str, record: Record) -> Iterator[Finding]:
         yield Finding("doubt", id, "time", float(time[gaps[0]]), message, "gap")
 
 
-def _jumps(id: str, record: Record) -> Iterator[Finding]:
+def _jumps(pair: Pair, id: str, record: Record) -> Iterator[Finding]:
     """Steps of the elongation that missing rows leave, where no time shows the gap."""
-    steps = np.abs(np.diff(record.channels["elongation"])) if "elongation" in record.channels else np.zeros(0)
-    if not (steps > 0).sum() >= QUIET:
-        return
-    usual = float(np.quantile(steps[steps > 0], 0.95))
-    jumps = np.flatnonzero(steps > max(JUMP * usual, 0.05 * float(np.ptp(record.channels["elongation"]))))
-    if jumps.size:
-        message = (
-            f"it jumps by {steps[jumps].max():.3g} m where nearly all steps are below {usual:.2g} m, {jumps.size} times in "
-            "all: are rows missing?"
-        )
-        yield Finding("doubt", id, "elongation", float(record.time[jumps[0] + 1]), message, "jump")
+    for name, values in record.channels.items():
+        steps = np.abs(np.diff(values))
+        if own_name(name) != "elongation" or not (steps > 0).sum() >= QUIET:
+            continue
+        usual = float(np.quantile(steps[steps > 0], 0.95))
+        jumps = np.flatnonzero(steps > max(JUMP * usual, 0.05 * float(np.ptp(values))))
+        if jumps.size:
+            message = (
+                f"it jumps by {_amount(steps[jumps].max(), pair.elongation_unit)} where nearly all steps are below "
+                f"{_amount(usual, pair.elongation_unit, 2)}, {jumps.size} times in all: are rows missing?"
+            )
+            yield Finding("doubt", id, name, float(record.time[jumps[0] + 1]), message, "jump")
 
 
 def _finite(id: str, record: Record, name: str) -> Iterator[Finding]:
@@ -215,9 +227,11 @@ def _plateaus(id: str, record: Record, name: str) -> Iterator[Finding]:
             yield Finding("doubt", id, name, float(record.time[found[0][0]]), f"{message}: {reason}", kind)
 
 
-def _magnitude(id: str, record: Record, name: str) -> Iterator[Finding]:
-    dimension = channel_dimension(name)
-    low, high = PLAUSIBLE_GROUND_ACCELERATION if name == "ground_acceleration" else PLAUSIBLE[dimension.name]
+def _magnitude(pair: Pair, id: str, record: Record, name: str) -> Iterator[Finding]:
+    dimension = channel_dimension(name, pair)
+    low, high = PLAUSIBLE.get(dimension.name, (0.0, np.inf))
+    if name == "ground_acceleration":
+        low, high = PLAUSIBLE_GROUND_ACCELERATION
     peak = int(np.argmax(np.abs(record.channels[name])))
     value = float(np.abs(record.channels[name][peak]))
     if not low <= value <= high:
@@ -225,7 +239,12 @@ def _magnitude(id: str, record: Record, name: str) -> Iterator[Finding]:
 
 
 def _absurd(value: float, unit: str, low: float, high: float) -> str:
-    return f"the largest magnitude is {value:.3g} {unit}, plausible is {low:g} to {high:g} {unit}: is the unit right?"
+    plausible = f"{low:g} to {_amount(high, unit, 6)}"
+    return f"the largest magnitude is {_amount(value, unit)}, plausible is {plausible}: is the unit right?"
+
+
+def _amount(value: float, unit: str, digits: int = 3) -> str:
+    return f"{value:.{digits}g} {unit}".removesuffix(" 1")
 
 
 def _noise(campaign: Campaign, id: str, record: Record, name: str) -> Iterator[Finding]:
@@ -238,8 +257,8 @@ def _noise(campaign: Campaign, id: str, record: Record, name: str) -> Iterator[F
     if not 0.75 * third < fourth < 1.33 * third and third > declared:
         return
     if third > NOISE_FACTOR * declared or NOISE_FACTOR * min(second, third) < declared:
-        unit = channel_dimension(name).si
-        message = f"the samples scatter by about {third:.2g} {unit}, the declared noise is {declared:.2g} {unit}"
+        unit = campaign.pair.output(name).unit
+        message = f"the samples scatter by about {_amount(third, unit, 2)}, the declared noise is {_amount(declared, unit, 2)}"
         yield Finding("doubt", id, name, None, message, "noise")
 
 
@@ -258,9 +277,11 @@ def _difference_noise(time: np.ndarray, values: np.ndarray, order: int) -> float
     return float(1.4826 * np.median(informative)) if informative.size else 0.0
 
 
-def _base_lines(id: str, record: Record) -> Iterator[Finding]:
-    driver = "ground_acceleration" if "ground_acceleration" in record.channels else "elongation"
-    if driver not in record.channels:
+def _base_lines(pair: Pair, id: str, record: Record) -> Iterator[Finding]:
+    driver = next(
+        (name for name in (*filter(is_driver, record.channels), "elongation") if name in record.channels), None
+    )
+    if driver is None:
         return
     drive = record.channels[driver] - np.median(record.channels[driver][:QUIET])
     # A first small loading is a motion, too: it begins where the driver leaves its own noise.
@@ -274,20 +295,18 @@ def _base_lines(id: str, record: Record) -> Iterator[Finding]:
         offset, scatter = float(np.mean(values[:quiet])), float(np.std(values[:quiet]))
         # Drift and hum are not independent from sample to sample, so no 1/sqrt(n): the offset must stand out by itself.
         if abs(offset) > max(0.02 * float(np.abs(values).max()), scatter):
-            unit = channel_dimension(name).si
-            message = f"it is {offset:.3g} {unit} on average before the motion starts ({quiet} samples): an offset?"
+            size = _amount(offset, pair.output(name).unit)
+            message = f"it is {size} on average before the motion starts ({quiet} samples): an offset?"
             yield Finding("doubt", id, name, float(record.time[0]), message, "offset")
 
 
-def _energy(id: str, record: Record) -> Iterator[Finding]:
-    if not {"elongation", "force"} <= record.channels.keys():
-        return
-    force, elongation = record.channels["force"], record.channels["elongation"]
-    work = 0.5 * (force[1:] + force[:-1]) * np.diff(elongation)
-    # A passive specimen gives back at most what it held at the start; a twentieth is left for noise and delay.
-    allowed = 0.05 * float(np.abs(work).sum()) + abs(float(force[0] * elongation[0]))
-    if work.sum() < -allowed:
-        message = (
-            f"the work of force on elongation is {work.sum():.3g} J: a specimen cannot give energy; is a sign flipped?"
-        )
-        yield Finding("doubt", id, "force", None, message, "sign")
+def _energy(pair: Pair, id: str, record: Record) -> Iterator[Finding]:
+    for owner in loops(record.channels):
+        force, elongation = (record.channels[named(owner, name)] for name in ("force", "elongation"))
+        work = 0.5 * (force[1:] + force[:-1]) * np.diff(elongation)
+        # A passive specimen gives back at most what it held at the start; a twentieth is left for noise and delay.
+        allowed = 0.05 * float(np.abs(work).sum()) + abs(float(force[0] * elongation[0]))
+        if work.sum() < -allowed:
+            what, size = pair.words("the work of force on elongation"), _amount(work.sum(), pair.energy_unit)
+            message = f"{what} is {size}: a specimen cannot give energy; is a sign flipped?"
+            yield Finding("doubt", id, named(owner, "force"), None, message, "sign")

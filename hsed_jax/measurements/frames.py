@@ -10,7 +10,7 @@ import numpy as np
 from hsed_jax.errors import UserError
 from hsed_jax.measurements.campaign import RESERVED_COLUMNS, Campaign
 from hsed_jax.measurements.experiment import Channel, Experiment, Noise, Record, Split, Status, check_word
-from hsed_jax.measurements.units import channel_dimension, parse_unit, quantity_dimension
+from hsed_jax.measurements.units import parse_unit
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -183,11 +183,8 @@ def _from_tree(tree: "xr.DataTree") -> Campaign:
 
 
 def _si(campaign: Campaign, name: str) -> str:
-    if name in campaign.channels:
-        return channel_dimension(name).si
-    if name in campaign.quantities:
-        return quantity_dimension(name).si
-    return parse_unit(campaign.inputs[name]).si
+    is_input = name in campaign.inputs
+    return parse_unit(campaign.inputs[name]).si if is_input else campaign.pair.output(name).unit
 
 
 def _attributes(campaign: Campaign, channel: Channel) -> dict[str, Any]:

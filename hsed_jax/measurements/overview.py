@@ -5,18 +5,22 @@ import numpy as np
 from hsed_jax.measurements.campaign import Campaign
 from hsed_jax.measurements.characteristics import initial_stiffness
 from hsed_jax.measurements.experiment import Record
+from hsed_jax.measurements.units import DIMENSIONLESS
+from hsed_jax.physics.outputs import loops, named
 from hsed_jax.tables import Table
 
 
 def overview(campaign: Campaign) -> Table:
     """Largest magnitude of every channel and quantity, initial stiffness and dissipated energy of completed experiments."""
     channels = [name for name in campaign.channels if name != "time"]
-    loop = {"elongation", "force"} <= campaign.channels.keys()
+    owners = loops(campaign.channels)
     heads = ["experiment", *(["samples"] if channels else [])]
     heads += [f"{name} [{campaign.unit(name).text}]" for name in (*channels, *campaign.quantities)]
-    if loop:
-        force, length = campaign.unit("force").text, campaign.unit("elongation").text
-        heads += [f"initial stiffness [{force}/{length}]", f"dissipated energy [{force} {length}]"]
+    for owner in owners:
+        force, elongation = (campaign.unit(named(owner, name)).text for name in ("force", "elongation"))
+        over, times = ("", "") if elongation in DIMENSIONLESS else (f"/{elongation}", f" {elongation}")
+        of = f" of {owner}" if owner else ""
+        heads += [f"initial stiffness{of} [{force}{over}]", f"dissipated energy{of} [{force}{times}]"]
     rows = []
     for experiment in campaign.completed:
         record = experiment.record
@@ -24,8 +28,8 @@ def overview(campaign: Campaign) -> Table:
         cells += [_number(campaign, name, experiment.quantities.get(name)) for name in campaign.quantities]
         if channels:
             cells.insert(0, "–" if record is None else str(len(record)))
-        if loop:
-            cells += ["–", "–"] if record is None else _loop(campaign, record)
+        for owner in owners:
+            cells += ["–", "–"] if record is None else _loop(campaign, record, owner)
         rows.append([experiment.id, *cells])
     return Table("the data in declared units, channels by their largest magnitude:", heads, rows)
 
@@ -38,11 +42,12 @@ def _number(campaign: Campaign, name: str, value: float | None) -> str:
     return "–" if value is None else f"{campaign.unit(name).from_si(value):.4g}"
 
 
-def _loop(campaign: Campaign, record: Record) -> list[str]:
-    """Stiffness and energy in the units of force and elongation."""
-    if not {"elongation", "force"} <= record.channels.keys():
+def _loop(campaign: Campaign, record: Record, owner: str) -> list[str]:
+    """Stiffness and energy of a specimen in the units of its force and elongation."""
+    if owner not in loops(record.channels):
         return ["–", "–"]
-    declared = {name: campaign.unit(name).from_si(record[name]) for name in ("elongation", "force")}
+    names = {name: named(owner, name) for name in ("elongation", "force")}
+    declared = {name: campaign.unit(channel).from_si(record[channel]) for name, channel in names.items()}
     stiffness = initial_stiffness(Record(record.time, declared))
     energy = float(np.trapezoid(declared["force"], declared["elongation"]))
     return [f"{stiffness:.4g}" if np.isfinite(stiffness) else "–", f"{energy:.4g}"]

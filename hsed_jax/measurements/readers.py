@@ -11,6 +11,7 @@ from hsed_jax.measurements.declaration import read_declaration
 from hsed_jax.measurements.experiment import Experiment, Record, Split, Status, check_id, check_word
 from hsed_jax.measurements.records import read_columns, read_motion
 from hsed_jax.measurements.tables import Table, read_experiment_table
+from hsed_jax.physics.outputs import is_driver
 from hsed_jax.plain import MOST, is_file, is_folder, shown
 
 DEFAULT_ENDINGS = ("csv", "parquet", "mat", "h5", "txt")
@@ -192,9 +193,9 @@ def _record(header: Campaign, columns: dict[str, str], file: Path, motion_will_d
             raise UserError(f"{file}: an .AT2 file has no {missing}; a completed experiment has the declared channels")
         channels = read_motion(file)
     else:
-        responses = (
-            header.channels.keys() - MOTION if set(MOTION) <= header.channels.keys() and motion_will_do else set()
-        )
+        responses = {name for name in header.channels if not is_driver(name)}
+        if not motion_will_do or header.channels.keys() - responses <= {"time"}:
+            responses = set()
         read = read_columns(file, columns.values(), [columns[name] for name in responses])
         channels = {name: header.unit(name).to_si(read[c]) for name, c in columns.items() if c in read}
     time = channels.pop("time", None)

@@ -11,7 +11,8 @@ import numpy as np
 
 from hsed_jax.backend import cache_folder
 from hsed_jax.errors import UserError
-from hsed_jax.physics.outputs import ALLOWED, CHANNELS, PER_MASS, channel, is_quantity, quantity
+from hsed_jax.physics.outputs import ALLOWED, CHANNELS, PER_MASS, channel, is_quantity
+from hsed_jax.physics.pairs import ELONGATION_AND_FORCE, Pair
 from hsed_jax.plain import shown
 
 
@@ -30,34 +31,52 @@ VELOCITY = Dimension("velocity", "m/s", "m/s, cm/s, mm/s, inch/s")
 ACCELERATION = Dimension("acceleration", "m/s^2", "m/s^2, cm/s^2, Gal, g (standard gravity)")
 FORCE = Dimension("force", "N", "N, kN, MN, lbf, kip")
 ENERGY = Dimension("energy", "J", "J, kJ, kN*mm, N*m, kip*inch")
+# Of the other pairs that a specimen may be measured in.
+_OF_PAIRS = (
+    Dimension("angle", "rad", "rad, mrad, deg, %"),
+    Dimension("angular velocity", "rad/s", "rad/s, mrad/s, deg/s"),
+    Dimension("moment", "N*m", "N*m, kN*m, kip*inch"),
+    Dimension("strain", "1", "-, %, mm/m"),
+    Dimension("strain rate", "1/s", "1/s, %/s"),
+    Dimension("stress", "Pa", "Pa, kPa, MPa, GPa, psi, ksi"),
+    Dimension("energy per volume", "J/m^3", "J/m^3, kJ/m^3, MPa"),
+    Dimension("energy per length", "J/m", "J/m, kJ/m, kN"),
+)
 
-_BY_UNIT = {dimension.si: dimension for dimension in (TIME, LENGTH, VELOCITY, ACCELERATION, FORCE, ENERGY)}
-_DIMENSIONLESS = {"-", "–", "1"}
+_BY_UNIT = {d.si: d for d in (TIME, LENGTH, VELOCITY, ACCELERATION, FORCE, ENERGY, *_OF_PAIRS)}
+DIMENSIONLESS = {"-", "–", "1"}
+"""Texts of the unit of a pure number."""
 # A long number, or a power of a power: pint would compute it to its last digit, however many those are.
 _ENDLESS = re.compile(r"\d{3}|\d[eE]|\d[\s)]*(\*\*|\^)")
 
 
-def channel_dimension(name: str) -> Dimension:
-    """Return the dimension of a canonical channel (`hsed_jax.physics.outputs`).
+def dimension_of(unit: str) -> Dimension:
+    """Return the dimension of an SI unit that a channel, quantity or setting is declared in."""
+    return _BY_UNIT[unit]
+
+
+def channel_dimension(name: str, pair: Pair = ELONGATION_AND_FORCE) -> Dimension:
+    """Return the dimension of a canonical channel (`hsed_jax.physics.outputs`) of a specimen measured in a pair.
 
     Raises:
         UserError: `name` is no canonical channel.
     """
     try:
-        return _BY_UNIT[channel(name).unit]
+        channel(name)
     except KeyError:
-        mass = ", ".join(f"{stem}_<i>[_absolute]" for stem in PER_MASS)
+        mass = ", ".join([*(f"{stem}_<i>[_absolute]" for stem in PER_MASS), "applied_force_<i>"])
         raise UserError(f"unknown channel {name!r}; allowed: {', '.join(CHANNELS)}, and for mass i {mass}") from None
+    return _BY_UNIT[pair.output(name).unit]
 
 
-def quantity_dimension(name: str) -> Dimension:
-    """Return the dimension of a canonical quantity (`hsed_jax.physics.outputs`).
+def quantity_dimension(name: str, pair: Pair = ELONGATION_AND_FORCE) -> Dimension:
+    """Return the dimension of a canonical quantity (`hsed_jax.physics.outputs`) of a specimen measured in a pair.
 
     Raises:
         UserError: `name` is no canonical quantity.
     """
     if is_quantity(name):
-        return _BY_UNIT[quantity(name).unit]
+        return _BY_UNIT[pair.output(name).unit]
     raise UserError(f"unknown quantity {name!r}; allowed: {ALLOWED}")
 
 
@@ -119,6 +138,14 @@ def parse_unit(text: str, dimension: Dimension | None = None) -> Unit:
     return Unit(text, factor, si)
 
 
+def measures(text: str, dimension: Dimension) -> bool:
+    """Return whether a text is a unit, and measures a dimension."""
+    try:
+        return _in_si(text)[1] == _in_si(dimension.si)[1]
+    except ValueError:
+        return False
+
+
 @functools.cache
 def _registry():
     import pint
@@ -134,7 +161,7 @@ def _registry():
 @functools.cache
 def _in_si(text: str) -> tuple[Fraction, str, str]:
     """Return the factor to SI, the dimension in base dimensions, and the SI unit."""
-    if text.strip() in _DIMENSIONLESS:
+    if text.strip() in DIMENSIONLESS:
         return Fraction(1), "dimensionless", "1"
     # pint reads g as gram; in this field it is gravity.  A spreadsheet's m/s2 means m/s^2.
     spelled = re.sub(r"(?<![A-Za-z_])g(?![A-Za-z_])", "standard_gravity", text)

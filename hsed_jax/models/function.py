@@ -9,16 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from hsed_jax.errors import UserError
-from hsed_jax.physics.excitations import AbstractExcitation, Imposed, Tabulated
-from hsed_jax.physics.outputs import CHANNELS, channel, is_quantity
+from hsed_jax.physics.excitations import AbstractExcitation, Imposed, Tabulated, channels_of
+from hsed_jax.physics.outputs import CHANNELS, channel, is_driver, is_quantity, output, owner_of
 from hsed_jax.physics.response import Response
-from hsed_jax.physics.simulator import AbstractModel, Conditions, Scalar, Timeline
+from hsed_jax.physics.simulator import AbstractModel, Conditions, Scalar
+from hsed_jax.physics.timeline import Timeline
 
 Respond = Callable[[Mapping[str, Any], Mapping[str, Any]], Mapping[str, Any]]
 """From parameters by name, and from the inputs of an experiment by name (SI) with its `time` and what it was driven by, to
 quantities (numbers) and channels (one number for each time), by name and in SI."""
-RESERVED = ("time", "ground_acceleration", "elongation", "elongation_rate")
-"""What a function may be told beside the inputs."""
 
 
 @final
@@ -28,7 +27,7 @@ class FunctionModel(AbstractModel):
     Attributes:
         function: traceable by JAX, as `Differenced` makes any.
         given: the quantities and channels that it returns.
-        excitation: from inputs to a ground motion; None where every experiment brings its record, or has none.
+        excitation: from inputs to what drives it; None where every experiment brings its record, or has none.
         timeline: the times of an experiment without a record; None where there is no excitation.
         constants: parameters that are fixed numbers.
     """
@@ -38,6 +37,11 @@ class FunctionModel(AbstractModel):
     excitation: Callable[[Mapping[str, Scalar]], AbstractExcitation] | None
     timeline: Timeline | None = eqx.field(static=True)
     constants: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
+
+    @property
+    def owners(self) -> tuple[str, ...]:
+        """The specimens that what the function returns is of; that of the only one is empty."""
+        return tuple(dict.fromkeys(owner_of(name) for name in self.given if output(name).of_specimen)) or ("",)
 
     def gives(self, name: str) -> bool:
         """Whether the function returns it."""
@@ -72,7 +76,7 @@ class FunctionModel(AbstractModel):
 
     def told(self, conditions: Conditions) -> dict[str, Any]:
         """What the function is told of an experiment: its inputs (SI), and where there are such its times [s] from 0 and what it
-        was driven by, each (n,): `ground_acceleration`, or `elongation` and `elongation_rate`.
+        was driven by, each (n,): `ground_acceleration`, `applied_force_i` on mass i, or `elongation` and `elongation_rate`.
 
         A record that is shorter than the longest one is padded with its last sample, at the same time.
         """
@@ -82,16 +86,22 @@ class FunctionModel(AbstractModel):
             assert isinstance(forcing, Tabulated)
             known["time"] = jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.asarray(lengths))])
             # Its samples are on half steps.
-            samples = jax.tree.map(lambda values: values[::2], forcing.samples)
-            if isinstance(samples, Imposed):
-                return known | {"elongation": samples.elongation, "elongation_rate": samples.rate}
-            return known | {"ground_acceleration": samples}
+            return known | _histories(jax.tree.map(lambda values: values[::2], forcing.samples))
         if self.excitation is None or self.timeline is None:
             return known
-        step, steps, every = self.timeline
-        time = step * every * jnp.arange(steps // every + 1)
-        motion = self.excitation(conditions.inputs)
-        return known | {"time": time, "ground_acceleration": jax.vmap(motion.acceleration)(time)}
+        time = self.times(conditions.inputs)
+        return known | {"time": time} | _histories(jax.vmap(self.excitation(conditions.inputs).sample)(time))
+
+
+def _histories(samples: Any) -> dict[str, Any]:
+    """Samples of what drove an experiment, by name."""
+    rate = {"elongation_rate": samples.rate} if isinstance(samples, Imposed) else {}
+    return channels_of(samples) | rate
+
+
+def is_told(name: str) -> bool:
+    """Whether a function may be told a history of this name."""
+    return is_driver(name) or name in ("elongation", "elongation_rate")
 
 
 def outputs_of(returned: Any, time: np.ndarray | None, wanted: tuple[str, ...]) -> dict[str, np.ndarray]:
@@ -142,7 +152,7 @@ def known_outputs(returned: Any, wanted: tuple[str, ...]) -> dict[str, Any]:
 
 def is_output(name: Any) -> bool:
     """Whether this is the name of a quantity, or of a channel that can be predicted."""
-    if not isinstance(name, str) or name in ("time", "ground_acceleration"):
+    if not isinstance(name, str) or is_driver(name):
         return False
     if is_quantity(name) or name in CHANNELS:
         return True

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, PyTree
 
 from hsed_jax.physics.excitations import AbstractForcing
 from hsed_jax.physics.laws.base import Turn
-from hsed_jax.physics.outputs import EQ_18, quantity
+from hsed_jax.physics.outputs import EQ_18, of_each, own_name, owner_of, quantity
 from hsed_jax.physics.response import Response
 from hsed_jax.physics.steps import Step
 from hsed_jax.physics.systems import RESOLVED, AbstractSystem, State
@@ -95,11 +95,14 @@ class RungeKutta4(diffrax.AbstractSolver):
             *(start, second, third, fourth, rates(fourth, last)),
         )
         end = jax.lax.optimization_barrier(end)
-        end, force, elongation = _turned(system, (start, first), (end, last), flow, h)
+        end, turns = _turned(system, (start, first), (end, last), flow, h)
         # Each of the two stages is off by h²/8 ÿ, one this way and one that.
         halfway = jax.tree.map(lambda b, c: 0.5 * (b + c), second, third)
-        passed = Step(system, (start, first), (halfway, middle), (end, last), h, force, elongation)
-        kept = {name: quantity(name).kept.after(before, passed) for name, before in y0.kept.items()}
+        passed = Step(system, (start, first), (halfway, middle), (end, last), h, turns)
+        kept = {
+            name: quantity(name).kept.after(before, passed._replace(specimen=_place(system, name)))
+            for name, before in y0.kept.items()
+        }
         y1 = Progress(end, kept, system.channels(end, last, self.channel_names))
         return y1, None, {"y0": y0, "y1": y1}, (carry, last), diffrax.RESULTS.successful
 
@@ -115,13 +118,25 @@ def _kept(state: State) -> State:
 
 def _turned(
     system: AbstractSystem, before: tuple, after: tuple, flow: State, h: Scalar
-) -> tuple[State, Scalar, Scalar]:
-    """The state after a step that may hold a reversal, and the force and elongation at the reversal (or else the end).
+) -> tuple[State, tuple[tuple[Scalar, Scalar], ...]]:
+    """The state after a step in which specimens may turn, and force and elongation of each at its reversal (or else the end).
 
     `flow` are the rates at the start of the step.
     """
-    du0, v0 = system.kinematics(*before)
-    du1, v1 = system.kinematics(*after)
+    memories, turns = [], []
+    for i, (specimen, first, last) in enumerate(
+        zip(system.specimens, system.kinematics(*before), system.kinematics(*after), strict=True)
+    ):
+        turn = _turn(first, last, h)
+        memory, force = specimen.turned(turn, before[0].memory[i], flow.memory[i], after[0].memory[i])
+        memories.append(memory)
+        turns.append((force, turn.elongation))
+    return after[0]._replace(memory=tuple(memories)), tuple(turns)
+
+
+def _turn(first: tuple[Scalar, Scalar], last: tuple[Scalar, Scalar], h: Scalar) -> Turn:
+    """Whether and where a specimen turns, from its elongation [m] and rate [m/s] at both ends of a step."""
+    (du0, v0), (du1, v1) = first, last
     turns = v0 * v1 < 0
     theta = jax.lax.optimization_barrier(jnp.where(turns, v0 / jnp.where(turns, v0 - v1, 1.0), 1.0))
     turns, rest = theta < 1, 1 - theta
@@ -129,9 +144,13 @@ def _turned(
     back, bend = du0 - du1, 2 * (du0 - du1) + h * (v0 + v1)
     elongation = du1 + rest * (rest * (back + bend + h * v1 - rest * bend) - h * v1)
     elongation = jax.lax.optimization_barrier(elongation)
-    turn = Turn(turns, h, theta, du0, elongation, v0, v1)
-    memory, force = system.specimen.turned(turn, before[0].memory, flow.memory, after[0].memory)
-    return after[0]._replace(memory=memory), force, elongation
+    return Turn(turns, h, theta, du0, elongation, v0, v1)
+
+
+def _place(system: AbstractSystem, name: str) -> int:
+    """Index of the specimen that a quantity is of."""
+    owner, _ = owner_of(name), own_name(name)
+    return system.names.index(owner) if owner else 0
 
 
 def integrate(
@@ -163,7 +182,7 @@ def integrate(
     """
     _, sample = forcing.start()
     still = system.start()
-    names = (*EQ_18, *quantities)
+    names = (*of_each(system.measured, EQ_18), *quantities)
     begin: dict[str, tuple[Scalar, ...]] = {
         name: tuple(jnp.asarray(number) for number in quantity(name).kept.start) for name in names
     }
@@ -176,7 +195,7 @@ def integrate(
         y0=Progress(still, begin, system.channels(still, sample, channels)),
         args=(system, sample),
         stepsize_controller=diffrax.StepTo(jnp.arange(steps + 1.0)),
-        saveat=diffrax.SaveAt(subs=_saves(names, channels, every)),
+        saveat=diffrax.SaveAt(subs=_saves({name: _place(system, name) for name in names}, channels, every)),
         adjoint=diffrax.ForwardMode() if adjoint is None else adjoint,
         max_steps=steps,
     )
@@ -197,16 +216,17 @@ def _vector_field(number: Any, progress: Progress, args: Any) -> Progress:
 class _Values(eqx.Module):
     """The quantities at the end.  Compared by value, so that what is equal is compiled once."""
 
-    names: tuple[str, ...] = eqx.field(static=True)
+    places: tuple[tuple[str, int], ...] = eqx.field(static=True)
 
     def __call__(self, number: Any, progress: Progress, args: Any) -> dict[str, Scalar]:
         # Not the whole state: without masses it holds empty tuples, which diffrax cannot save.
         del number, args
-        return {name: quantity(name).kept.value(progress.kept[name], progress.state) for name in self.names}
+        kept, memory = progress.kept, progress.state.memory
+        return {name: quantity(name).kept.value(kept[name], memory[place]) for name, place in self.places}
 
 
-def _saves(quantities: tuple[str, ...], channels: tuple[str, ...], every: int) -> dict[str, diffrax.SubSaveAt]:
-    saves = {"end": diffrax.SubSaveAt(t1=True, fn=_Values(quantities))}
+def _saves(quantities: dict[str, int], channels: tuple[str, ...], every: int) -> dict[str, diffrax.SubSaveAt]:
+    saves = {"end": diffrax.SubSaveAt(t1=True, fn=_Values(tuple(quantities.items())))}
     if channels:
         saves["histories"] = diffrax.SubSaveAt(t0=True, steps=every, fn=lambda t, y, args: y.channels)
     return saves

@@ -3,21 +3,22 @@ r"""What is measured and predicted, channels and quantities: the only list of ei
 A further quantity is one entry of `QUANTITIES`: symbol, unit and meaning, how it follows from a record, and how it is kept while
 an experiment is integrated.  It may then stand in a campaign and in a study, and has its place in reports.
 
+Where a structure has several specimens, what belongs to one has its name in front: `storey2.force`, `storey2.peak_force`.
+
 Peaks in a simulation are those of the continuous response.  Work in between the ends of a step, of length h, is the cubic of the
 work e and the power $r\,\Delta\dot u$ at both ends (Hermite).
 """
 
 import functools
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import KW_ONLY, dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 if TYPE_CHECKING:
     from hsed_jax.physics.steps import Step
-    from hsed_jax.physics.systems import State
 
 Scalar = Any
 Channels = Mapping[str, np.ndarray]
@@ -34,6 +35,7 @@ class Output:
         meaning: in words.
         gains: slots of the test rig whose product it is measured with.
         is_strength: whether more of it is a stronger specimen, and not a larger motion.
+        of_specimen: whether every specimen of a structure has one.
     """
 
     symbol: str
@@ -41,6 +43,7 @@ class Output:
     meaning: str
     gains: tuple[str, ...] = ()
     is_strength: bool = False
+    of_specimen: bool = True
 
 
 class Kept(NamedTuple):
@@ -49,12 +52,12 @@ class Kept(NamedTuple):
     Attributes:
         start: numbers that travel with the integration, at its start.
         after: those numbers after a step, from those before it.
-        value: the quantity, from those numbers and the state at the end.
+        value: the quantity, from those numbers and the memory of its specimen at the end.
     """
 
     start: tuple[float, ...]
     after: Callable[[tuple[Scalar, ...], "Step"], tuple[Scalar, ...]]
-    value: Callable[[tuple[Scalar, ...], "State"], Scalar]
+    value: Callable[[tuple[Scalar, ...], Mapping[str, Scalar]], Scalar]
 
 
 @dataclass(frozen=True)
@@ -157,7 +160,7 @@ QUANTITIES: dict[str, Quantity] = {
         (*_FORCE, *_ELONGATION),
         channels=lambda masses: ("force", "elongation"),
         measured=lambda time, channels: float(np.trapezoid(channels["force"], channels["elongation"])),
-        kept=Kept((), lambda kept, step: (), lambda kept, end: end.memory["energy"]),
+        kept=Kept((), lambda kept, step: (), lambda kept, end: end["energy"]),
         is_strength=True,
         limit="energy",
     ),
@@ -179,16 +182,17 @@ QUANTITIES: dict[str, Quantity] = {
         measured=lambda time, channels: float(max(np.max(np.abs(values)) for values in channels.values())),
         kept=_largest(lambda step: step.absolute_acceleration),
         limit="acceleration",
+        of_specimen=False,
     ),
 }
 EQ_18 = ("peak_force", "peak_elongation", "dissipated_energy")
 """The quantities of the paper, Eq. 18: every response has them, and a study that names none observes them."""
 
 CHANNELS: dict[str, Output] = {
-    "time": Output("t", "s", "time"),
-    "ground_acceleration": Output("a_g", "m/s^2", "acceleration of the ground"),
+    "time": Output("t", "s", "time", of_specimen=False),
+    "ground_acceleration": Output("a_g", "m/s^2", "acceleration of the ground", of_specimen=False),
     "elongation": Output(r"\Delta u", "m", "elongation of the specimen", _ELONGATION),
-    "elongation_rate": Output(r"\Delta\dot u", "m/s", "rate of the elongation", _ELONGATION),
+    "elongation_rate": Output(r"\Delta\dot u", "m/s", "rate of the elongation of the specimen", _ELONGATION),
     "force": Output("r", "N", "restoring force of the specimen", _FORCE, is_strength=True),
     "energy": Output("e", "J", "work done on the specimen so far", (*_FORCE, *_ELONGATION)),
 }
@@ -197,8 +201,28 @@ PER_MASS: dict[str, Output] = {
     "velocity": Output(r"\dot u", "m/s", "velocity relative to the ground"),
     "acceleration": Output(r"\ddot u", "m/s^2", "acceleration relative to the ground"),
 }
+SPECIMEN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+"""What the name of a specimen looks like."""
+APPLIED_FORCE = Output("p", "N", "force applied to the structure", of_specimen=False)
+DRIVERS = ("time", "ground_acceleration")
+"""What no structure responds with; forces applied to its masses are neither responses (`is_driver`)."""
 ALLOWED = ", ".join([*QUANTITIES, "energy_at_TIME (a whole number of s or ms: energy_at_5s, energy_at_500ms)"])
 """The names that a quantity may have, for messages."""
+
+
+def named(owner: str, name: str) -> str:
+    """The name of an output of one specimen; that of the only one stands alone."""
+    return f"{owner}.{name}" if owner else name
+
+
+def owner_of(name: str) -> str:
+    """The specimen that an output is of, or what a parameter belongs to: what stands before the last dot; empty without one."""
+    return name.rpartition(".")[0]
+
+
+def own_name(name: str) -> str:
+    """A name without that of what it belongs to."""
+    return name.rpartition(".")[2]
 
 
 def output(name: str) -> Output:
@@ -212,32 +236,66 @@ def output(name: str) -> Output:
 
 def is_quantity(name: str) -> bool:
     """Whether this is the name of a quantity."""
-    return name in QUANTITIES or _time_of(name) is not None
+    known = _quantity(own_name(name))
+    return known is not None and _may_be(name, known)
 
 
+@functools.cache
 def quantity(name: str) -> Quantity:
     """What there is to know of a quantity.
 
     Raises:
         KeyError: there is no such quantity.
     """
-    if name in QUANTITIES:
-        return QUANTITIES[name]
-    until = _time_of(name)
-    if until is None:
+    owner, own = owner_of(name), own_name(name)
+    known = _quantity(own)
+    if known is None or not _may_be(name, known):
         raise KeyError(name)
-    return _energy_at(until)
+    if not owner:
+        return known
+
+    def channels(masses: int) -> tuple[str, ...]:
+        return tuple(named(owner, channel) for channel in known.channels(masses))
+
+    def measured(time: np.ndarray, channels: Channels) -> float:
+        return known.measured(time, {own_name(channel): values for channel, values in channels.items()})
+
+    return replace(_of(owner, known), channels=channels, measured=measured)
 
 
 def further(names: tuple[str, ...]) -> tuple[str, ...]:
     """The quantities beyond those that every response has."""
-    return tuple(name for name in names if name not in EQ_18)
+    return tuple(name for name in names if own_name(name) not in EQ_18)
 
 
-def _time_of(name: str) -> float | None:
-    """The time [s] in the name of an energy at a time."""
-    match = re.fullmatch(r"energy_at_([1-9]\d{0,8})(m?)s", name)
-    return None if match is None else int(match[1]) / (1000 if match[2] else 1)
+def loops(channels: Iterable[str]) -> tuple[str, ...]:
+    """The specimens whose force and elongation are both among these channels."""
+    known = set(channels)
+    owners = dict.fromkeys(owner_of(name) for name in channels)
+    return tuple(o for o in owners if {named(o, "force"), named(o, "elongation")} <= known)
+
+
+def of_each(owners: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
+    """These outputs of every specimen."""
+    return tuple(named(owner, name) for owner in owners for name in names)
+
+
+def _quantity(own: str) -> Quantity | None:
+    if own in QUANTITIES:
+        return QUANTITIES[own]
+    match = re.fullmatch(r"energy_at_([1-9]\d{0,8})(m?)s", own)
+    return None if match is None else _energy_at(int(match[1]) / (1000 if match[2] else 1))
+
+
+def driven_mass(name: str) -> int | None:
+    """The mass (from 1) that the force of this channel is applied to; None where it is no such channel."""
+    match = re.fullmatch(r"applied_force_([1-9]\d*)", name)
+    return None if match is None else int(match[1])
+
+
+def is_driver(name: str) -> bool:
+    """Whether a channel is what drives a structure, or the time, and no response."""
+    return name in DRIVERS or driven_mass(name) is not None
 
 
 def channel(name: str) -> Output:
@@ -246,13 +304,38 @@ def channel(name: str) -> Output:
     Raises:
         KeyError: there is no such channel.
     """
-    if name in CHANNELS:
-        return CHANNELS[name]
-    match = re.fullmatch(r"(displacement|velocity|acceleration)_([1-9]\d*)(_absolute)?", name)
-    if match is None:
+    owner, own = owner_of(name), own_name(name)
+    known = CHANNELS.get(own) or _of_applied(own) or _of_mass(own)
+    if known is None or not _may_be(name, known):
         raise KeyError(name)
+    return _of(owner, known) if owner else known
+
+
+def _of_applied(own: str) -> Output | None:
+    mass = driven_mass(own)
+    if mass is None:
+        return None
+    return replace(APPLIED_FORCE, symbol=f"p_{{{mass}}}", meaning=f"{APPLIED_FORCE.meaning}, mass {mass}")
+
+
+def _of_mass(own: str) -> Output | None:
+    match = re.fullmatch(r"(displacement|velocity|acceleration)_([1-9]\d*)(_absolute)?", own)
+    if match is None:
+        return None
     kind, mass, absolute = match.groups()
     of_mass = PER_MASS[kind]
     meaning = of_mass.meaning.replace("relative to the ground", "absolute") if absolute else of_mass.meaning
     mark = r",abs" if absolute else ""
-    return Output(f"{of_mass.symbol}_{{{mass}{mark}}}", of_mass.unit, f"{meaning}, mass {mass}")
+    return Output(f"{of_mass.symbol}_{{{mass}{mark}}}", of_mass.unit, f"{meaning}, mass {mass}", of_specimen=False)
+
+
+def _may_be(name: str, known: Output) -> bool:
+    """Whether an output may have that of a specimen in its name, or has none."""
+    return "." not in name or (known.of_specimen and SPECIMEN.fullmatch(owner_of(name)) is not None)
+
+
+def _of[T: Output](owner: str, known: T) -> T:
+    """An output of one of several specimens."""
+    mark = owner.replace("_", r"\_")
+    symbol = rf"{known.symbol}_{{\mathrm{{{mark}}}}}"
+    return replace(known, symbol=symbol, meaning=known.meaning.replace("the specimen", owner))

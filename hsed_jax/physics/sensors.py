@@ -16,15 +16,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hsed_jax.physics.excitations import Imposed, Tabulated
-from hsed_jax.physics.outputs import output
+from hsed_jax.physics.outputs import output, own_name, owner_of
 from hsed_jax.physics.response import Response
+from hsed_jax.physics.timeline import times
 
 Scalar = Float[Array, ""] | float
 
 
 def measured(
     response: Response,
-    slots: Callable[[str], Any],
+    slots: Callable[..., Any],
     step_length: Float[Array, " steps"] | float,
     every: int,
     *,
@@ -34,29 +35,32 @@ def measured(
 
     Arguments:
         response: as it is.
-        slots: what the effects contribute, by slot.
+        slots: what the effects contribute, by slot, and for the sensors of one of several specimens by its name.
         step_length: [s], one number or one per step.
         every: histories are kept at every so many steps.
         is_imposed: the elongation is imposed (a component test), as `felt` says.
     """
-    lag = slots("elongation_delay")
-    if is_imposed:
-        # Back from what the specimen felt to what was imposed.
-        ahead = lag - slots("force_delay")
-        delays = {"elongation": ahead, "elongation_rate": ahead}
-    else:
-        delays = {"force": slots("force_delay"), "elongation": lag, "elongation_rate": lag}
+
+    def delay_of(owner: str, own: str) -> Scalar:
+        lag, late = slots("elongation_delay", owner), slots("force_delay", owner)
+        # Of what is imposed: back from what the specimen felt to what was asked.
+        of_elongation = lag - late if is_imposed else lag
+        of_force = 0.0 if is_imposed else late
+        return {"force": of_force, "elongation": of_elongation, "elongation_rate": of_elongation}.get(own, 0.0)
 
     def gain(name: str) -> Scalar:
-        return math.prod(slots(slot) for slot in output(name).gains)
+        return math.prod(slots(slot, owner_of(name)) for slot in output(name).gains)
 
     def sensed(name: str, values: Float[Array, " samples"]) -> Float[Array, " samples"]:
-        time = _times(step_length, every, values.shape[0])
-        delay = delays.get(name, 0.0)
+        time = times(step_length, every, values.shape[0])
+        owner, own = owner_of(name), own_name(name)
+        delay = delay_of(owner, own)
         if not (isinstance(delay, int | float) and delay == 0):
             values = shifted(values, time, delay)
         values = values * gain(name)
-        return values + slots("force_offset") + slots("force_drift") * time if name == "force" else values
+        if own != "force":
+            return values
+        return values + slots("force_offset", owner) + slots("force_drift", owner) * time
 
     quantities = {name: value * gain(name) for name, value in response.quantities.items()}
     channels = {name: sensed(name, values) for name, values in response.channels.items()}
@@ -105,11 +109,3 @@ def shifted(
         + values[i + 1] * (share * share * (3 - 2 * share))
         + lengths[i] * share * rest * (rest * slopes[i] - share * slopes[i + 1])
     )
-
-
-def _times(step_length: Float[Array, " steps"] | float, every: int, samples: int) -> Float[Array, " samples"]:
-    """When histories were kept [s]."""
-    lengths = jnp.asarray(step_length)
-    if lengths.ndim == 0:
-        return lengths * every * jnp.arange(samples)
-    return jnp.concatenate([jnp.zeros(1), jnp.cumsum(lengths)])[::every]

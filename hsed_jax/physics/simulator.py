@@ -1,6 +1,7 @@
 """The computational simulator: from the conditions of one experiment and the parameters of the model to a response."""
 
 from abc import abstractmethod
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, final
 
@@ -16,10 +17,10 @@ from hsed_jax.physics.effects.base import (
     Setup,
     combine,
 )
-from hsed_jax.physics.excitations import AbstractExcitation, AbstractForcing, Scaled, Tabulated
-from hsed_jax.physics.laws import BoucWen
-from hsed_jax.physics.laws.base import AbstractSpringLaw
-from hsed_jax.physics.outputs import further
+from hsed_jax.physics.elements import Element, number_of_spring
+from hsed_jax.physics.excitations import AbstractExcitation, AbstractForcing, Shaken, Tabulated
+from hsed_jax.physics.laws import Elastic
+from hsed_jax.physics.outputs import further, own_name, owner_of
 from hsed_jax.physics.parameters import dimensionless
 from hsed_jax.physics.response import Response
 from hsed_jax.physics.scales import Scales
@@ -27,6 +28,7 @@ from hsed_jax.physics.sensors import felt, measured
 from hsed_jax.physics.specimen import Specimen
 from hsed_jax.physics.structures import OWNER, Structure
 from hsed_jax.physics.systems import AbstractSystem, DrivenSpring, ShakenStructure
+from hsed_jax.physics.timeline import Timeline, times
 
 Scalar = Float[Array, ""] | float
 
@@ -45,25 +47,23 @@ class Conditions(NamedTuple):
     recorded: Recorded | None = None
 
 
-class Timeline(NamedTuple):
-    """The grid of the integration: length of a step [s], number of steps, and every how many steps histories are kept."""
-
-    step: float
-    steps: int
-    every: int = 1
-
-
 @final
 class Parametrised[T](eqx.Module):
-    """A constructor whose arguments are numbers or names of inputs."""
+    """A constructor whose arguments are fixed arrays, and numbers or names of inputs, one or a tuple of them."""
 
     constructor: Callable[..., T] = eqx.field(static=True)
     arguments: tuple[tuple[str, Any], ...] = eqx.field(static=True)
+    arrays: Mapping[str, Any] = eqx.field(default_factory=dict)
 
     def __call__(self, inputs: Mapping[str, Scalar]) -> T:
         """The object at these inputs."""
-        values = {name: inputs[value] if isinstance(value, str) else value for name, value in self.arguments}
-        return self.constructor(**values)
+
+        def told(value: Any) -> Any:
+            if isinstance(value, tuple):
+                return tuple(told(one) for one in value)
+            return inputs[value] if isinstance(value, str) else value
+
+        return self.constructor(**self.arrays, **{name: told(value) for name, value in self.arguments})
 
 
 class AbstractModel(eqx.Module):
@@ -72,12 +72,17 @@ class AbstractModel(eqx.Module):
     What calibrates, designs, compares and reports knows of a model no more than this; `Simulator` is the one of a spring law.
 
     Attributes:
-        excitation: from inputs to a ground motion; None where every experiment brings its record, or has none.
+        excitation: from inputs to what drives it; None where every experiment brings its record, or has none.
         timeline: the grid of an experiment without a record; None where there is no excitation.
     """
 
     excitation: eqx.AbstractVar[Callable[[Mapping[str, Scalar]], AbstractExcitation] | None]
     timeline: eqx.AbstractVar[Timeline | None]
+
+    @property
+    @abstractmethod
+    def owners(self) -> tuple[str, ...]:
+        """The names of the specimens that it predicts; that of the only one is empty."""
 
     @abstractmethod
     def gives(self, name: str) -> bool:
@@ -106,6 +111,12 @@ class AbstractModel(eqx.Module):
         """
 
     @eqx.filter_jit
+    def times(self, inputs: Mapping[str, Scalar]) -> Float[Array, " samples"]:
+        """When the histories of an experiment without a record are kept [s], from t = 0."""
+        assert self.excitation is not None and self.timeline is not None
+        return times(self.excitation(inputs).step_length(self.timeline), self.timeline.every, self.timeline.samples)
+
+    @eqx.filter_jit
     def quantities(self, parameters: Mapping[str, Scalar], conditions: Conditions, names: tuple[str, ...]):
         """The named quantities of one experiment, shape (len(names),), and whether it converged."""
         response = self.respond(parameters, conditions, quantities=further(names))
@@ -114,17 +125,17 @@ class AbstractModel(eqx.Module):
 
 @final
 class Simulator(AbstractModel):
-    """A spring law with effects, in a structure under an excitation, or alone under an imposed elongation.
+    """Spring laws with effects, in a structure under an excitation, or one alone under an imposed elongation.
 
     Attributes:
         structure: the numerical substructure; None for a component test.
-        excitation: from inputs to a ground motion; None where every experiment brings its record.
+        excitation: from inputs to what drives it; None where every experiment brings its record.
         timeline: the grid of the integration.
         effects: of spring, structure and test rig.
         scales: characteristic values for the effects; leaves, so that one compiled program can serve any.
         constants: parameters that are fixed numbers (and constants of the compiled program).
         damping_follows_model: form the damping matrix with the model's own stiffness instead of a reference one.
-        law: of the spring.
+        elements: the specimens, in the order of the structure.
     """
 
     structure: Structure | None
@@ -134,7 +145,12 @@ class Simulator(AbstractModel):
     scales: Scales = Scales()
     constants: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
     damping_follows_model: bool = eqx.field(static=True, default=False)
-    law: type[AbstractSpringLaw] = eqx.field(static=True, default=BoucWen)
+    elements: tuple[Element, ...] = eqx.field(static=True, default=(Element(),))
+
+    @property
+    def owners(self) -> tuple[str, ...]:
+        """The names of the specimens; that of the only one is empty."""
+        return tuple(element.name for element in self.elements)
 
     def gives(self, name: str) -> bool:
         """Everything: what there is of a structure is checked where a study is built."""
@@ -142,29 +158,35 @@ class Simulator(AbstractModel):
 
     @property
     def references(self) -> dict[str, str]:
-        """Of the law and of the effects."""
-        return {self.law.name: self.law.reference} | {name: e.reference for name, e in self.effects.items()}
-
-    def specimen(self, parameters: Mapping[str, Scalar]) -> Specimen:
-        """The law with its effects; parameters of effects are named `effect.parameter`, in dimensionless or physical form."""
-        law, effects, _ = self._given(parameters)
-        of_spring = tuple(effect for effect in effects if isinstance(effect, AbstractSpringEffect))
-        return Specimen(self.law(**law), of_spring, self.scales)
+        """Of the laws and of the effects."""
+        laws = {element.law.name: element.law.reference for element in self.elements}
+        return laws | {name: effect.reference for name, effect in self.effects.items()}
 
     def system(self, parameters: Mapping[str, Scalar]) -> AbstractSystem:
-        """What is integrated."""
-        specimen = self.specimen(parameters)
+        """What is integrated; parameters of effects are named `effect.parameter`, in dimensionless or physical form."""
+        given = self._given(parameters)
+        specimens = [
+            Specimen(element.law(**element.parameters(given.owners)), given.of_spring(element.has), self.scales)
+            for element in self.elements
+        ]
         if self.structure is None:
-            return DrivenSpring(specimen)
-        structure = self.structure.told(self._given(parameters)[2])
+            return DrivenSpring(tuple(specimens))
+        structure = self.structure.told(given.owners[OWNER])
         if self.damping_follows_model:
-            structure = eqx.tree_at(lambda s: s.damping.specimen_stiffness, structure, specimen.law.stiffness)
-        slots = self._setup(parameters)
-        if slots is None:
-            return ShakenStructure(structure, specimen)
-        # C is what the model was built with: an error of mass or stiffness does not carry over to it.
-        damping = slots("damping") * structure.damping_matrix()
-        return ShakenStructure(structure.altered(slots("mass"), slots("support")), specimen, damping)
+            stiffness = tuple(specimen.law.stiffness for specimen in specimens)
+            structure = eqx.tree_at(lambda s: s.damping.specimen_stiffness, structure, stiffness)
+        altered, slots, damping = structure, self._setup(given), None
+        if slots is not None:
+            # C is what the model was built with: an error of mass or stiffness does not carry over to it.
+            damping = slots("damping") * structure.damping_matrix()
+            altered = structure.altered(slots("mass"), slots("support"))
+        yielding = {
+            i: Specimen(Elastic(spring.stiffness), of_spring, self.scales)
+            for i, spring in enumerate(altered.springs)
+            if (of_spring := given.of_spring(lambda owner, i=i: number_of_spring(owner) == i))
+        }
+        names = tuple(element.name for element in self.elements)
+        return ShakenStructure(altered, specimens, names, damping, yielding)
 
     @eqx.filter_jit
     def respond(
@@ -187,48 +209,65 @@ class Simulator(AbstractModel):
         # Here and not above: what only builds or checks a simulator does without diffrax.
         from hsed_jax.physics.integrate import integrate
 
-        step, steps, every = self.timeline
+        steps, every = self.timeline.steps, self.timeline.every
         if conditions.recorded is not None:
             forcing, length = conditions.recorded
         else:
             assert self.excitation is not None
-            forcing, length = self.excitation(conditions.inputs).forcing(step, steps), step
-        slots = self._setup(parameters)
+            excitation = self.excitation(conditions.inputs)
+            length = excitation.step_length(self.timeline)
+            forcing = excitation.forcing(length, steps)
+        slots = self._setup(self._given(parameters))
         if slots is not None and self.structure is not None:
-            forcing = Scaled(forcing, slots("ground_motion"))
+            forcing = Shaken(forcing, slots("ground_motion"))
         elif slots is not None:
             assert isinstance(forcing, Tabulated)
             forcing = felt(forcing, slots, jax.numpy.asarray(length))
         system = self.system(parameters)
         response = integrate(system, forcing, length, steps, channels=channels, quantities=quantities, every=every)
-        response = response._replace(ok=response.ok & system.specimen.law.is_bounded)
+        for specimen in system.specimens:
+            response = response._replace(ok=response.ok & specimen.law.is_bounded)
         if slots is None:
             return response
         return measured(response, slots, length, every, is_imposed=self.structure is None)
 
-    def _given(
-        self, parameters: Mapping[str, Scalar]
-    ) -> tuple[dict[str, Scalar], list[AbstractEffect], dict[str, Scalar]]:
-        """Parameters of the spring law, the effects, and numbers of the structure."""
-        law: dict[str, Scalar] = {}
-        of_structure: dict[str, Scalar] = {}
-        of_effects: dict[str, dict[str, Scalar]] = {effect: {} for effect in self.effects}
+    def _given(self, parameters: Mapping[str, Scalar]) -> "_Given":
+        owners: dict[str, dict[str, Scalar]] = defaultdict(dict)
         for name, value in {**dict(self.constants), **parameters}.items():
-            effect, _, rest = name.rpartition(".")
-            if effect == OWNER:
-                of_structure[rest] = value
-            elif effect:
-                of_effects[effect].update(dimensionless(self.effects[effect], rest, value, self.scales))
+            owner, own = owner_of(name), own_name(name)
+            if owner in self.effects:
+                owners[owner].update(dimensionless(self.effects[owner], own, value, self.scales))
             else:
-                law[name] = value
-        return law, [self.effects[effect](**values) for effect, values in of_effects.items()], of_structure
+                owners[owner][own] = value
+        return _Given(owners, {name: effect(**owners[name]) for name, effect in self.effects.items()})
 
-    def _setup(self, parameters: Mapping[str, Scalar]) -> Callable[[str], Any] | None:
-        """The slots of structure and test rig; None where no effect writes to them."""
-        effects = [effect for effect in self._given(parameters)[1] if isinstance(effect, AbstractSetupEffect)]
+    def _setup(self, given: "_Given") -> Callable[..., Any] | None:
+        """The slots of structure and test rig, and of the sensors of a specimen by its name; None where no effect writes."""
+        effects = {name: e for name, e in given.effects.items() if isinstance(e, AbstractSetupEffect)}
         if not effects:
             return None
         structure = self.structure
         masses, supports = (0, 0) if structure is None else (len(structure.masses), len(structure.supports))
         setup = Setup(self.scales, masses, supports)
-        return combine([effect.contribute(setup) for effect in effects])
+
+        def written(owner: str) -> Callable[[str], Any]:
+            places = {"", owner}
+            return combine([e.contribute(setup) for name, e in effects.items() if owner_of(name) in places])
+
+        of_each = {element.name: written(element.name) for element in self.elements} | {"": written("")}
+        return lambda slot, owner="": of_each[owner](slot)
+
+
+class _Given(NamedTuple):
+    """Parameters by what they belong to, and the effects by name."""
+
+    owners: dict[str, dict[str, Scalar]]
+    effects: dict[str, AbstractEffect]
+
+    def of_spring(self, has: Callable[[str], bool]) -> tuple[AbstractSpringEffect, ...]:
+        """The effects in a spring, by whether it has those of a place."""
+        return tuple(
+            effect
+            for name, effect in self.effects.items()
+            if isinstance(effect, AbstractSpringEffect) and has(owner_of(name))
+        )

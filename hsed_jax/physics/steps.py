@@ -17,8 +17,8 @@ class Step(NamedTuple):
         system: what is integrated.
         start, middle, end: the state and the sample of the excitation at these times.
         length: h [s]; zero of a padded step.
-        force: [N] at the reversal within the step, or else at its end.
-        elongation: [m] at the same place.
+        turns: force [N] and elongation [m] of every specimen at its reversal within the step, or else at the end.
+        specimen: index of the one that is asked for.
     """
 
     system: AbstractSystem
@@ -26,13 +26,23 @@ class Step(NamedTuple):
     middle: tuple[State, Any]
     end: tuple[State, Any]
     length: Scalar
-    force: Scalar
-    elongation: Scalar
+    turns: tuple[tuple[Scalar, Scalar], ...]
+    specimen: int = 0
+
+    @property
+    def force(self) -> Scalar:
+        """[N] at the reversal within the step, or else at its end."""
+        return self.turns[self.specimen][0]
+
+    @property
+    def elongation(self) -> Scalar:
+        """[m] at the same place."""
+        return self.turns[self.specimen][1]
 
     @property
     def last_elongation(self) -> Scalar:
         """Elongation at the end of the step [m]."""
-        return self.system.kinematics(*self.end)[0]
+        return self.system.kinematics(*self.end)[self.specimen][0]
 
     @property
     def absolute_acceleration(self) -> Scalar:
@@ -45,7 +55,7 @@ class Step(NamedTuple):
     def energy(self, elapsed: Scalar) -> Scalar:
         """Work [J] done until a time [s] after the start of the step, that at its end where it is longer ago."""
         share = jnp.clip(elapsed / jnp.where(self.length == 0, 1.0, self.length), 0.0, 1.0)
-        begin, end = self.start[0].memory["energy"], self.end[0].memory["energy"]
+        begin, end = (state.memory[self.specimen]["energy"] for state, _ in (self.start, self.end))
         powers = (self._power(*self.start), self._power(*self.end))
         rest = 1 - share
         return (
@@ -56,8 +66,8 @@ class Step(NamedTuple):
 
     def _power(self, state: State, sample: Any) -> Scalar:
         """Power that the specimen takes [W]."""
-        elongation, rate = self.system.kinematics(state, sample)
-        return self.system.specimen.force(elongation, rate, state.memory) * rate
+        elongation, rate = self.system.kinematics(state, sample)[self.specimen]
+        return self.system.specimens[self.specimen].force(elongation, rate, state.memory[self.specimen]) * rate
 
 
 def _peak(first: Scalar, middle: Scalar, last: Scalar) -> Scalar:

@@ -1,8 +1,8 @@
-r"""The numerical substructure: masses, linear springs, damping, and where the specimen sits.
+r"""The numerical substructure: masses, linear springs, damping, and where the specimens sit.
 
-$$M\ddot u + C\dot u + K u + b\,r = -M\,1\,a_g,\qquad \Delta u = b^\top u$$
+$$M\ddot u + C\dot u + K u + \sum_s b_s\,r_s = -M\,1\,a_g,\qquad \Delta u_s = b_s^\top u$$
 
-with b = +1 at the specimen's second end and −1 at its first (0 for the ground).
+with b = +1 at a specimen's second end and −1 at its first (0 for the ground).
 """
 
 import re
@@ -23,6 +23,11 @@ OWNER = "structure"
 """What stands before the name of a parameter of the structure, as the name of an effect before one of an effect."""
 
 
+def spring_name(index: int) -> str:
+    """What a linear spring is called where it takes part as a specimen does, from its index."""
+    return f"spring_{index + 1}"
+
+
 @final
 class Spring(eqx.Module):
     """A linear spring between two masses (numbered from 0) or the ground (None), stiffness [N/m]."""
@@ -40,11 +45,11 @@ class ModalDamping(eqx.Module):
 
     Arguments:
         ratios: damping ratio, one for all modes or one per mode (lowest first).
-        specimen_stiffness: stiffness of the specimen while C is formed [N/m].
+        specimen_stiffness: stiffness of the specimens while C is formed [N/m], one for all or one per specimen.
     """
 
     ratios: ArrayLike | tuple[Scalar, ...]
-    specimen_stiffness: Scalar = 0.0
+    specimen_stiffness: Scalar | tuple[Scalar, ...] = 0.0
 
     def matrix(self, masses: Float[Array, " m"], stiffness: Float[Array, "m m"]) -> Float[Array, "m m"]:
         """C [N·s/m] from the masses [kg] and the stiffness matrix with the specimen [N/m]."""
@@ -66,11 +71,11 @@ class ModalDamping(eqx.Module):
 
 @final
 class RayleighDamping(eqx.Module):
-    """Rayleigh damping C = α M + β K, with α [1/s], β [s] and the specimen in K at `specimen_stiffness` [N/m]."""
+    """Rayleigh damping C = α M + β K, with α [1/s], β [s] and the specimens in K at `specimen_stiffness` [N/m]."""
 
     alpha: Scalar
     beta: Scalar
-    specimen_stiffness: Scalar = 0.0
+    specimen_stiffness: Scalar | tuple[Scalar, ...] = 0.0
 
     def matrix(self, masses: Float[Array, " m"], stiffness: Float[Array, "m m"]) -> Float[Array, "m m"]:
         """C [N·s/m] from the masses [kg] and the stiffness matrix with the specimen [N/m]."""
@@ -84,48 +89,51 @@ class RayleighDamping(eqx.Module):
 
 @final
 class Structure(eqx.Module):
-    """Masses, springs, damping and the place of the specimen.
+    """Masses, springs, damping and the places of the specimens.
 
     Arguments:
         masses: [kg], shape (m,).
         springs: linear springs.
-        specimen: its two ends; the elongation is the displacement of the second less that of the first.
+        specimens: the two ends of each; its elongation is the displacement of the second less that of the first.
         damping: a damping model.
 
     Raises:
-        ValueError: an end that is no mass, a specimen with both ends at one place, a mass that is not positive.
+        ValueError: an end that is no mass, a spring or specimen with both ends at one place, a mass that is not positive.
     """
 
     masses: tuple[Scalar, ...] = eqx.field(converter=tuple)
     springs: tuple[Spring, ...]
-    specimen: tuple[End, End] = eqx.field(static=True)
+    specimens: tuple[tuple[End, End], ...] = eqx.field(static=True)
     damping: ModalDamping | RayleighDamping
 
     def __init__(
         self,
         masses: Sequence[Scalar],
         springs: Sequence[Spring],
-        specimen: tuple[End, End],
+        specimens: Sequence[tuple[End, End]],
         damping: ModalDamping | RayleighDamping,
     ):
         self.masses = tuple(masses)
         self.springs = tuple(springs)
-        self.specimen = specimen
+        self.specimens = tuple(specimens)
         self.damping = damping
         for i, mass in enumerate(self.masses):
             if isinstance(mass, int | float) and not mass > 0:
                 raise ValueError(f"Every mass must be positive, but {_label(i)} is {mass} kg.")
-        for what, ends in [("a spring", s.ends) for s in self.springs] + [("the specimen", specimen)]:
+        for what, ends in [("a spring", s.ends) for s in self.springs] + [
+            ("a specimen", ends) for ends in self.specimens
+        ]:
             if ends[0] == ends[1]:
                 raise ValueError(f"The two ends of {what} must differ, but both are {_label(ends[0])}.")
             for end in ends:
                 if end is not None and not 0 <= end < len(self.masses):
                     raise ValueError(f"An end of {what} is {_label(end)}, but there are {len(self.masses)} masses.")
 
-    def stiffness_matrix(self, specimen_stiffness: Scalar = 0.0) -> Float[Array, "m m"]:
-        """K [N/m], the specimen counted with the given stiffness [N/m]."""
+    def stiffness_matrix(self, specimen_stiffness: Scalar | Sequence[Scalar] = 0.0) -> Float[Array, "m m"]:
+        """K [N/m], the specimens counted with the given stiffness [N/m], one for all or one for each."""
         matrix = jnp.zeros((len(self.masses),) * 2)
-        for spring in (*self.springs, Spring(self.specimen, specimen_stiffness)):
+        of_specimens = jnp.broadcast_to(jnp.asarray(specimen_stiffness), len(self.specimens))
+        for spring in (*self.springs, *map(Spring, self.specimens, of_specimens)):
             b = self._incidence(spring.ends)
             matrix = matrix + spring.stiffness * jnp.outer(b, b)
         return matrix
@@ -134,15 +142,11 @@ class Structure(eqx.Module):
         """C [N·s/m]."""
         return self.damping.matrix(jnp.asarray(self.masses), self.stiffness_matrix(self.damping.specimen_stiffness))
 
-    def frequencies(self, specimen_stiffness: Scalar) -> Float[Array, " m"]:
-        """Undamped natural frequencies [Hz], lowest first, the specimen at the given stiffness [N/m]."""
+    def frequencies(self, specimen_stiffness: Scalar | Sequence[Scalar]) -> Float[Array, " m"]:
+        """Undamped natural frequencies [Hz], lowest first, the specimens at the given stiffness [N/m], one or one for each."""
         root = jnp.sqrt(jnp.asarray(self.masses))
         eigenvalues = jnp.linalg.eigvalsh(self.stiffness_matrix(specimen_stiffness) / jnp.outer(root, root))
         return _circular(eigenvalues) / (2 * jnp.pi)
-
-    def elongation(self, displacement: Sequence[Scalar]) -> Scalar:
-        """Δu [m] of the specimen from the displacements [m]; likewise its rate from the velocities."""
-        return difference(displacement, self.specimen)
 
     def told(self, values: Mapping[str, Scalar]) -> "Structure":
         """The structure with some of its numbers replaced.
@@ -157,7 +161,7 @@ class Structure(eqx.Module):
             Spring(spring.ends, values.get(f"stiffness_{i + 1}", spring.stiffness))
             for i, spring in enumerate(self.springs)
         ]
-        return Structure(masses, springs, self.specimen, self.damping.told(values))
+        return Structure(masses, springs, self.specimens, self.damping.told(values))
 
     @property
     def supports(self) -> tuple[int, ...]:
@@ -172,7 +176,7 @@ class Structure(eqx.Module):
         for i, factor in zip(self.supports, of_support, strict=True):
             springs[i] = Spring(springs[i].ends, springs[i].stiffness * factor)
         changed = [mass * factor for mass, factor in zip(self.masses, of_mass, strict=True)]
-        return Structure(changed, springs, self.specimen, self.damping)
+        return Structure(changed, springs, self.specimens, self.damping)
 
     def _incidence(self, ends: tuple[End, End]) -> Float[Array, " m"]:
         b = jnp.zeros(len(self.masses))

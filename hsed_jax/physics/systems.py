@@ -1,20 +1,23 @@
-"""What is integrated: a spring in a shaken structure, or a spring whose elongation is imposed.
+"""What is integrated: specimens in a shaken structure, or one whose elongation is imposed.
 
 The state is a pytree of scalars on purpose: under `vmap` every component becomes one array over the batch, and XLA turns
 a whole Runge–Kutta stage into one loop over it.  A stacked state vector is six times slower.
 """
 
+import functools
 from abc import abstractmethod
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, final
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hsed_jax.physics.excitations import AbstractForcing, Imposed, Tabulated
+from hsed_jax.physics.excitations import AbstractForcing, Imposed, Tabulated, channels_of, driven
 from hsed_jax.physics.laws.base import Memory
+from hsed_jax.physics.outputs import named
 from hsed_jax.physics.specimen import Specimen
-from hsed_jax.physics.structures import Structure, difference
+from hsed_jax.physics.structures import End, Spring, Structure, difference, spring_name
 
 Scalar = Float[Array, ""] | float
 
@@ -23,17 +26,25 @@ RESOLVED = 2.0
 
 
 class State(NamedTuple):
-    """Displacements [m] and velocities [m/s] relative to the ground, and the memory of the spring."""
+    """Displacements [m] and velocities [m/s] relative to the ground, and the memory of each specimen."""
 
     displacement: tuple[Scalar, ...]
     velocity: tuple[Scalar, ...]
-    memory: Memory
+    memory: tuple[Memory, ...]
 
 
 class AbstractSystem(eqx.Module):
-    """An initial-value problem for one experiment."""
+    """An initial-value problem for one experiment.
 
-    specimen: eqx.AbstractVar[Specimen]
+    Attributes:
+        specimens: the springs with a memory.
+        names: of the specimens; that of the only one is empty.
+        measured: names of those that have sensors.
+    """
+
+    specimens: eqx.AbstractVar[tuple[Specimen, ...]]
+    names: eqx.AbstractVar[tuple[str, ...]]
+    measured: eqx.AbstractVar[tuple[str, ...]]
 
     @abstractmethod
     def start(self) -> State:
@@ -44,8 +55,8 @@ class AbstractSystem(eqx.Module):
         """Time derivative of the state under one sample of the excitation."""
 
     @abstractmethod
-    def kinematics(self, state: State, sample: Any) -> tuple[Scalar, Scalar]:
-        """Elongation of the specimen [m] and its rate [m/s]."""
+    def kinematics(self, state: State, sample: Any) -> tuple[tuple[Scalar, Scalar], ...]:
+        """Elongation of every specimen [m] and its rate [m/s]."""
 
     @abstractmethod
     def channels(self, state: State, sample: Any, names: tuple[str, ...]) -> dict[str, Scalar]:
@@ -53,35 +64,58 @@ class AbstractSystem(eqx.Module):
 
     @abstractmethod
     def steepness(self, forcing: AbstractForcing, step_length: Float[Array, "..."] | float) -> Scalar:
-        """The longest step times the fastest rate of the virgin specimen."""
+        """The longest step times the fastest rate of the virgin specimens."""
 
     def _specimen_channels(self, state: State, sample: Any) -> dict[str, Scalar]:
-        elongation, rate = self.kinematics(state, sample)
-        return {
-            "elongation": elongation,
-            "elongation_rate": rate,
-            "force": self.specimen.force(elongation, rate, state.memory),
-            "energy": state.memory["energy"],
-        }
+        values = {}
+        moved = self.kinematics(state, sample)
+        for name, specimen, (elongation, rate), memory in zip(
+            self.names, self.specimens, moved, state.memory, strict=True
+        ):
+            values |= {
+                named(name, "elongation"): elongation,
+                named(name, "elongation_rate"): rate,
+                named(name, "force"): specimen.force(elongation, rate, memory),
+                named(name, "energy"): memory["energy"],
+            }
+        return values
 
 
 @final
 class ShakenStructure(AbstractSystem):
-    """The structure with the specimen in it, driven by a ground acceleration [m/s²].
+    """The structure with its specimens in it, driven by a ground acceleration [m/s²], by forces on masses, or both.
 
     Arguments:
-        structure: masses and springs, and where the specimen sits.
-        specimen: the spring law with its effects.
+        structure: masses and springs, and where the specimens sit.
+        specimens: the spring laws with their effects, in the order of the structure.
+        names: of the specimens; that of the only one is empty.
         damping: C [N·s/m], shape (m, m); None: that of the structure.
+        yielding: linear springs of the structure that are specimens here, by their index: they have no sensors.
     """
 
     structure: Structure
-    specimen: Specimen
+    specimens: tuple[Specimen, ...]
     damping: tuple[tuple[Scalar, ...], ...]
+    names: tuple[str, ...] = eqx.field(static=True)
+    measured: tuple[str, ...] = eqx.field(static=True)
+    _places: tuple[tuple[End, End], ...] = eqx.field(static=True)
+    _linear: tuple[Spring, ...]
 
-    def __init__(self, structure: Structure, specimen: Specimen, damping: Float[Array, "m m"] | None = None):
+    def __init__(
+        self,
+        structure: Structure,
+        specimens: Sequence[Specimen],
+        names: Sequence[str] = ("",),
+        damping: Float[Array, "m m"] | None = None,
+        yielding: Mapping[int, Specimen] | None = None,
+    ):
+        softer = yielding or {}
         self.structure = structure
-        self.specimen = specimen
+        self.specimens = (*specimens, *softer.values())
+        self.names = (*names, *(spring_name(i) for i in softer))
+        self.measured = tuple(names)
+        self._places = (*structure.specimens, *(structure.springs[i].ends for i in softer))
+        self._linear = tuple(spring for i, spring in enumerate(structure.springs) if i not in softer)
         matrix = structure.damping_matrix() if damping is None else damping
         count = len(structure.masses)
         self.damping = tuple(tuple(matrix[i, j] for j in range(count)) for i in range(count))
@@ -89,38 +123,51 @@ class ShakenStructure(AbstractSystem):
     def start(self) -> State:
         """The state at rest."""
         still = tuple(jnp.zeros(()) for _ in self.structure.masses)
-        return State(still, still, self.specimen.start())
+        return State(still, still, tuple(specimen.start() for specimen in self.specimens))
 
-    def rates(self, state: State, sample: Scalar) -> State:
-        """ü = −M⁻¹(C u̇ + K u + b r) − a_g, and the spring's own rates."""
-        elongation, rate = self.kinematics(state, sample)
-        force, rates = self.specimen.force_and_rates(elongation, rate, state.memory)
-        return State(state.velocity, self._accelerations(state, sample, force), rates)
+    def rates(self, state: State, sample: Any) -> State:
+        """ü = −M⁻¹(C u̇ + K u + Σ b r − p) − a_g, and the specimens' own rates."""
+        moved = [
+            specimen.force_and_rates(*motion, memory)
+            for specimen, motion, memory in zip(
+                self.specimens, self.kinematics(state, sample), state.memory, strict=True
+            )
+        ]
+        forces, rates = zip(*moved, strict=True)
+        return State(state.velocity, self._accelerations(state, sample, forces), rates)
 
-    def kinematics(self, state: State, sample: Scalar) -> tuple[Scalar, Scalar]:
-        """Elongation of the specimen [m] and its rate [m/s]."""
-        return self.structure.elongation(state.displacement), self.structure.elongation(state.velocity)
+    def kinematics(self, state: State, sample: Any) -> tuple[tuple[Scalar, Scalar], ...]:
+        """Elongation of every specimen [m] and its rate [m/s]."""
+        return tuple((difference(state.displacement, ends), difference(state.velocity, ends)) for ends in self._places)
 
-    def channels(self, state: State, sample: Scalar, names: tuple[str, ...]) -> dict[str, Scalar]:
+    def channels(self, state: State, sample: Any, names: tuple[str, ...]) -> dict[str, Scalar]:
         """The named channels at one instant, SI units."""
-        values = {"ground_acceleration": jnp.asarray(sample), **self._specimen_channels(state, sample)}
-        for i, acceleration in enumerate(self._accelerations(state, sample, values["force"])):
+        ground, _ = driven(sample)
+        values = {"ground_acceleration": ground, **channels_of(sample), **self._specimen_channels(state, sample)}
+        forces = [values[named(name, "force")] for name in self.names]
+        for i, acceleration in enumerate(self._accelerations(state, sample, forces)):
             values[f"displacement_{i + 1}"] = state.displacement[i]
             values[f"velocity_{i + 1}"] = state.velocity[i]
             values[f"acceleration_{i + 1}"] = acceleration
-            values[f"acceleration_{i + 1}_absolute"] = acceleration + sample
-        return {name: values[name] for name in names}
+            values[f"acceleration_{i + 1}_absolute"] = acceleration + ground
+        return {name: jnp.asarray(values[name]) for name in names}
 
     def steepness(self, forcing: AbstractForcing, step_length: Float[Array, "..."] | float) -> Scalar:
-        """The longest step times the frequency of the specimen between the masses at its ends."""
-        freed = sum((1 / self.structure.masses[end] for end in self.structure.specimen if end is not None), start=0.0)
-        return jnp.max(jnp.asarray(step_length)) * jnp.sqrt(self.specimen.law.stiffness * freed)
+        """The longest step times the frequency of the fastest specimen between the masses at its ends."""
+        squares = [
+            specimen.law.stiffness * sum((1 / self.structure.masses[end] for end in ends if end is not None), start=0.0)
+            for specimen, ends in zip(self.specimens, self._places, strict=True)
+        ]
+        return jnp.max(jnp.asarray(step_length)) * jnp.sqrt(functools.reduce(jnp.maximum, squares))
 
-    def _accelerations(self, state: State, sample: Scalar, force: Scalar) -> tuple[Scalar, ...]:
+    def _accelerations(self, state: State, sample: Any, forces: Sequence[Scalar]) -> tuple[Scalar, ...]:
+        ground, pushed = driven(sample)
         pushes: list[Scalar] = [0.0] * len(self.structure.masses)
+        for mass, applied in pushed.items():
+            pushes[mass] = pushes[mass] - applied
         for ends, value in (
-            *((s.ends, s.stiffness * difference(state.displacement, s.ends)) for s in self.structure.springs),
-            (self.structure.specimen, force),
+            *((s.ends, s.stiffness * difference(state.displacement, s.ends)) for s in self._linear),
+            *zip(self._places, forces, strict=True),
         ):
             first, second = ends
             if first is not None:
@@ -128,7 +175,7 @@ class ShakenStructure(AbstractSystem):
             if second is not None:
                 pushes[second] = pushes[second] + value
         return tuple(
-            -(sum(c * v for c, v in zip(row, state.velocity, strict=True)) + push) * (1 / mass) - sample
+            -(sum(c * v for c, v in zip(row, state.velocity, strict=True)) + push) * (1 / mass) - ground
             for row, push, mass in zip(self.damping, pushes, self.structure.masses, strict=True)
         )
 
@@ -137,19 +184,21 @@ class ShakenStructure(AbstractSystem):
 class DrivenSpring(AbstractSystem):
     """The specimen alone, its elongation imposed (a component test); samples are `Imposed`."""
 
-    specimen: Specimen
+    specimens: tuple[Specimen, ...]
+    names: tuple[str, ...] = eqx.field(static=True, default=("",))
+    measured: tuple[str, ...] = eqx.field(static=True, default=("",))
 
     def start(self) -> State:
         """The virgin spring."""
-        return State((), (), self.specimen.start())
+        return State((), (), (self._specimen.start(),))
 
     def rates(self, state: State, sample: Imposed) -> State:
         """The spring's own rates."""
-        return State((), (), self.specimen.rates(sample.elongation, sample.rate, state.memory))
+        return State((), (), (self._specimen.rates(sample.elongation, sample.rate, state.memory[0]),))
 
-    def kinematics(self, state: State, sample: Imposed) -> tuple[Scalar, Scalar]:
+    def kinematics(self, state: State, sample: Imposed) -> tuple[tuple[Scalar, Scalar], ...]:
         """The imposed elongation [m] and its rate [m/s]."""
-        return sample.elongation, sample.rate
+        return ((sample.elongation, sample.rate),)
 
     def channels(self, state: State, sample: Imposed, names: tuple[str, ...]) -> dict[str, Scalar]:
         """The named channels at one instant, SI units."""
@@ -159,4 +208,9 @@ class DrivenSpring(AbstractSystem):
     def steepness(self, forcing: AbstractForcing, step_length: Float[Array, "..."] | float) -> Scalar:
         """The longest step of the elongation over that on which the spring yields."""
         assert isinstance(forcing, Tabulated)
-        return jnp.max(jnp.abs(jnp.diff(forcing.samples.elongation[::2]))) * self.specimen.law.steepness
+        return jnp.max(jnp.abs(jnp.diff(forcing.samples.elongation[::2]))) * self._specimen.law.steepness
+
+    @property
+    def _specimen(self) -> Specimen:
+        (specimen,) = self.specimens
+        return specimen

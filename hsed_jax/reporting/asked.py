@@ -4,7 +4,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from hsed_jax.measurements import Campaign
+from hsed_jax.physics.excitations import EXCITATIONS
 from hsed_jax.physics.laws import LAWS
+from hsed_jax.physics.outputs import driven_mass
 from hsed_jax.reporting.page_tables import unit_words
 
 _LABORATORIES = {
@@ -17,37 +19,46 @@ _LABORATORIES = {
 
 def asked(study: Mapping[str, Any], campaign: Campaign) -> list[str]:
     """Sentences on specimen, excitation, model, experiments, what is observed, its error, and the steps."""
-    parts = [_specimen(study, campaign), _excitation(study), _model(study), _experiments(study, campaign)]
-    parts += [_observed(study), _design(study)]
+    parts = [_specimen(study, campaign), _excitation(study, campaign), _model(study), _experiments(study, campaign)]
+    parts += [_observed(study, campaign), _design(study)]
     return [sentence for sentence in parts if sentence]
 
 
 def _specimen(study: Mapping[str, Any], campaign: Campaign) -> str:
     structure = study.get("structure")
+    if structure is None and campaign.protocol != "displacement":
+        return ""
     if structure is None:
-        return "The specimen alone, driven by the elongation that was imposed on it (component test)."
+        return f"The specimen alone, driven by the {campaign.pair.elongation} that was imposed on it (component test)."
     masses = structure["masses"]
-    ends = " and ".join(_end(end) for end in structure["specimen"]["between"])
+    several = structure.get("specimens") or {"": structure.get("specimen")}
     many = f"{len(masses)} masses" if len(masses) > 1 else "one mass"
     sizes = ", ".join("calibrated" if isinstance(mass, Mapping) else f"{mass:g} kg" for mass in masses)
-    return f"A specimen between {ends} of a structure of {many} ({sizes})."
+    places = [
+        f"{name and name + ', '}between {' and '.join(_end(end) for end in entry['between'])}"
+        for name, entry in several.items()
+    ]
+    what = "A specimen" if len(places) == 1 else f"{len(places)} specimens:"
+    return f"{what} {'; '.join(places)}{'' if len(places) == 1 else ';'} of a structure of {many} ({sizes})."
 
 
 def _end(end: int | str) -> str:
     return "the ground" if end == "ground" else f"mass {end}"
 
 
-def _excitation(study: Mapping[str, Any]) -> str:
+def _excitation(study: Mapping[str, Any], campaign: Campaign) -> str:
     excitation, inputs = study.get("excitation") or {}, study.get("inputs") or {}
     ranges = [
         f"{name} {_prior({k: v for k, v in entry.items() if k != 'unit'})} {unit_words(entry['unit'])}".rstrip(" –")
         for name, entry in inputs.items()
     ]
     varied = f"; inputs {', '.join(ranges)}" if ranges else ""
-    if "near_fault_pulse" in excitation:
-        return f"Shaken by near-fault pulses of {excitation['duration']:g} s{varied}."
-    if "recorded" in excitation:
-        return f"Shaken by the recorded motion {excitation['recorded']['file'].rpartition('/')[2]}{varied}."
+    for name, known in EXCITATIONS.items():
+        if name in excitation:
+            return f"{known.sentence(excitation[name], excitation.get('duration'))}{varied}."
+    masses = [str(mass) for name in campaign.channels if (mass := driven_mass(name)) is not None]
+    if masses:
+        return f"Driven by the forces that were measured on mass {' and '.join(masses)}{varied}."
     if study.get("structure") is not None:
         return f"Shaken by the ground motions that were measured{varied}."
     return f"Inputs of the experiments: {', '.join(ranges)}." if ranges else ""
@@ -66,15 +77,21 @@ def _prior(prior: Any) -> str:
 
 
 def _model(study: Mapping[str, Any]) -> str:
-    model = study["model"]
+    several = (study.get("structure") or {}).get("specimens") or {}
+    own = {name: entry["model"] for name, entry in several.items() if entry.get("model")}
+    parts = [] if own and not study["model"].get("parameters") else [_one_model("Model", study["model"])]
+    return " ".join([*parts, *(_one_model(f"Model of {name}", model) for name, model in own.items())])
+
+
+def _one_model(what: str, model: Mapping[str, Any]) -> str:
     parameters = ", ".join(f"{name} {_prior(prior)}" for name, prior in model["parameters"].items())
     effects = list(model.get("effects") or {})
     known = f" with {_listed(effects)}" if effects else " without further effects"
     if model.get("function"):
-        return f"Model: the function {model['function'].rpartition('/')[2]}; {parameters} (SI)."
+        return f"{what}: the function {model['function'].rpartition('/')[2]}; {parameters} (SI)."
     if model.get("command"):
-        return f"Model: the program {model['command']['run']}; {parameters} (SI)."
-    return f"Model: {_law(model['spring'])}{known}; {parameters} (SI)."
+        return f"{what}: the program {model['command']['run']}; {parameters} (SI)."
+    return f"{what}: {_law(model['spring'])}{known}; {parameters} (SI)."
 
 
 def _law(spring: str | Mapping[str, str]) -> str:
@@ -101,8 +118,10 @@ def _experiments(study: Mapping[str, Any], campaign: Campaign) -> str:
     return f"Experiments: a virtual laboratory, {', '.join(counts)}, whose specimen {law}has {effects}, unknown to the model."
 
 
-def _observed(study: Mapping[str, Any]) -> str:
-    what = "the time histories" if study["observe"] == "histories" else _listed(study["quantities"])
+def _observed(study: Mapping[str, Any], campaign: Campaign) -> str:
+    what = "the time histories"
+    if study["observe"] == "quantities":
+        what = _listed([*map(campaign.pair.called, study["quantities"])])
     error = study.get("error")
     if error is None:
         said = "the noise that the campaign declares, inferred where it declares none"
@@ -131,5 +150,5 @@ def _design(study: Mapping[str, Any]) -> str:
 
 
 def _listed(names: list[str]) -> str:
-    words = [name.replace("_", " ") for name in names]
+    words = [name.replace("_", " ").replace(".", ": ") for name in names]
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)

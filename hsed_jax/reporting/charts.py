@@ -112,7 +112,12 @@ def residual_along(
 
 
 def histories(
-    axes: Mapping[str, Axis], outputs: Sequence[str], models: Sequence[str], time: str, loop: bool, windows: bool
+    axes: Mapping[str, Axis],
+    outputs: Sequence[str],
+    models: Sequence[str],
+    time: str,
+    loops: Sequence[str],
+    windows: bool,
 ) -> Specification:
     """Measured against predicted of the experiment that the page chooses: hysteresis loop, and every output over time.
 
@@ -121,11 +126,11 @@ def histories(
         outputs: those over time.
         models: `before`, and `after` where there is one.
         time: title of the time axis.
-        loop: whether force and elongation are both known.
+        loops: specimens whose force and elongation are both known, by what stands before the names of their outputs.
         windows: whether there are experiments of which a part is scored; it is shaded.
     """
     keys = ["measured", *models]
-    width, height = (0.5 if loop else 0.88) * _WIDTH, max(150, 330 // len(outputs))
+    width, height = (0.5 if loops else 0.88) * _WIDTH, max(150, 330 // len(outputs))
     last = outputs[-1]
     panels: list[Specification] = [
         {
@@ -142,24 +147,29 @@ def histories(
     # One zoom of the time axis for all outputs.
     linked = {"name": "zoom", "select": {"type": "interval", "encodings": ["x"], "zoom": _ZOOM}, "bind": "scales"}
     params: list[Specification] = [linked | {"views": [f"lines_{index}" for index in range(len(outputs))]}]
-    if loop:
-        imposed = "datum['elongation_' + datum.key]"
-        elongation = f"isValid({imposed}) ? {imposed} : datum.elongation_measured"
-        pan = {"name": "pan", "select": {"type": "interval", "zoom": _ZOOM}, "bind": "scales"}
+    drawn_loops = []
+    for number, owner in enumerate(loops):
+        along, force = f"{owner}elongation", f"{owner}force"
+        imposed = f"datum['{along}_' + datum.key]"
+        elongation = f"isValid({imposed}) ? {imposed} : datum['{along}_measured']"
+        pan = {"name": f"pan_{number}", "select": {"type": "interval", "zoom": _ZOOM}, "bind": "scales"}
+        tall = (height + 40) * len(outputs) - 40 if len(outputs) > 1 else height
         pairs = {
             # An elongation that was imposed is the same for all.
-            "transform": [*_folded("force", keys), {"calculate": elongation, "as": "elongation"}],
+            "transform": [*_folded(force, keys), {"calculate": elongation, "as": "elongation"}],
             "mark": {"type": "line", "strokeWidth": 1.1, "clip": True},
             "encoding": {
-                "x": _field("elongation", title=axes["elongation"].label),
-                "y": _field("value", title=axes["force"].label),
+                "x": _field("elongation", title=axes[along].label),
+                "y": _field("value", title=axes[force].label),
                 **_look(keys),
             },
             "params": [pan],
             "width": 0.36 * _WIDTH,
-            "height": (height + 40) * len(outputs) - 40 if len(outputs) > 1 else height,
+            "height": (tall + 40) / len(loops) - 40,
         }
-        drawn = {"hconcat": [pairs, drawn]}
+        drawn_loops.append(pairs)
+    if drawn_loops:
+        drawn = {"hconcat": [{"vconcat": drawn_loops} if len(loops) > 1 else drawn_loops[0], drawn]}
     params += [
         {"name": f"show_{key}", "value": True, "bind": {"input": "checkbox", "name": SERIES[key]}} for key in keys
     ]

@@ -9,8 +9,10 @@ from matplotlib.axes import Axes
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.cycles import backbone, cycle_numbers, energy_per_cycle, secant_stiffness
 from hsed_jax.measurements import Campaign
+from hsed_jax.physics.outputs import named
+from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
-from hsed_jax.reporting.misfit_figures import badness, hysteresis_loop
+from hsed_jax.reporting.misfit_figures import badness, hysteresis_loops
 from hsed_jax.reporting.misfit_maps import splits
 from hsed_jax.reporting.style import Picture
 
@@ -25,7 +27,7 @@ _LOOKS: dict[str, dict[str, Any]] = {
 
 
 class Cycles(NamedTuple):
-    """What is read from one loop: energy [J] and stiffness [N/m] of each cycle, elongation [m] and force [N] of the backbone."""
+    """What is read from one loop: energy and stiffness of each cycle, elongation and force of the backbone (SI)."""
 
     energy: np.ndarray
     stiffness: np.ndarray
@@ -52,17 +54,18 @@ def cycles(comparison: Comparison, campaign: Campaign, before: Comparison | None
         return None
     shown = found[:_MOST]
     figure, panels = style.panels(3 * len(shown), 2.2, across=3)
-    said = []
-    for number, (split, id) in enumerate(shown):
+    pair, said = campaign.pair, []
+    stiffness = pair.unit("N/m")
+    for number, (split, id, owner) in enumerate(shown):
         row = panels[3 * number : 3 * number + 3]
-        read = _read(models, split, id, campaign)
-        _draw(row, read)
-        row[0].set_title(style.plain(f"{id} ({split})", 24), loc="right")
+        read = _read(models, split, id, owner, campaign)
+        _draw(row, read, pair)
+        row[0].set_title(style.plain(f"{id} ({split})" + (f", {owner}" if owner else ""), 30), loc="right")
         measured, ours = read["measured"], list(read.values())[-1]
         said.append(
-            f"{id}: {measured.energy.size} cycles, energy {_of(measured.energy.sum(), 'J')} measured, "
-            f"{_of(ours.energy.sum(), 'J')} predicted; stiffness of the last {_of(measured.stiffness[-1], 'N/m')} measured, "
-            f"{_of(ours.stiffness[-1], 'N/m')} predicted"
+            f"{id}: {measured.energy.size} cycles, energy {_of(measured.energy.sum(), pair.energy_unit)} measured, "
+            f"{_of(ours.energy.sum(), pair.energy_unit)} predicted; stiffness of the last "
+            f"{_of(measured.stiffness[-1], stiffness)} measured, {_of(ours.stiffness[-1], stiffness)} predicted"
         )
     style.panel_titles(panels)
     style.legend(figure, panels[0])
@@ -70,34 +73,34 @@ def cycles(comparison: Comparison, campaign: Campaign, before: Comparison | None
     return Picture(
         figure,
         "What a cycle absorbs (left), its secant stiffness from peak to peak (middle), and the backbone through the peaks that "
-        "exceed all before (right), measured and predicted, over the cycles of the measured elongation; a row per experiment.  "
+        f"exceed all before (right), measured and predicted, over the cycles of the measured {pair.elongation}; a row per "
+        "experiment.  "
         "The stiffness of a cycle that hardly exceeds the noise is as uncertain as its peaks."
         + (f"  {rest} more are not shown." if rest else ""),
         f"{3 * len(shown)} panels of curves. {'. '.join(said).replace('$', '')}.",
     )
 
 
-def _experiments(comparison: Comparison, campaign: Campaign) -> list[tuple[str, str]]:
-    """Split and id of every experiment with a loop, held-out ones first, the largest errors of the force first."""
+def _experiments(comparison: Comparison, campaign: Campaign) -> list[tuple[str, str, str]]:
+    """Split, id and specimen of every loop of an experiment, held-out ones first, the largest errors of the force first."""
     found = []
     for name, split, prediction in splits(comparison):
         for row, experiment in enumerate(prediction.experiments):
             errors = split.per_experiment.get(experiment.id, {})
-            loop = hysteresis_loop(prediction, row, campaign)
-            there = np.zeros(1) if loop is None else loop[0][np.isfinite(loop[0] + loop[1])]
-            if "force" in errors and there.size > 2 and np.ptp(there) > 0:
-                found.append((name != "test", -badness(errors["force"]), name, experiment.id))
-    return [(name, id) for *_, name, id in sorted(found)]
+            for owner, loop in hysteresis_loops(prediction, row, campaign).items():
+                there, force = loop[0][np.isfinite(loop[0] + loop[1])], named(owner, "force")
+                if force in errors and there.size > 2 and np.ptp(there) > 0:
+                    found.append((name != "test", -badness(errors[force]), name, experiment.id, owner))
+    return [(name, id, owner) for *_, name, id, owner in sorted(found)]
 
 
-def _read(models: Mapping[str, Comparison], split: str, id: str, campaign: Campaign) -> dict[str, Cycles]:
+def _read(models: Mapping[str, Comparison], split: str, id: str, owner: str, campaign: Campaign) -> dict[str, Cycles]:
     """The cycles of one experiment as they were measured and as each model has them; diverged ones left out."""
     read = {}
     for model, comparison in models.items():
         prediction = next(p for name, _, p in splits(comparison) if name == split)
         row = [e.id for e in prediction.experiments].index(id)
-        loop = hysteresis_loop(prediction, row, campaign)
-        assert loop is not None
+        loop = hysteresis_loops(prediction, row, campaign)[owner]
         there, force, ours, predicted = (channel[np.isfinite(loop[0] + loop[1])] for channel in loop)
         numbers = cycle_numbers(there)
         read.setdefault("measured", _cycles(force, there, numbers))
@@ -110,9 +113,9 @@ def _cycles(force: np.ndarray, elongation: np.ndarray, numbers: np.ndarray) -> C
     return Cycles(energy_per_cycle(*about), secant_stiffness(*about), *backbone(*about))
 
 
-def _draw(row: list[Axes], read: Mapping[str, Cycles]) -> None:
+def _draw(row: list[Axes], read: Mapping[str, Cycles], pair: Pair) -> None:
     scales = {
-        name: style.readable(unit, *(getattr(one, name) for one in read.values()))
+        name: style.readable(pair.unit(unit), *(getattr(one, name) for one in read.values()))
         for name, unit in (("energy", "J"), ("stiffness", "N/m"), ("elongation", "m"), ("force", "N"))
     }
     for who, one in read.items():
@@ -125,7 +128,7 @@ def _draw(row: list[Axes], read: Mapping[str, Cycles]) -> None:
         style.whole_numbers(panel.xaxis)
         panel.update_datalim([(1.0, 0.0)])  # from zero, with room above the highest marker
         panel.autoscale_view()
-    labels = [style.channel_label(name, scales[name][1]) for name in ("elongation", "force")]
+    labels = [style.channel_label(name, scales[name][1], pair) for name in ("elongation", "force")]
     row[2].set(xlabel=labels[0], ylabel=labels[1])
 
 

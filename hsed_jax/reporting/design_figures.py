@@ -15,9 +15,12 @@ from hsed_jax.design.space import InputSpace
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.laboratories.virtual import VirtualLaboratory
+from hsed_jax.physics.excitations import channels_of
+from hsed_jax.physics.outputs import named, of_each
 from hsed_jax.physics.simulator import AbstractModel, Conditions, Simulator
 from hsed_jax.physics.spectra import response_spectrum
-from hsed_jax.reporting import figures
+from hsed_jax.physics.timeline import Timeline, times
+from hsed_jax.reporting import excitation_figures, figures
 from hsed_jax.reporting.figures import Picture
 from hsed_jax.reporting.outcome import Outcome
 
@@ -31,7 +34,7 @@ def design_pictures(outcome: Outcome) -> Iterator[tuple[str, Picture]]:
     space, laboratory = outcome.space, outcome.laboratory
     has_motion = outcome.model.excitation is not None and bool(space.names)
     if laboratory is not None and has_motion:
-        yield "fig3_ground_motions", ground_motions(outcome.model, space)
+        yield "fig3_excitation", excitations(outcome.model, space)
         yield from _of_specimen(outcome, laboratory)
     if outcome.design is not None and outcome.state is not None:
         # Thousands of calibrations: of a program each would be a day's work.
@@ -42,19 +45,23 @@ def design_pictures(outcome: Outcome) -> Iterator[tuple[str, Picture]]:
         if outcome.steps:
             yield "fig5_expected_improvement", expected_improvement(outcome)
             yield "fig7_estimates", estimates(outcome)
-    if outcome.fit is not None and laboratory is not None and has_motion and all(map(outcome.model.gives, _CHANNELS)):
-        yield "fig8_responses", _responses(outcome, laboratory, outcome.fit)
+    if outcome.fit is not None and laboratory is not None and has_motion:
+        for owner in outcome.model.owners:
+            if all(map(outcome.model.gives, of_each([owner], _CHANNELS))):
+                yield _file("fig8_responses", owner), _responses(outcome, laboratory, outcome.fit, owner)
 
 
 def _of_specimen(outcome: Outcome, laboratory: VirtualLaboratory) -> Iterator[tuple[str, Picture]]:
     space = outcome.space
     middle = space.declared(np.full((1, len(space.names)), 0.5))[0]
-    truth = {name: value for name, value in laboratory.parameters.items() if "." not in name}
+    of_effects = tuple(f"{effect}." for effect in laboratory.simulator.effects)
+    truth = {name: value for name, value in laboratory.parameters.items() if not name.startswith(of_effects)}
     model = outcome.model
-    if isinstance(model, Simulator) and not model.effects and model.law is laboratory.simulator.law:
-        measured = _response(laboratory.simulator, laboratory.parameters, space, middle)
-        predicted = _response(model, truth, space, middle)
-        yield "fig4_loops_and_energy", figures.loops_and_energy(measured, predicted)
+    if isinstance(model, Simulator) and not model.effects and model.elements == laboratory.simulator.elements:
+        for owner in model.owners:
+            measured = _response(laboratory.simulator, laboratory.parameters, space, middle, owner)
+            predicted = _response(model, truth, space, middle, owner)
+            yield _file("fig4_loops_and_energy", owner), figures.loops_and_energy(measured, predicted)
 
 
 def exploration(outcome: Outcome, state: DesignState) -> Picture:
@@ -77,27 +84,33 @@ def estimates(outcome: Outcome) -> Picture:
     return figures.estimate_history(outcome.estimates, outcome.band("q05"), outcome.band("q95"), names, units, truth)
 
 
-def ground_motions(model: AbstractModel, space: InputSpace) -> Picture:
-    """Fig. 3 of a model with an excitation: what its inputs' distribution makes of the ground motion."""
-    assert model.excitation is not None
-    assert model.timeline is not None
+def excitations(model: AbstractModel, space: InputSpace) -> Picture:
+    """Fig. 3 of a model with an excitation: what its inputs' distribution makes of it."""
+    assert model.excitation is not None and model.timeline is not None
     excitation = model.excitation
     step, steps, _ = model.timeline
     # Half a step finer than the integration: what the integrator sees.
-    time = 0.5 * step * jnp.arange(2 * steps + 1)
-    periods = jnp.linspace(0.05, 3.0, 60)
+    half = Timeline(None if step is None else 0.5 * step, 2 * steps)
 
     @jax.jit
     @jax.vmap
     def motions(inputs):
-        acceleration = jax.vmap(excitation(inputs).acceleration)(time)
-        return acceleration, response_spectrum(acceleration, 0.5 * step, periods)
+        one = excitation(inputs)
+        time = times(one.step_length(half), 1, half.samples)
+        return time, channels_of(jax.vmap(one.sample)(time))
 
     middle = np.full((1, len(space.names)), 0.5)
     inputs = space.si(space.declared(np.concatenate([middle, space.spread(_MOTIONS)])))
-    accelerations, spectra = (np.asarray(x) for x in motions({k: jnp.asarray(v) for k, v in inputs.items()}))
+    time, found = motions({k: jnp.asarray(v) for k, v in inputs.items()})
+    ((channel, values),) = found.items()
+    if channel != "ground_acceleration":
+        return excitation_figures.histories(channel, np.asarray(time), np.asarray(values))
+    periods = jnp.linspace(0.05, 3.0, 60)
+    assert half.step is not None
+    spectra = jax.jit(jax.vmap(lambda one: response_spectrum(one, half.step, periods)))(values)
+    values, spectra = np.asarray(values), np.asarray(spectra)
     return figures.ground_motions(
-        np.asarray(time), accelerations[1:], accelerations[0], np.asarray(periods), spectra[1:], spectra[0]
+        np.asarray(time[0]), values[1:], values[0], np.asarray(periods), spectra[1:], spectra[0]
     )
 
 
@@ -135,7 +148,12 @@ def _estimate_maps(outcome: Outcome, design: SequentialDesign, laboratory: Virtu
     return figures.estimate_maps((along[:, 0], along[:, 1]), values, names, units, design.space.units)
 
 
-def _responses(outcome: Outcome, laboratory: VirtualLaboratory, fit: Fit) -> Picture:
+def _file(name: str, owner: str) -> str:
+    """The name of a figure of a specimen."""
+    return f"{name}_{owner}" if owner else name
+
+
+def _responses(outcome: Outcome, laboratory: VirtualLaboratory, fit: Fit, owner: str) -> Picture:
     """The calibrated model against the specimen at two inputs far apart."""
     space = outcome.space
     declared = space.declared(np.asarray([np.full(len(space.names), q) for q in (0.85, 0.3)]))
@@ -144,18 +162,19 @@ def _responses(outcome: Outcome, laboratory: VirtualLaboratory, fit: Fit) -> Pic
     for inputs in declared:
         values = zip(space.names, inputs, strict=True)
         title = ", ".join(f"{name} = {value:.3g} {space.units[name]}" for name, value in values)
-        measured = _response(laboratory.simulator, laboratory.parameters, space, inputs)
-        cases.append((title, measured, _response(outcome.model, estimates, space, inputs)))
+        title = f"{owner}: {title}" if owner else title
+        measured = _response(laboratory.simulator, laboratory.parameters, space, inputs, owner)
+        cases.append((title, measured, _response(outcome.model, estimates, space, inputs, owner)))
     return figures.response_comparison(cases)
 
 
 def _response(
-    model: AbstractModel, parameters: Mapping[str, float], space: InputSpace, declared: np.ndarray
+    model: AbstractModel, parameters: Mapping[str, float], space: InputSpace, declared: np.ndarray, owner: str
 ) -> dict[str, np.ndarray]:
     conditions = Conditions({name: jnp.asarray(values[0]) for name, values in space.si(declared[None]).items()})
     known = {name: jnp.asarray(value) for name, value in parameters.items()}
-    channels = model.respond(known, conditions, _CHANNELS).channels
-    assert model.timeline is not None
-    step, steps, every = model.timeline
-    time = step * every * np.arange(steps // every + 1)
-    return {"time": time, **{name: np.asarray(values) for name, values in channels.items()}}
+    # All specimens at once: one program serves each.
+    wanted = tuple(name for name in of_each(model.owners, _CHANNELS) if model.gives(name))
+    channels = model.respond(known, conditions, wanted).channels
+    time = np.asarray(model.times(conditions.inputs))
+    return {"time": time, **{name: np.asarray(channels[named(owner, name)]) for name in _CHANNELS}}

@@ -11,9 +11,10 @@ from hsed_jax.criticism.findings import Candidate, Diagnosis
 from hsed_jax.criticism.improve import Step, Trail
 from hsed_jax.criticism.prediction import Prediction, error_cell, has_diverged
 from hsed_jax.measurements import Campaign
-from hsed_jax.physics.outputs import output
+from hsed_jax.physics.outputs import named
+from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
-from hsed_jax.reporting.misfit_figures import hysteresis_loop
+from hsed_jax.reporting.misfit_figures import hysteresis_loops, words_of_loop
 from hsed_jax.reporting.misfit_maps import splits
 from hsed_jax.reporting.outcome import Outcome
 from hsed_jax.reporting.style import Picture
@@ -72,7 +73,7 @@ def ranking(diagnosis: Diagnosis) -> Picture:
             panel.barh(places[own], [shown[i].log_evidence_gain for i in own], height=0.68, label=text, **look)
     panel.set_xscale("symlog", linthresh=1.0, linscale=0.5)
     panel.axvline(0.0, color=style.BLACK, linewidth=0.8)
-    panel.set_yticks(places, [candidate.effect.replace("_", " ") for candidate in shown])
+    panel.set_yticks(places, [style.words(candidate.effect) for candidate in shown])
     panel.tick_params(axis="y", length=0)
     for tick, kind in zip(panel.get_yticklabels(), kinds, strict=True):
         tick.set_fontweight("bold" if kind == 0 else "normal")
@@ -92,7 +93,7 @@ def ranking(diagnosis: Diagnosis) -> Picture:
                            annotation_clip=False)  # fmt: skip
     style.legend(figure, panel)
     rest = len(diagnosis.ranking) - len(shown)
-    groups = "; ".join(" or ".join(name.replace("_", " ") for name in group) for group in diagnosis.look_alikes)
+    groups = "; ".join(" or ".join(map(style.words, group)) for group in diagnosis.look_alikes)
     first = shown[0]
     return Picture(
         figure,
@@ -142,7 +143,7 @@ def error_fall(trail: Trail) -> Picture:
             height = np.nanmax([*both, trail.noise_floor])  # what diverged has no height of its own
             panel.annotate("\n".join(texts), (place, height), xytext=(0, 4), textcoords="offset points", ha="center",
                            va="bottom", fontsize=8, linespacing=1.1)  # fmt: skip
-    words = ["model as it was", *("+ " + step.effects[-1].replace("_", " ") for step in steps[1:])]
+    words = ["model as it was", *("+ " + style.words(step.effects[-1]) for step in steps[1:])]
     panel.set_xticks(range(len(steps)), ["\n".join(textwrap.wrap(word, 16)) for word in words])
     panel.tick_params(axis="x", length=0)
     panel.grid(False, axis="x")
@@ -179,31 +180,32 @@ def before_after(before: Comparison, after: Comparison, campaign: Campaign) -> P
         The picture; None where no experiment of histories has errors of its own.
     """
     if before.train_prediction.groups.size == len(before.train_prediction.outputs):
-        return _scatter(before, after)
+        return _scatter(before, after, campaign.pair)
     found = _most_improved(before, after)
     if found is None:
         return None
     split, id, old, new = found
-    pair = []
+    both, pair = [], campaign.pair
     for comparison in (before, after):
         prediction = dict((name, p) for name, _, p in splits(comparison))[split]
-        pair.append((prediction, [e.id for e in prediction.experiments].index(id)))
-    (first, row), (second, other) = pair
+        both.append((prediction, [e.id for e in prediction.experiments].index(id)))
+    (first, row), (second, other) = both
     names = first.outputs
-    loops = [hysteresis_loop(prediction, index, campaign) for prediction, index in pair]
-    has_loops = all(loop is not None for loop in loops)
-    figure = style.new_figure((2.7 if has_loops else 0.0) + 1.45 * len(names) + 0.6)
-    grid = figure.add_gridspec(len(names) + has_loops, 2, height_ratios=[2.7] * has_loops + [1.45] * len(names))
+    ours, theirs = (hysteresis_loops(prediction, index, campaign) for prediction, index in both)
+    count = len(ours)
+    figure = style.new_figure(2.7 * count + 1.45 * len(names) + 0.6)
+    grid = figure.add_gridspec(len(names) + count, 2, height_ratios=[2.7] * count + [1.45] * len(names))
     panels: list[Axes] = []
-    if has_loops:
-        panels.append(figure.add_subplot(grid[0, 0]))
-        panels.append(figure.add_subplot(grid[0, 1], sharex=panels[0], sharey=panels[0]))
-        _draw_loops(panels, [loop for loop in loops if loop is not None])
-        for panel, text, error in zip(panels, ("as it was", "improved"), (old, new), strict=True):
-            panel.set_title(f"{text}: error {error:.3f}", loc="right")
-    histories = [figure.add_subplot(grid[index + has_loops, :]) for index in range(len(names))]
+    for line, owner in enumerate(ours):
+        left = figure.add_subplot(grid[line, 0])
+        beside = [left, figure.add_subplot(grid[line, 1], sharex=left, sharey=left)]
+        _draw_loops(beside, owner, [ours[owner], theirs[owner]], pair)
+        panels += beside
+    for panel, text, error in zip(panels[:2], ("as it was", "improved"), (old, new), strict=False):
+        panel.set_title(f"{text}: error {error:.3f}", loc="right")
+    histories = [figure.add_subplot(grid[index + count, :]) for index in range(len(names))]
     for panel, name in zip(histories, names, strict=True):
-        _history(panel, name, first, row, second, other)
+        _history(panel, name, first, row, second, other, pair)
         panel.set_xlabel("Time [s]" if campaign.has_time else "Row")
     for panel in histories[:-1]:
         panel.set_xlabel("")
@@ -215,13 +217,14 @@ def before_after(before: Comparison, after: Comparison, campaign: Campaign) -> P
     style.legend(figure, *panels)
     figure.legends[0].set_title(style.plain(f"{id} ({split})", 90))
     which = id.replace("$", "")
-    drawn = [*["loop as it was", "loop of the improved model"][: 2 * has_loops], *map(style.words, names)]
+    drawn = [f"{words_of_loop(owner)}, {text}" for owner in ours for text in ("as it was", "improved model")]
+    drawn += map(pair.called, names)
     return Picture(
         figure,
         f"Experiment {which} ({split}), whose error fell most: measured (dashed), predicted by the model as it was "
         f"(dash-dotted) and by the improved model (continuous): {style.lettered(drawn)}."
         + ("" if first.experiments[row].window is None else "  Shaded: the part of the record that is scored."),
-        f"{'Hysteresis loops and histories' if has_loops else 'Histories'} of {', '.join(names)}. The error is "
+        f"{'Hysteresis loops and histories' if ours else 'Histories'} of {', '.join(names)}. The error is "
         f"{style.amount(old)} before and {style.amount(new)} after.",
     )
 
@@ -246,18 +249,18 @@ def _error(outputs: Mapping[str, Mapping[str, float]]) -> float:
     return float(np.sqrt(np.mean([values["nrmse"] ** 2 for values in outputs.values()])))
 
 
-def _draw_loops(panels: list[Axes], loops: list[tuple[np.ndarray, ...]]) -> None:
-    x, x_unit = style.readable("m", *(values for loop in loops for values in loop[::2]))
-    y, y_unit = style.readable("N", *(values for loop in loops for values in loop[1::2]))
+def _draw_loops(panels: list[Axes], owner: str, loops: list[tuple[np.ndarray, ...]], pair: Pair) -> None:
+    x, x_unit = style.readable(pair.elongation_unit, *(values for loop in loops for values in loop[::2]))
+    y, y_unit = style.readable(pair.force_unit, *(values for loop in loops for values in loop[1::2]))
     for panel, (there, force, ours, predicted), look in zip(panels, loops, (_BEFORE, _AFTER), strict=True):
         panel.plot(there / x, force / y, **_MEASURED)
         panel.plot(ours / x, predicted / y, **look)
-        panel.set_xlabel(style.channel_label("elongation", x_unit))
-    panels[0].set_ylabel(style.channel_label("force", y_unit))
+        panel.set_xlabel(style.channel_label(named(owner, "elongation"), x_unit, pair))
+    panels[0].set_ylabel(style.channel_label(named(owner, "force"), y_unit, pair))
     panels[1].tick_params(labelleft=False)
 
 
-def _history(panel: Axes, name: str, first: Prediction, row: int, second: Prediction, other: int) -> None:
+def _history(panel: Axes, name: str, first: Prediction, row: int, second: Prediction, other: int, pair: Pair) -> None:
     record = first.experiments[row].record
     assert record is not None
     measured, before, _, _ = first.histories(row, name)
@@ -265,7 +268,7 @@ def _history(panel: Axes, name: str, first: Prediction, row: int, second: Predic
     used = first.used[row, first.columns(name)][: len(record)]
     # What is not scored was measured all the same.
     measured = record.channels.get(name, np.where(used, measured, np.nan))
-    divisor, unit = style.readable(output(name).unit, measured, before, after)
+    divisor, unit = style.readable(pair.output(name).unit, measured, before, after)
     if used.any() and not used.all():
         top = panel.get_xaxis_transform()
         panel.fill_between(record.time, 0, 1, where=used, transform=top, color=style.GREY, alpha=0.18, linewidth=0,
@@ -273,10 +276,10 @@ def _history(panel: Axes, name: str, first: Prediction, row: int, second: Predic
     for values, look in ((measured, _MEASURED), (before, _BEFORE), (after, _AFTER)):
         panel.plot(record.time, values / divisor, **look)
     panel.margins(x=0.0)
-    panel.set_ylabel(style.history_label(name, unit))
+    panel.set_ylabel(style.history_label(name, unit, pair))
 
 
-def _scatter(before: Comparison, after: Comparison) -> Picture:
+def _scatter(before: Comparison, after: Comparison, pair: Pair) -> Picture:
     names = before.train_prediction.outputs
     figure, panels = style.panels(len(names), 3.0)
     said = []
@@ -286,7 +289,7 @@ def _scatter(before: Comparison, after: Comparison) -> Picture:
             for comparison, look in ((before, "as it was"), (after, "improved"))
             for split, _, prediction in splits(comparison)
         ]
-        divisor, unit = style.readable(output(name).unit, *(v for *_, values in known for v in values[:2]))
+        divisor, unit = style.readable(pair.output(name).unit, *(v for *_, values in known for v in values[:2]))
         for look, split, values in known:
             measured, predicted, mean, sd = (v / divisor for v in values)
             colour, marker = (style.RED, "v") if look == "as it was" else (style.BLUE, "o")
@@ -298,16 +301,16 @@ def _scatter(before: Comparison, after: Comparison) -> Picture:
         both = both[np.isfinite(both)]
         ends = [float(both.min(initial=np.inf)), float(both.max(initial=-np.inf))] if both.size else [0.0, 1.0]
         panel.plot(ends, ends, color=style.BLACK, linewidth=0.8, zorder=1, label="equal")
-        words = f"{name.replace('_', ' ').capitalize()} ${output(name).symbol}$"
-        panel.set(xlabel=f"{words}, measured [{style.unit_text(unit)}]", ylabel=f"predicted [{style.unit_text(unit)}]")
-        pair = [comparison.train.per_output.get(name, {}).get("nrmse", np.nan) for comparison in (before, after)]
-        said.append(f"{name.replace('_', ' ')}: error {style.amount(pair[0])} before, {style.amount(pair[1])} after")
+        title = style.channel_title(name, pair)
+        panel.set(xlabel=f"{title}, measured [{style.unit_text(unit)}]", ylabel=f"predicted [{style.unit_text(unit)}]")
+        old, new = (one.train.per_output.get(name, {}).get("nrmse", np.nan) for one in (before, after))
+        said.append(f"{pair.called(name)}: error {style.amount(old)} before, {style.amount(new)} after")
     style.panel_titles(panels)
     style.legend(figure, *panels)
     return Picture(
         figure,
         "Predicted against measured quantities with 90 % predictive bars, by the model as it was (triangles) and the "
-        f"improved model (circles): {style.lettered(names)}.  Filled: train; open: test.",
+        f"improved model (circles): {style.lettered([*map(pair.called, names)])}.  Filled: train; open: test.",
         f"Scatter plots beside the line of equality. {'; '.join(said)}.",
     )
 
@@ -337,7 +340,7 @@ def parameters_before_after(
     Returns:
         The picture; None where the two have no parameter of the law in common.
     """
-    names = [name for name in before if name in after and "." not in name]
+    names = [name for name in before if name in after and not style.is_of_effect(name)]
     if not names:
         return None
     figure, panels = style.panels(len(names), 1.25)

@@ -10,7 +10,8 @@ from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.locate import Location
 from hsed_jax.criticism.prediction import Prediction, error_cell
 from hsed_jax.measurements import Campaign
-from hsed_jax.physics.outputs import output
+from hsed_jax.physics.outputs import named, own_name, owner_of
+from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
 from hsed_jax.reporting.misfit_maps import error_map, residual_coordinates, splits
 from hsed_jax.reporting.style import Picture
@@ -49,11 +50,11 @@ def misfit_pictures(
             if experiment.id in worst and experiment.record is not None:
                 yield f"overlay_{experiment.id}", overlay(prediction, row, errors[experiment.id], campaign)
     if comparison.train_prediction.groups.size == len(comparison.train_prediction.outputs):
-        yield "measured_against_predicted", measured_against_predicted(comparison)
+        yield "measured_against_predicted", measured_against_predicted(comparison, campaign)
     others = {
         "residual_coordinates": None if location is None else residual_coordinates(location, campaign),
         "error_map": error_map(comparison, campaign),
-        "error_table": error_table(comparison),
+        "error_table": error_table(comparison, campaign),
     }
     yield from ((name, picture) for name, picture in others.items() if picture is not None)
 
@@ -68,14 +69,14 @@ def overlay(prediction: Prediction, row: int, errors: Mapping[str, Mapping[str, 
         errors: of the experiment, by output.
         campaign: whether it has a time, and whether the elongation was imposed.
     """
-    experiment = prediction.experiments[row]
+    experiment, pair = prediction.experiments[row], campaign.pair
     assert experiment.record is not None
-    count, loop = len(prediction.outputs), hysteresis_loop(prediction, row, campaign)
+    count, loops = len(prediction.outputs), hysteresis_loops(prediction, row, campaign)
     figure = style.new_figure(max(1.7 * count, 2.4) + 0.5)
-    grid = figure.add_gridspec(count, 1 if loop is None else 2, width_ratios=None if loop is None else (1.7, 1))
+    grid = figure.add_gridspec(count, 2 if loops else 1, width_ratios=(1.7, 1) if loops else None)
     panels = [figure.add_subplot(grid[index, 0]) for index in range(count)]
     for panel, name in zip(panels, prediction.outputs, strict=True):
-        _history(panel, prediction, row, name)
+        _history(panel, prediction, row, name, pair)
         panel.set_xlabel("Time [s]" if campaign.has_time else "Row")
         if name in errors:
             panel.set_title(f"error {error_cell(errors[name]['nrmse'])}", loc="right")
@@ -84,32 +85,33 @@ def overlay(prediction: Prediction, row: int, errors: Mapping[str, Mapping[str, 
         panel.sharex(panels[-1])
         panel.tick_params(labelbottom=False)
     figure.align_ylabels(panels)
-    if loop is not None:
-        panels.append(figure.add_subplot(grid[:2, 1]))
-        _draw_loop(panels[-1], *loop)
+    for number, (owner, loop) in enumerate(loops.items()):
+        rows = slice(number * count // len(loops), (number + 1) * count // len(loops)) if owner else slice(0, 2)
+        panels.append(figure.add_subplot(grid[rows, 1]))
+        _draw_loop(panels[-1], owner, loop, pair)
     failed = ", simulation diverged" if prediction.diverged[row] else ""
     style.panel_titles(panels)
     style.legend(figure, *panels)
     figure.legends[0].set_title(style.plain(f"{experiment.id} ({experiment.split}{failed})", 90))
-    said = "; ".join(f"{name}: error {style.amount(values['nrmse'])}" for name, values in errors.items())
-    which = experiment.id.replace("$", "")
+    said = "; ".join(f"{pair.called(name)}: error {style.amount(values['nrmse'])}" for name, values in errors.items())
+    which, names = experiment.id.replace("$", ""), [*map(pair.called, prediction.outputs)]
     return Picture(
         figure,
         f"Experiment {which} ({experiment.split}{failed}), measured (dashed) and predicted at the MAP (continuous) with the 90 % "
-        f"predictive band: {style.lettered([*map(style.words, prediction.outputs), *(['hysteresis loop'] if loop else [])])}."
+        f"predictive band: {style.lettered([*names, *map(words_of_loop, loops)])}."
         + ("" if experiment.window is None else "  Shaded: the part of the record that is scored."),
-        f"Histories of {', '.join(prediction.outputs)}{'' if loop is None else ' and the hysteresis loop'}. {said}.",
+        f"Histories of {', '.join(names)}{' and the hysteresis loop' if loops else ''}. {said}.",
     )
 
 
-def _history(panel: Axes, prediction: Prediction, row: int, name: str) -> None:
+def _history(panel: Axes, prediction: Prediction, row: int, name: str, pair: Pair) -> None:
     record = prediction.experiments[row].record
     assert record is not None
     measured, predicted, mean, sd = prediction.histories(row, name)
     used = prediction.used[row, prediction.columns(name)][: len(record)]
     # What is not scored was measured all the same.
     measured = record.channels.get(name, np.where(used, measured, np.nan))
-    divisor, unit = style.readable(output(name).unit, measured, predicted)
+    divisor, unit = style.readable(pair.output(name).unit, measured, predicted)
     time = record.time
     if used.any() and not used.all():
         top = panel.get_xaxis_transform()
@@ -119,31 +121,42 @@ def _history(panel: Axes, prediction: Prediction, row: int, name: str) -> None:
     panel.plot(time, measured / divisor, **{**style.MEASURED, "label": "measured"})
     panel.plot(time, predicted / divisor, **{**style.PREDICTED, "label": "predicted"})
     panel.margins(x=0.0)
-    panel.set_ylabel(style.history_label(name, unit))
+    panel.set_ylabel(style.history_label(name, unit, pair))
 
 
-def hysteresis_loop(prediction: Prediction, row: int, campaign: Campaign) -> tuple[np.ndarray, ...] | None:
-    """Measured elongation and force, then predicted, where scored; None where one of them is not known."""
-    record = prediction.experiments[row].record
-    if record is None or "force" not in prediction.outputs:
-        return None
-    force, predicted, _, _ = prediction.histories(row, "force")
-    if "elongation" in prediction.outputs:
-        there, ours, _, _ = prediction.histories(row, "elongation")
-    elif campaign.protocol == "displacement" and "elongation" in record.channels:
-        there = ours = record["elongation"]
-    else:
-        return None
-    scored = prediction.used[row, prediction.columns("force")][: len(record)]
-    return tuple(np.where(scored, channel, np.nan) for channel in (there, force, ours, predicted))
+def hysteresis_loops(prediction: Prediction, row: int, campaign: Campaign) -> dict[str, tuple[np.ndarray, ...]]:
+    """By specimen, measured elongation and force, then predicted, where scored; those where both are known."""
+    record, found = prediction.experiments[row].record, {}
+    forces = [name for name in prediction.outputs if own_name(name) == "force"]
+    for name in forces if record is not None else ():
+        assert record is not None
+        owner = owner_of(name)
+        along = named(owner, "elongation")
+        force, predicted, _, _ = prediction.histories(row, name)
+        if along in prediction.outputs:
+            there, ours, _, _ = prediction.histories(row, along)
+        elif campaign.protocol == "displacement" and along in record.channels:
+            there = ours = record[along]
+        else:
+            continue
+        scored = prediction.used[row, prediction.columns(name)][: len(record)]
+        found[owner] = tuple(np.where(scored, channel, np.nan) for channel in (there, force, ours, predicted))
+    return found
 
 
-def _draw_loop(panel: Axes, there: np.ndarray, force: np.ndarray, ours: np.ndarray, predicted: np.ndarray) -> None:
-    x, x_unit = style.readable("m", there, ours)
-    y, y_unit = style.readable("N", force, predicted)
+def words_of_loop(owner: str) -> str:
+    """What the loop of a specimen is called in a caption."""
+    return f"hysteresis loop of {style.words(owner)}" if owner else "hysteresis loop"
+
+
+def _draw_loop(panel: Axes, owner: str, loop: tuple[np.ndarray, ...], pair: Pair) -> None:
+    there, force, ours, predicted = loop
+    x, x_unit = style.readable(pair.elongation_unit, there, ours)
+    y, y_unit = style.readable(pair.force_unit, force, predicted)
     panel.plot(there / x, force / y, **{**style.MEASURED, "label": "measured", "linewidth": 0.8})
     panel.plot(ours / x, predicted / y, **{**style.PREDICTED, "label": "predicted", "linewidth": 0.9})
-    panel.set(xlabel=style.channel_label("elongation", x_unit), ylabel=style.channel_label("force", y_unit))
+    panel.set_xlabel(style.channel_label(named(owner, "elongation"), x_unit, pair))
+    panel.set_ylabel(style.channel_label(named(owner, "force"), y_unit, pair))
 
 
 @style.in_house_style
@@ -158,25 +171,27 @@ def loops(comparison: Comparison, campaign: Campaign) -> Picture | None:
         The picture; None where force and elongation are not both known.
     """
     found = []
-    for name, split, prediction in splits(comparison):
+    for name, part, prediction in splits(comparison):
         for row, experiment in enumerate(prediction.experiments):
-            loop = hysteresis_loop(prediction, row, campaign)
-            if loop is not None and experiment.id in split.per_experiment:
-                found.append((badness(split.per_experiment[experiment.id]["force"]), f"{experiment.id} ({name})", loop))
+            if experiment.id not in part.per_experiment:
+                continue
+            for owner, loop in hysteresis_loops(prediction, row, campaign).items():
+                error = badness(part.per_experiment[experiment.id][named(owner, "force")])
+                found.append((error, f"{experiment.id} ({name})", owner, loop))
     if not found:
         return None
     found.sort(key=lambda entry: -entry[0])
     shown = found[:_LOOPS]
     figure, panels = style.panels(len(shown), 2.3, across=3)
-    for panel, (error, who, loop) in zip(panels, shown, strict=True):
-        _draw_loop(panel, *loop)
+    for panel, (error, who, owner, loop) in zip(panels, shown, strict=True):
+        _draw_loop(panel, owner, loop, campaign.pair)
         panel.set_title(style.plain(who, 20), loc="left")
         panel.set_title(f"error {error_cell(error)}", loc="right")
     style.legend(figure, panels[0])
     rest = len(found) - len(shown)
     return Picture(
         figure,
-        "Hysteresis loops, measured (dashed) and predicted (continuous), the largest error of the force first."
+        f"Hysteresis loops, measured (dashed) and predicted (continuous), the largest error of the {campaign.pair.force} first."
         + (f"  {rest} more are not shown." if rest else ""),
         f"{len(shown)} loops. Largest error {style.amount(shown[0][0])} in {shown[0][1].replace('$', '')}, smallest shown "
         f"{style.amount(shown[-1][0])} in {shown[-1][1].replace('$', '')}.",
@@ -184,9 +199,9 @@ def loops(comparison: Comparison, campaign: Campaign) -> Picture | None:
 
 
 @style.in_house_style
-def measured_against_predicted(comparison: Comparison) -> Picture:
+def measured_against_predicted(comparison: Comparison, campaign: Campaign) -> Picture:
     """A panel per quantity: predicted against measured with 90 % predictive bars, the line of equality between."""
-    names = comparison.train_prediction.outputs
+    names, pair = comparison.train_prediction.outputs, campaign.pair
     figure, panels = style.panels(len(names), 3.0)
     said = []
     for panel, name in zip(panels, names, strict=True):
@@ -196,31 +211,33 @@ def measured_against_predicted(comparison: Comparison) -> Picture:
             used = prediction.used[:, columns][:, 0]
             tables = (prediction.measured, prediction.shown, prediction.mean, prediction.sd)
             known[split] = [table[:, columns][:, 0][used] for table in tables]
-        divisor, unit = style.readable(output(name).unit, *(v for values in known.values() for v in values[:2]))
+        divisor, unit = style.readable(pair.output(name).unit, *(v for values in known.values() for v in values[:2]))
         for split, values in known.items():
             measured, predicted, mean, sd = (v / divisor for v in values)
             fill = style.BLUE if split == "train" else "white"
             panel.vlines(measured, mean - _90 * sd, mean + _90 * sd, color=style.BLUE, alpha=0.5, linewidth=0.9)
             panel.plot(measured, predicted, "o", ms=4.5, mfc=fill, mec=style.BLUE, zorder=3, label=split)
-            said.append(f"{name}, {split}: {measured.size} experiments, largest {style.peak(measured, unit)}")
+            said.append(
+                f"{pair.called(name)}, {split}: {measured.size} experiments, largest {style.peak(measured, unit)}"
+            )
         both = np.concatenate([v for values in known.values() for v in values[:2]]) / divisor
         both = both[np.isfinite(both)]
         ends = [float(both.min(initial=np.inf)), float(both.max(initial=-np.inf))] if both.size else [0.0, 1.0]
         panel.plot(ends, ends, color=style.BLACK, linewidth=0.8, zorder=1, label="equal")
-        symbol = f"{name.replace('_', ' ').capitalize()} ${output(name).symbol}$"
-        panel.set(xlabel=f"{symbol}, measured [{style.unit_text(unit)}]", ylabel=f"predicted [{style.unit_text(unit)}]")
+        title = style.channel_title(name, pair)
+        panel.set(xlabel=f"{title}, measured [{style.unit_text(unit)}]", ylabel=f"predicted [{style.unit_text(unit)}]")
     style.panel_titles(panels)
     style.legend(figure, *panels)
     return Picture(
         figure,
-        f"Predicted against measured quantities with 90 % predictive bars: {style.lettered(names)}.  Filled: train; open: "
-        "test.",
+        "Predicted against measured quantities with 90 % predictive bars: "
+        f"{style.lettered([*map(pair.called, names)])}.  Filled: train; open: test.",
         f"Scatter plots beside the line of equality. {'; '.join(said)}.",
     )
 
 
 @style.in_house_style
-def error_table(comparison: Comparison) -> Picture | None:
+def error_table(comparison: Comparison, campaign: Campaign) -> Picture | None:
     """The errors of each experiment and output, worst first; None where no experiment has errors of its own."""
     found = [
         (id, name, output, values)
@@ -237,7 +254,7 @@ def error_table(comparison: Comparison) -> Picture | None:
         [
             style.plain(id, 28),
             split,
-            name.replace("_", " "),
+            campaign.pair.called(name),
             *(_cell(values.get(key, np.nan), factor, look) for key, (_, factor, look) in columns.items()),
         ]
         for id, split, name, values in shown

@@ -28,7 +28,7 @@ _LABEL = {"facecolor": "white", "alpha": 0.6, "linewidth": 0, "pad": 0.6}
 _AXES = {
     "time": "Time",
     "cycle": "Cycle",
-    "amplitude": r"Elongation $|\Delta u|$",
+    "amplitude": "Elongation",
     "energy": "Absorbed energy",
     "speed": "Elongation rate",
 }
@@ -70,7 +70,7 @@ def residual_coordinates(location: Location, campaign: Campaign) -> Picture | No
         panel.set_xlabel(label)
     for panel, (name, values) in zip(panels[len(numbers) :], words.items(), strict=True):
         _bars_by_word(panel, values, samples.share, places.get(name, (0, None))[1])
-        panel.set_xlabel(f"{name.capitalize()}: share [%]")
+        panel.set_xlabel(f"{campaign.pair.words(name).capitalize()}: share [%]")
     for index, (panel, name) in enumerate(zip(panels, [*numbers, *words], strict=True)):
         if index % 3 == 0 and name in numbers:
             panel.set_ylabel("Share [%]")
@@ -100,11 +100,13 @@ def _coordinate(place: Place) -> str:
 
 def _numbers(samples: Samples, campaign: Campaign) -> dict[str, tuple[np.ndarray, np.ndarray, str]]:
     """Values, which of them are known, and axis label of every ordered coordinate, the inputs among them."""
-    found = {}
+    found, pair = {}, campaign.pair
     for name, values in samples.numbers.items():
         values = np.asarray(values, dtype=float)
-        divisor, unit = style.readable(UNITS[name], values) if name != "speed" else (1e-3, "mm/s")
-        label = f"{_AXES[name]} [{style.unit_text(unit)}]"
+        unit = pair.unit(UNITS[name])
+        divisor, unit = (1e-3, f"m{unit}") if unit in ("m/s", "rad/s") else style.readable(unit, values)
+        symbol = f" $|{pair.elongation_symbol}|$" if name == "amplitude" else ""
+        label = f"{pair.words(_AXES[name])}{symbol} [{style.unit_text(unit)}]"
         if name == "time" and not campaign.has_time:
             label = "Row"
         found[name] = (values / divisor, label if name != "cycle" else "Cycle")

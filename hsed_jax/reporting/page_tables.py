@@ -9,7 +9,7 @@ import numpy as np
 from hsed_jax.criticism.coordinates import UNITS, coordinates_of
 from hsed_jax.criticism.prediction import has_diverged
 from hsed_jax.measurements import Record
-from hsed_jax.physics.outputs import output
+from hsed_jax.physics.outputs import own_name
 from hsed_jax.reporting import style
 from hsed_jax.reporting.finished import SPLITS, FinishedRun
 
@@ -83,10 +83,10 @@ def axes_of(run: FinishedRun) -> dict[str, Axis]:
         found["elongation"] = [
             e.record["elongation"] for e in run.campaign if e.record is not None and "elongation" in e.record.channels
         ]
-    axes = {}
+    axes, pair = {}, run.campaign.pair
     for name, values in found.items():
-        divisor, unit = style.readable(output(name).unit, *values)
-        axes[name] = Axis(name.replace("_", " ").capitalize(), divisor, unit_words(unit))
+        divisor, unit = style.readable(pair.output(name).unit, *values)
+        axes[name] = Axis(pair.called(name).capitalize(), divisor, unit_words(unit))
     return axes
 
 
@@ -97,7 +97,7 @@ def samples_table(run: FinishedRun) -> Table:
     for id, split, models in histories:
         record = _predicted_part(run.campaign[id].record, models)
         kept = thinned(
-            [record.channels[name] for name in ("force", "elongation") if name in record.channels]
+            [values for name, values in record.channels.items() if own_name(name) in ("force", "elongation")]
             or [*record.channels.values()],
             int(np.clip(_ROWS // max(len(histories), 1), _FEWEST, _MOST)),
         )
@@ -158,9 +158,9 @@ def residual_table(run: FinishedRun) -> Table:
     }
     for id, _, models in _histories(run):
         experiment = run.campaign[id]
-        along = {name: values for name, values in coordinates_of(experiment).items() if name in UNITS}
-        along |= {name: np.full(len(along["time"]), value) for name, value in _declared(run, id).items()}
         for name, scale in scales.items():
+            along = {key: values for key, values in coordinates_of(experiment, name).items() if key in UNITS}
+            along |= {key: np.full(len(along["time"]), value) for key, value in _declared(run, id).items()}
             for model, dataset in models.items():
                 if f"{name}_measured" not in dataset:
                     continue
@@ -179,7 +179,7 @@ def residual_table(run: FinishedRun) -> Table:
             label, divisor = _coordinate(run, coordinate, values)
             for low, high, size in _bins(values, residual):
                 rows.append(
-                    {"coordinate": label, "output": name.replace("_", " "), "model": model, "from": low / divisor,
+                    {"coordinate": label, "output": run.campaign.pair.called(name), "model": model, "from": low / divisor,
                      "to": high / divisor, "at": 0.5 * (low + high) / divisor, "residual": size}
                 )  # fmt: skip
     return columns(rows)
@@ -232,8 +232,9 @@ def _coordinate(run: FinishedRun, name: str, values: np.ndarray) -> tuple[str, f
         return f"{name} [{unit_words(run.campaign.unit(name).text)}]", 1.0
     if name == "cycle" or (name == "time" and not run.campaign.has_time):
         return ("row" if name == "time" else "cycle"), 1.0
-    divisor, unit = (1e-3, "mm/s") if name == "speed" else style.readable(UNITS[name], values)
-    return f"{_WORDS.get(name, name)} [{unit_words(unit)}]", divisor
+    unit = run.campaign.pair.unit(UNITS[name])
+    divisor, unit = (1e-3, f"m{unit}") if unit in ("m/s", "rad/s") else style.readable(unit, values)
+    return f"{run.campaign.pair.words(_WORDS.get(name, name))} [{unit_words(unit)}]", divisor
 
 
 def _bins(values: np.ndarray, residual: np.ndarray) -> Iterator[tuple[float, float, float]]:

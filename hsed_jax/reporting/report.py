@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from hsed_jax.criticism.prediction import error_cell
+from hsed_jax.physics.outputs import loops, named
 from hsed_jax.plain import dump_yaml
 from hsed_jax.reporting import charts, style
 from hsed_jax.reporting import page_tables as tables
@@ -24,7 +25,7 @@ _STILL = {
     "design": ("fig5_expected_improvement", "fig6_exploration", "fig7_estimates", "fig4bis_one_experiment_map"),
     "cycles": ("cycles",),
     "posterior": ("posterior",),
-    "excitation": ("fig3_ground_motions", "fig4_loops_and_energy"),
+    "excitation": ("fig3_excitation", "fig4_loops_and_energy"),
 }
 """Figures of the run folder that stand in the page as they are, by section."""
 
@@ -75,24 +76,36 @@ def _charts(run: FinishedRun) -> tuple[dict[str, Any], dict[str, tables.Table]]:
     if run.observes_histories:
         data |= {"samples": tables.samples_table(run), "residual": tables.residual_table(run)}
         time = "Time [s]" if run.campaign.has_time else "Row"
-        loop = {"force_measured", "elongation_measured"} <= data["samples"].keys() and "force" in outputs
+        known = [name.removesuffix("_measured") for name in data["samples"] if name.endswith("_measured")]
+        found = [named(owner, "") for owner in loops(known) if named(owner, "force") in outputs]
+        # In the language of the charts a dot would lead into a value.
+        data["samples"] = {_column(name): values for name, values in data["samples"].items()}
+        drawable = {_column(name): axis for name, axis in axes.items()}
+        pairs = [_column(prefix) for prefix in found]
         if windows := tables.windows_table(run):
             data["windows"] = windows
-        drawn["histories"] = charts.histories(axes, outputs, models, time, loop, bool(windows))
+        drawn["histories"] = charts.histories(
+            drawable, [_column(name) for name in outputs], models, time, pairs, bool(windows)
+        )
         if data["residual"]:
             noise = {
-                name.replace("_", " "): v["noise_floor"]
+                campaign.pair.called(name): v["noise_floor"]
                 for name, v in run.comparisons["before"]["train"]["per_output"].items()
             }
-            named = [name.replace("_", " ") for name in outputs]
+            said = [*map(campaign.pair.called, outputs)]
             drawn["residual"] = charts.residual_along(
-                list(dict.fromkeys(data["residual"]["coordinate"])), named, noise, models
+                list(dict.fromkeys(data["residual"]["coordinate"])), said, noise, models
             )
     else:
         data["quantities"] = tables.quantities_table(run)
         if data["quantities"]:
             drawn["histories"] = charts.quantities(axes, outputs, models)
     return drawn, data
+
+
+def _column(name: str) -> str:
+    """What the column of an output is called in the table behind the charts."""
+    return name.replace(".", "·")
 
 
 def _stills(run: FinishedRun, names: Sequence[str]) -> Iterator[InlineFigure]:
@@ -106,7 +119,7 @@ def _experiments(run: FinishedRun) -> dict[str, Any]:
     heads = ["experiment", "split", "status"]
     heads += [f"{name} [{tables.unit_words(campaign.unit(name).text)}]" for name in campaign.inputs]
     heads += [
-        f"{name.replace('_', ' ')} [{tables.unit_words(campaign.unit(name).text)}]" for name in campaign.quantities
+        f"{campaign.pair.called(name)} [{tables.unit_words(campaign.unit(name).text)}]" for name in campaign.quantities
     ]
     models = [model for model in ("before", "after") if model in run.comparisons]
     heads += [{"before": "error", "after": "error, improved"}[model] for model in models]
@@ -144,7 +157,7 @@ def _ranking(run: FinishedRun) -> dict[str, Any]:
         forms = {"probability": "{:.3f}", "log_evidence_gain": "{:.1f}"}
         numbers = [form.format(candidate[key]) if key in candidate else "–" for key, form in forms.items()]
         numbers += [error_cell(candidate.get(key)) for key in ("error_train", "error_test")]
-        rows.append([candidate["effect"].replace("_", " "), candidate["family"], "; ".join(sizes), *numbers])
+        rows.append([style.words(candidate["effect"]), candidate["family"], "; ".join(sizes), *numbers])
     return {"heads": heads, "rows": rows, "named": named, "rest": len(diagnosis["ranking"]) - len(rows)}
 
 
@@ -153,7 +166,7 @@ def _falls(run: FinishedRun) -> list[tuple[str, str, str]]:
     steps, has_test = run.summary.get("improvement", {}).get("steps", []), "test" in run.comparisons.get("before", {})
     return [
         (
-            "+ " + step["effects"][-1].replace("_", " ") if step["effects"] else "as it was",
+            "+ " + style.words(step["effects"][-1]) if step["effects"] else "as it was",
             error_text(step, "error_train", ".4f"),
             error_text(step, "error_test", ".4f") if has_test else "–",
         )
@@ -164,11 +177,11 @@ def _falls(run: FinishedRun) -> list[tuple[str, str, str]]:
 def _scales(run: FinishedRun) -> str:
     """The characteristic values that amplitudes of effects are relative to, in readable units; empty without effects."""
     units = {"force": "N", "elongation": "m", "rate": "m/s", "energy": "J"}
-    words = {"rate": "elongation rate", "energy": "absorbed energy"}
-    said = []
+    words = {"force": "force", "elongation": "elongation", "rate": "elongation rate", "energy": "absorbed energy"}
+    pair, said = run.campaign.pair, []
     for name, value in run.summary.get("scales", {}).items():
-        divisor, unit = style.readable(units[name], np.asarray([value]))
-        said.append(f"{words.get(name, name)} {value / divisor:.3g} {unit}")
+        divisor, unit = style.readable(pair.unit(units[name]), np.asarray([value]))
+        said.append(f"{pair.words(words[name])} {value / divisor:.3g} {tables.unit_words(unit)}".rstrip(" –"))
     return ", ".join(said)
 
 

@@ -13,7 +13,7 @@ from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.findings import Diagnosis
 from hsed_jax.criticism.locate import Location
 from hsed_jax.inference.fit import Fit
-from hsed_jax.physics.outputs import output as output_of
+from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting.outcome import Outcome
 
 _GRID = 41
@@ -26,7 +26,7 @@ def results_tree(outcome: Outcome) -> xr.DataTree:
         groups |= _posterior(outcome.fit)
     groups["observed_data"] = _observed(outcome)
     if outcome.comparison is not None:
-        groups |= _predictions(outcome.comparison, "predictions")
+        groups |= _predictions(outcome.comparison, "predictions", outcome.campaign.pair)
     if outcome.location is not None and outcome.location.places:
         groups["where"] = _where(outcome.location)
     if outcome.diagnosis is not None and outcome.diagnosis.ranking:
@@ -34,7 +34,7 @@ def results_tree(outcome: Outcome) -> xr.DataTree:
     if outcome.improved is not None:
         groups |= {f"{name}_improved": group for name, group in _posterior(outcome.improved).items()}
     if outcome.improved_comparison is not None:
-        groups |= _predictions(outcome.improved_comparison, "predictions_improved")
+        groups |= _predictions(outcome.improved_comparison, "predictions_improved", outcome.campaign.pair)
     if outcome.steps:
         groups["design"] = _design(outcome)
         groups["surrogate"] = _surrogate(outcome)
@@ -61,7 +61,7 @@ def _posterior(fit: Fit) -> dict[str, xr.Dataset]:
     return {"posterior": xr.Dataset(draws, coords), "sample_stats": xr.Dataset(stats, coords)}
 
 
-def _predictions(comparison: Comparison, root: str) -> dict[str, xr.Dataset]:
+def _predictions(comparison: Comparison, root: str, pair: Pair) -> dict[str, xr.Dataset]:
     """Measured and predicted outputs of every compared experiment; of histories a group each.  NaN where nothing is scored,
     and of predictions where the simulation diverged."""
     groups = {}
@@ -78,7 +78,7 @@ def _predictions(comparison: Comparison, root: str) -> dict[str, xr.Dataset]:
             }
             groups[f"{root}/{split}"] = xr.Dataset(
                 {
-                    f"{output}_{kind}": ("experiment", table[:, j], {"units": output_of(output).unit})
+                    f"{output}_{kind}": ("experiment", table[:, j], {"units": pair.output(output).unit})
                     for j, output in enumerate(prediction.outputs)
                     for kind, table in tables.items()
                 },
@@ -93,7 +93,7 @@ def _predictions(comparison: Comparison, root: str) -> dict[str, xr.Dataset]:
                 scored = prediction.used[row, prediction.columns(output)][: measured.size]
                 tables = (np.where(scored, measured, np.nan), *ours)
                 for kind, values in zip(("measured", "predicted", "mean", "sd"), tables, strict=True):
-                    histories[f"{output}_{kind}"] = ("time", values, {"units": output_of(output).unit})
+                    histories[f"{output}_{kind}"] = ("time", values, {"units": pair.output(output).unit})
             time = {"time": ("time", experiment.record.time, {"units": "s"})}
             groups[f"{root}/{split}/{experiment.id}"] = xr.Dataset(histories, time)
     return groups
@@ -131,13 +131,13 @@ def _ranking(diagnosis: Diagnosis) -> xr.Dataset:
 
 def _observed(outcome: Outcome) -> xr.Dataset:
     """Measured quantities and inputs of the experiments, where quantities are observed."""
-    experiments = outcome.campaign.experiments
+    experiments, pair = outcome.campaign.experiments, outcome.campaign.pair
     coords: dict = {"experiment": [e.id for e in experiments]}
     for name in outcome.campaign.inputs:
         unit = outcome.campaign.unit(name)
         coords[name] = ("experiment", [float(unit.from_si(e.inputs[name])) for e in experiments], {"units": unit.text})
     columns = {
-        name: ("experiment", [e.quantities.get(name, np.nan) for e in experiments], {"units": output_of(name).unit})
+        name: ("experiment", [e.quantities.get(name, np.nan) for e in experiments], {"units": pair.output(name).unit})
         for name in outcome.campaign.quantities
     }
     return xr.Dataset(columns, coords)

@@ -24,7 +24,8 @@ from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.laws import LAWS
-from hsed_jax.physics.outputs import output
+from hsed_jax.physics.outputs import own_name, owner_of
+from hsed_jax.physics.pairs import ELONGATION_AND_FORCE, Pair
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.structures import OWNER, parameter_of
 
@@ -169,30 +170,36 @@ def levels(values: np.ma.MaskedArray) -> np.ndarray:
 def readable(unit: str, *values: npt.ArrayLike) -> tuple[float, str]:
     """Divisor and unit in which the largest of `values` is easy to read: (1000.0, "kN") for 2.5e5 N, mm below 1 m.
 
-    Only units that take a prefix in this field change: those that begin with N, J or Pa, and m by itself.
+    Only units that take a prefix in this field change: those that begin with N, J or Pa, and m or rad by itself.
     """
     largest = max((float(v[np.isfinite(v)].max(initial=0.0)) for v in map(np.abs, values)), default=0.0)
-    if unit == "m" and 0 < largest < 1:
-        return 1e-3, "mm"
+    if unit in ("m", "rad") and 0 < largest < 1:
+        return 1e-3, f"m{unit}"
     if re.match(r"(N|J|Pa)(?!\^)\b", unit):
-        return next(((d, prefix + unit) for d, prefix in ((1e6, "M"), (1e3, "k")) if largest >= d), (1.0, unit))
+        prefixes = [*([(1e9, "G")] if unit.startswith("Pa") else []), (1e6, "M"), (1e3, "k")]
+        return next(((d, prefix + unit) for d, prefix in prefixes if largest >= d), (1.0, unit))
     return 1.0, unit
 
 
-def channel_label(name: str, unit: str) -> str:
+def channel_title(name: str, pair: Pair = ELONGATION_AND_FORCE) -> str:
+    """A channel or quantity with its symbol: ``Force $r$``, or of a specimen that is turned ``Moment $M$``."""
+    return f"{pair.called(own_name(name)).capitalize()} ${pair.output(name).symbol}$"
+
+
+def channel_label(name: str, unit: str, pair: Pair = ELONGATION_AND_FORCE) -> str:
     """Axis label of a channel or quantity in a given unit: ``Force $r$ [kN]``."""
-    return f"{name.replace('_', ' ').capitalize()} ${output(name).symbol}$ [{unit_text(unit)}]"
+    return f"{channel_title(name, pair)} [{unit_text(unit)}]"
 
 
 def words(name: str) -> str:
-    """The name of a channel or quantity in running text."""
-    return name.replace("_", " ")
+    """The name of an effect or a specimen in running text; an effect after the specimen that it is of."""
+    return name.replace("_", " ").replace(".", ": ")
 
 
-def history_label(name: str, unit: str) -> str:
+def history_label(name: str, unit: str, pair: Pair = ELONGATION_AND_FORCE) -> str:
     """`channel_label` in several lines where the name is long, for panels that stand low above one another."""
-    lines = textwrap.wrap(name.replace("_", " ").capitalize(), 14)
-    whole = channel_label(name, unit)
+    lines = textwrap.wrap(pair.called(own_name(name)).capitalize(), 14)
+    whole = channel_label(name, unit, pair)
     return whole if len(lines[0]) <= 12 and len(lines) == 1 else "\n".join([*lines, whole[whole.index("$") :]])
 
 
@@ -203,17 +210,24 @@ def label(name: str, unit: str) -> str:
 
 def symbol(name: str) -> str:
     """The symbol that a parameter declares, in dollars; else a short name as it is set, V_P; else the name as words."""
-    effect, _, own = name.rpartition(".")
-    if effect == OWNER:
+    owner, own = owner_of(name), own_name(name)
+    if owner == OWNER:
         return f"${parameter_of(own).symbol}$"
-    owners = [EFFECTS[effect]] if effect in EFFECTS else [] if effect else LAWS.values()
-    declared = next((known[own] for owner in owners if own in (known := parameters_of(owner))), None)
+    place, effect = (owner_of(owner), own_name(owner)) if is_of_effect(name) else (owner, "")
+    sources = [EFFECTS[effect]] if effect else [] if "." in place else LAWS.values()
+    declared = next((known[own] for source in sources if own in (known := parameters_of(source))), None)
     if declared:
-        return f"${declared.symbol}$"
+        mark = place.replace("_", r"\_")
+        return rf"${declared.symbol}\,\mathrm{{({mark})}}$" if place else f"${declared.symbol}$"
     if match := re.fullmatch(r"([A-Za-z])(?:_([A-Za-z0-9]+))?", name):
         stem, index = match.groups()
         return f"${stem}_{{{index}}}$" if index else f"${stem}$"
     return name.replace("_", " ").replace("$", r"\$")
+
+
+def is_of_effect(name: str) -> bool:
+    """Whether a parameter is one of an effect of the package."""
+    return own_name(owner_of(name)) in EFFECTS
 
 
 def plain(name: str, longest: int = 40) -> str:

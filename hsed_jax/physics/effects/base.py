@@ -25,7 +25,7 @@ MULTIPLIED = (
     *("mass", "support", "damping", "ground_motion", "force_gain", "elongation_gain"),
 )
 ADDED = (
-    *("force", "n", "gamma", "compliance", "slack"),
+    *("force", "n", "gamma", "compliance", "slack", "plastic"),
     *("force_offset", "force_drift", "elongation_delay", "force_delay"),
 )
 
@@ -79,6 +79,7 @@ class AbstractEffect(eqx.Module):
         place: where the physics sits.
         needs_time: it depends on rates or on time, not on the path alone: a test without a time scale cannot show it.
         histories_only: it changes channels but no quantity.
+        ground_only: it means nothing where the ground rests.
         shaken_only: it means nothing in a component test, and does nothing there.
         registered: it is for a catalogue; `register` says so.
     """
@@ -90,6 +91,7 @@ class AbstractEffect(eqx.Module):
     needs_time: ClassVar[bool] = False
     histories_only: ClassVar[bool] = False
     shaken_only: ClassVar[bool] = False
+    ground_only: ClassVar[bool] = False
     registered: ClassVar[bool] = False
 
 
@@ -97,18 +99,20 @@ class AbstractSpringEffect(AbstractEffect):
     """An effect in the spring, at the slots of its law (`hsed_jax.physics.laws`) or beside it.
 
     Slots: factors on `a`, `nu`, `eta`, `h`; addends to `force` [N], to `n`, to `gamma` (in units of β), to `compliance` (of
-    what is in series with the element [m/N]) and to `slack` (the elongation without force to either side [m]).  Every law has
-    `force` and `slack`; which of the others, it says.
+    what is in series with the element [m/N]), to `plastic` (the elongation that a linear spring does not feel [m]) and to `slack`
+    (the elongation without force to either side [m]).  Every law has `force` and `slack`; which of the others, it says.
 
     Attributes:
         needs: states of the spring that it looks at besides force and energy (`hsed_jax.physics.states`); two effects that need
             one state share it.
         states: names of states of its own, zero in a virgin spring; their rates are its `flow`.
+        linear_only: it is what a spring that is not linear has already.
     """
 
     place: ClassVar[Literal["spring", "structure", "test rig"]] = "spring"
     needs: ClassVar[tuple[SharedState, ...]] = ()
     states: ClassVar[tuple[str, ...]] = ()
+    linear_only: ClassVar[bool] = False
 
     @abstractmethod
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
@@ -148,30 +152,35 @@ def registered(module: ModuleType) -> tuple[type[AbstractEffect], ...]:
 @final
 @dataclass(frozen=True)
 class Catalogue(Mapping[str, type[AbstractEffect]]):
-    """Effects by name, in order.
+    """Effects by name, in order; that of one of several specimens has its place in front, as `storey2.slip`.
 
     A value: it never changes, and a compiled program is known by it, so that effects of two studies may share a name.
 
     Attributes:
-        effects: their classes.
+        entries: names and classes.
 
     Raises:
         ValueError: two of them have one name, or one has that of the structure.
     """
 
-    effects: tuple[type[AbstractEffect], ...] = ()
+    entries: tuple[tuple[str, type[AbstractEffect]], ...] = ()
 
     def __post_init__(self):
         """Refuse a name that stands twice."""
-        names = [effect.name for effect in self.effects]
+        names = [name for name, _ in self.entries]
         if twice := [name for name in names if names.count(name) > 1]:
             raise ValueError(f"two effects are named {twice[0]!r}")
         if OWNER in names:
             raise ValueError(f"no effect can be named {OWNER!r}, which stands before the numbers of the structure")
 
+    @classmethod
+    def of(cls, effects: Iterable[type[AbstractEffect]]) -> "Catalogue":
+        """The catalogue of effects by their own names."""
+        return cls(tuple((effect.name, effect) for effect in effects))
+
     @cached_property
     def _by_name(self) -> dict[str, type[AbstractEffect]]:
-        return {effect.name: effect for effect in self.effects}
+        return dict(self.entries)
 
     def __getitem__(self, name: str) -> type[AbstractEffect]:
         """The effect of this name."""
@@ -183,15 +192,15 @@ class Catalogue(Mapping[str, type[AbstractEffect]]):
 
     def __len__(self) -> int:
         """How many there are."""
-        return len(self.effects)
+        return len(self.entries)
 
     def only(self, names: Iterable[str]) -> "Catalogue":
         """The catalogue of these effects alone, in this order."""
-        return Catalogue(tuple(self[name] for name in names))
+        return Catalogue(tuple((name, self[name]) for name in names))
 
     def joined(self, effects: Iterable[type[AbstractEffect]]) -> "Catalogue":
         """The catalogue with further effects at its end."""
-        return Catalogue((*self.effects, *effects))
+        return Catalogue((*self.entries, *Catalogue.of(effects).entries))
 
 
 @cache
@@ -204,6 +213,19 @@ def slots_of(effect: type[AbstractSpringEffect]) -> tuple[str, ...]:
         return effect(**values).contribute(point)
 
     return tuple(jax.eval_shape(contributions, 1.0))
+
+
+@cache
+def is_of_sensors(effect: type[AbstractEffect]) -> bool:
+    """Whether every specimen has such an effect in its sensors."""
+    if not issubclass(effect, AbstractSetupEffect):
+        return False
+
+    def contributions(value):
+        values = {name: value for name in parameters_of(effect)}
+        return effect(**values).contribute(Setup(Scales(*[value] * 4), 1, 1))
+
+    return not set(jax.eval_shape(contributions, 1.0)) & {"mass", "support", "damping", "ground_motion"}
 
 
 def combine(contributions: list[dict[str, Any]]) -> Callable[[str], Any]:

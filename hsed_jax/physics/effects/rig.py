@@ -28,6 +28,7 @@ class GroundMotionGain(_AbstractRigEffect):
     family: ClassVar[str] = "test rig"
     reference: ClassVar[str] = "Conte & Trombetti 2000 (shaking tables)"
     shaken_only: ClassVar[bool] = True
+    ground_only: ClassVar[bool] = True
 
     delta: Scalar = parameter(
         r"\delta_g", "1", "relative error of the ground motion", neutral=0.0, lower=-0.9, prior={"normal": [0.0, 0.1]}

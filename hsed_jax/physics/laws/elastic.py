@@ -11,11 +11,12 @@ from hsed_jax.physics.parameters import parameter
 
 @final
 class Elastic(AbstractSpringLaw):
-    r"""A linear spring, which never yields: $f = k\,\Delta u$."""
+    r"""A linear spring: $f = k\,(\Delta u - p)$, with no plastic elongation p unless an effect writes to the slot `plastic`."""
 
     name: ClassVar[str] = "elastic"
     title: ClassVar[str] = "a linear elastic spring"
     reference: ClassVar[str] = "Hooke 1678"
+    slots: ClassVar[tuple[str, ...]] = ("plastic",)
     steepest: ClassVar[Mapping[str, float]] = {"k": 0.999}
 
     k: Scalar = parameter("k", "N/m", "stiffness", lower=0.0)
@@ -40,8 +41,8 @@ class Elastic(AbstractSpringLaw):
         return still("hysteretic")
 
     def force(self, elongation: Scalar, memory: Memory, slots: Slots) -> Scalar:
-        """The force k Δu [N]."""
-        return self.k * elongation
+        """The force k (Δu − p) [N]."""
+        return self.k * (elongation - slots("plastic"))
 
     def settle(self, elongation: Scalar, memory: Memory, slots: Slots) -> Memory:
         """The force."""

@@ -1,90 +1,25 @@
-r"""What drives an experiment, and its samples on the half-step grid of the integration.
+"""The near-fault velocity pulse of the paper.
 
-An excitation is a function of time.  The integrator asks for it at the ends and the middle of every step, so each
-excitation is turned into a *forcing*: a carry and an `advance` that moves it by half a step.  The near-fault pulse
-advances by two complex rotations, which is exact and twenty times cheaper than sines and cosines; anything else is a
-table.
+It advances by two complex rotations per half step, which is exact and twenty times cheaper than sines and cosines.
 """
 
-from abc import abstractmethod
-from typing import NamedTuple, final
+from collections.abc import Mapping
+from typing import Any, ClassVar, final
 
-import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Bool, PyTree
 
-Scalar = Float[Array, ""] | float
-
-
-class Imposed(NamedTuple):
-    """Elongation [m] and its rate [m/s] imposed on the specimen at one instant."""
-
-    elongation: Scalar
-    rate: Scalar
-
-
-class AbstractForcing(eqx.Module):
-    """An excitation on the half-step grid t_k = k·h/2, k = 0 … 2n."""
-
-    @abstractmethod
-    def start(self) -> tuple[PyTree, PyTree]:
-        """The carry and the sample at t = 0."""
-
-    @abstractmethod
-    def advance(self, carry: PyTree, index: ArrayLike) -> tuple[PyTree, PyTree]:
-        """The carry and the sample at grid point `index`, from the carry at `index - 1`."""
-
-
-@final
-class Tabulated(AbstractForcing):
-    """Samples in a table; `samples` is a pytree of arrays of shape (2n+1,)."""
-
-    samples: PyTree
-
-    def start(self) -> tuple[PyTree, PyTree]:
-        """No carry: the table is read by its index."""
-        return None, self._at(0)
-
-    def advance(self, carry: PyTree, index: ArrayLike) -> tuple[PyTree, PyTree]:
-        """The sample in row `index`."""
-        return None, self._at(index)
-
-    def _at(self, index: ArrayLike) -> PyTree:
-        return jax.tree.map(lambda samples: samples[index], self.samples)
-
-
-@final
-class Scaled(AbstractForcing):
-    """A forcing times a factor."""
-
-    forcing: AbstractForcing
-    factor: Scalar
-
-    def start(self) -> tuple[PyTree, PyTree]:
-        """The carry of the forcing and its first sample, scaled."""
-        return self._times(*self.forcing.start())
-
-    def advance(self, carry: PyTree, index: ArrayLike) -> tuple[PyTree, PyTree]:
-        """The carry of the forcing and its sample, scaled."""
-        return self._times(*self.forcing.advance(carry, index))
-
-    def _times(self, carry: PyTree, sample: PyTree) -> tuple[PyTree, PyTree]:
-        return carry, jax.tree.map(lambda values: values * self.factor, sample)
-
-
-class AbstractExcitation(eqx.Module):
-    """A ground motion, as acceleration of the ground over time."""
-
-    @abstractmethod
-    def acceleration(self, time: Scalar) -> Scalar:
-        """Ground acceleration [m/s²] at one instant [s]."""
-
-    @abstractmethod
-    def forcing(self, step: Scalar, steps: int) -> AbstractForcing:
-        """The excitation on the half-step grid of `steps` steps of length `step` [s]."""
+from hsed_jax.physics.excitations.base import (
+    GROUND_MOTION,
+    AbstractExcitation,
+    AbstractForcing,
+    Kind,
+    Scalar,
+    setting,
+)
 
 
 @final
@@ -107,15 +42,35 @@ class NearFaultPulse(AbstractExcitation):
         nu: phase [rad].
     """
 
-    V_P: Scalar
-    T_P: Scalar
-    gamma: Scalar = 2.0
-    nu: Scalar = 0.10
+    name: ClassVar[str] = "near_fault_pulse"
+    kind: ClassVar[Kind] = GROUND_MOTION
+    is_endless: ClassVar[bool] = True
+
+    V_P: Scalar = setting("peak velocity", "m/s")
+    T_P: Scalar = setting("period", "s", is_positive=True)
+    gamma: Scalar = setting("number of oscillations", "1", default=2.0, is_positive=True)
+    nu: Scalar = setting("phase", "1", default=0.10)
 
     @property
     def duration(self) -> Scalar:
         """Length of the pulse, γT_P [s]."""
         return self.gamma * self.T_P
+
+    @property
+    def shortest_period(self) -> Scalar:
+        """T_P [s]."""
+        return self.T_P
+
+    @classmethod
+    def impossible(cls, settings: Mapping[str, Any]) -> tuple[str, str] | None:
+        """With one oscillation Eq. 17 has no value."""
+        is_one = settings["gamma"] == 1
+        return ("gamma", "the number of oscillations is positive and not 1, but it is 1") if is_one else None
+
+    @classmethod
+    def sentence(cls, settings: Mapping[str, Any], duration: float | None) -> str:
+        """Pulses, and how long."""
+        return f"Shaken by near-fault pulses of {duration:g} s"
 
     def velocity(self, time: Scalar) -> Scalar:
         """Ground velocity [m/s] at one instant [s] (Eq. 16)."""
@@ -123,7 +78,7 @@ class NearFaultPulse(AbstractExcitation):
         v = (0.5 * self.V_P * jnp.cos(carrier) - self._offset()) * (1 + jnp.cos(envelope))
         return jnp.where(self._is_inside(time), v, 0.0)
 
-    def acceleration(self, time: Scalar) -> Scalar:
+    def sample(self, time: Scalar) -> Scalar:
         """Ground acceleration [m/s²] at one instant [s], the derivative of Eq. 16."""
         carrier, envelope = self._phases(time)
         a = self._combine((jnp.cos(carrier), jnp.sin(carrier)), (jnp.cos(envelope), jnp.sin(envelope)))
@@ -177,7 +132,7 @@ class _RotatingPulse(AbstractForcing):
     rotations: tuple
 
     def start(self) -> tuple[PyTree, PyTree]:
-        return self.phasors, self.pulse.acceleration(0.0)
+        return self.phasors, self.pulse.sample(0.0)
 
     def advance(self, carry: PyTree, index: ArrayLike) -> tuple[PyTree, PyTree]:
         def shaken():
@@ -196,24 +151,3 @@ def _unit(angle: Scalar) -> tuple[Scalar, Scalar]:
 def _rotate(phasor: tuple, rotation: tuple) -> tuple[Scalar, Scalar]:
     (c, s), (cr, sr) = phasor, rotation
     return c * cr - s * sr, s * cr + c * sr
-
-
-@final
-class RecordedMotion(AbstractExcitation):
-    """A recorded accelerogram, linear between its samples and zero outside them.
-
-    Arguments:
-        time: sample times [s], increasing, shape (m,).
-        ground_acceleration: samples [m/s²], shape (m,).
-    """
-
-    time: Float[Array, " m"] = eqx.field(converter=jnp.asarray)
-    ground_acceleration: Float[Array, " m"] = eqx.field(converter=jnp.asarray)
-
-    def acceleration(self, time: Scalar) -> Scalar:
-        """Ground acceleration [m/s²] at one instant [s]."""
-        return jnp.interp(time, self.time, self.ground_acceleration, left=0.0, right=0.0)
-
-    def forcing(self, step: Scalar, steps: int) -> AbstractForcing:
-        """The record, interpolated on the half-step grid once, before the integration."""
-        return Tabulated(jax.vmap(self.acceleration)(0.5 * step * jnp.arange(2 * steps + 1)))

@@ -1,0 +1,74 @@
+"""What a study may say of its excitation: a section for each that there is, made of the settings that it declares."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import Field, create_model, model_validator
+
+from hsed_jax.config.sections import Positive, Section
+from hsed_jax.physics.excitations import EXCITATIONS, AbstractExcitation, settings_of
+from hsed_jax.plain import Number, Whole
+
+Value = Number | str
+_TYPES: dict[str, Any] = {
+    "number": Value,
+    "numbers": Annotated[list[Value], Field(min_length=1)],
+    "whole": Annotated[Whole, Field(ge=1)],
+}
+
+
+def _section(excitation: type[AbstractExcitation]) -> type[Section]:
+    fields: dict[str, Any] = {"file": (str, ...)} if excitation.of_file else {}
+    fields |= {
+        name: (_TYPES[known.kind], ... if known.default is None else known.default)
+        for name, known in settings_of(excitation).items()
+    }
+    summary = (excitation.__doc__ or "").strip().splitlines()[0]
+    return create_model(f"{excitation.__name__}Entry", __base__=Section, __doc__=summary, **fields)
+
+
+_KINDS: Any = {name: (_section(excitation) | None, None) for name, excitation in EXCITATIONS.items()}
+
+
+class ExcitationEntry(create_model("ExcitationEntry", __base__=Section, **_KINDS)):
+    """What drives the experiments, how long to simulate [s], and the step of the integration [s] (by default from the periods).
+
+    Of its settings a name refers to an input, a number is fixed.
+    """
+
+    duration: Positive | None = None
+    step: Positive | None = None
+
+    @property
+    def excitation(self) -> type[AbstractExcitation] | None:
+        """The excitation that is given."""
+        return next((known for name, known in EXCITATIONS.items() if getattr(self, name) is not None), None)
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """Its settings by name."""
+        return {} if self.excitation is None else getattr(self, self.excitation.name).model_dump()
+
+    @property
+    def channel(self) -> str:
+        """The channel that measures it; where every experiment brings its record, that of a ground motion."""
+        return (
+            "ground_acceleration" if self.excitation is None else self.excitation.kind.channel.format(**self.settings)
+        )
+
+    @model_validator(mode="after")
+    def _at_most_one(self) -> "ExcitationEntry":
+        given = [name for name in EXCITATIONS if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise ValueError(f"give either {' or '.join(given)}")
+        excitation = self.excitation
+        if excitation is None:
+            return self
+        if excitation.is_endless and self.duration is None:
+            raise ValueError(f"a {excitation.name} needs a duration [s]")
+        if excitation.kind.protocol == "displacement" and (self.duration, self.step) != (None, None):
+            raise ValueError(
+                f"leave out duration and step: the settings of {excitation.name} tell how long it lasts, and the spring how "
+                "long a step may be"
+            )
+        return self

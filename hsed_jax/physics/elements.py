@@ -1,0 +1,39 @@
+"""The springs of a structure that have a memory, as a simulator is told of them, and what of a study belongs to each."""
+
+import re
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from hsed_jax.physics.laws import BoucWen
+from hsed_jax.physics.laws.base import AbstractSpringLaw
+from hsed_jax.physics.parameters import parameters_of
+
+
+class Element(NamedTuple):
+    """A specimen.
+
+    Attributes:
+        name: empty where it is the only one.
+        law: of its spring.
+        is_apart: it has a model of its own, and nothing of what the others share.
+    """
+
+    name: str = ""
+    law: type[AbstractSpringLaw] = BoucWen
+    is_apart: bool = False
+
+    def has(self, owner: str) -> bool:
+        """Whether effects of a place are effects of it: its own, or what all share."""
+        return owner == self.name or (not owner and not self.is_apart)
+
+    def parameters[T](self, owners: Mapping[str, Mapping[str, T]]) -> dict[str, T]:
+        """The parameters of its law: those shared, unless it has its own."""
+        known = parameters_of(self.law)
+        shared = {} if self.is_apart else {name: v for name, v in owners.get("", {}).items() if name in known}
+        return {**shared, **(owners.get(self.name, {}) if self.name else {})}
+
+
+def number_of_spring(owner: str) -> int | None:
+    """Index of the linear spring of the structure that has this name; None where it is none."""
+    match = re.fullmatch(r"spring_([1-9]\d*)", owner)
+    return None if match is None else int(match[1]) - 1
