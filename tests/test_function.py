@@ -294,6 +294,62 @@ def test_the_simulator_in_a_plain_function_is_designed_with_and_calibrated_as_th
     assert theirs.location is not None
 
 
+CYCLES = {
+    "study": "cycles",
+    "excitation": {"imposed": {"amplitudes": ["a", 0.03], "rate": 0.05, "cycles": 1}},
+    "inputs": {"a": {"uniform": [5.0, 40.0], "unit": "mm"}},
+    "model": {"function": "mine.py:spring", "parameters": {"k": {"uniform": [1.0e4, 9.0e4], "unit": "N/m"}}},
+    "experiments": {"virtual": {"spring": "elastic", "parameters": {"k": 4.0e4}, "noise": {"absolute": 10.0}}},
+    "observe": "histories",
+    "channels": ["force"],
+    "error": {"absolute": 10.0},
+    "design": {"initial": 2},
+    "calibration": {"sampler": "laplace", "starts": 1},
+    "steps": ["calibrate"],
+}
+
+
+def test_a_function_is_told_the_cycles_of_a_designed_test_and_calibrated_by_it(folder):
+    study = study_of(folder, **CYCLES)
+    built = Built(study)
+    built.check()
+    told = {name: np.asarray(value) for name, value in built.simulator.told(Conditions({"a": 0.02})).items()}
+    # Two sines of the same peak rate, one after the other.
+    first, second = (2 * np.pi * a / 0.05 for a in (0.02, 0.03))
+    is_first, begun = told["time"] < first, np.minimum(told["time"], first)
+    amplitude, phase = np.where(is_first, 0.02, 0.03), np.where(is_first, told["time"], told["time"] - begun)
+    np.testing.assert_allclose(told["time"][-1], first + second, rtol=1e-12)
+    np.testing.assert_allclose(told["elongation"], amplitude * np.sin(0.05 * phase / amplitude), atol=1e-12)
+    np.testing.assert_allclose(told["elongation_rate"], 0.05 * np.cos(0.05 * phase / amplitude), atol=1e-12)
+    fit = hx.calibrate(study)
+    assert fit.fit.summary()["k"]["sd"] < 100.0
+    assert abs(fit.map["k"] - 4.0e4) < 4 * fit.fit.summary()["k"]["sd"]
+    alone = {"command": "true"}
+    without = Built(study_of(folder, **{**CYCLES, "experiments": alone}))
+    assert without.planned.step is None and without.planned.every == 1 and 500 < without.planned.steps < 2000
+
+
+def test_a_function_is_told_the_force_that_is_applied(folder):
+    time, force = 0.01 * np.arange(101), 1.0e3 * np.sin(np.arange(101) / 9)
+    rows = "".join(f"{t!r},{p!r}\n" for t, p in zip(time.tolist(), force.tolist(), strict=True))
+    (folder / "force.csv").write_text(f"t [s],p [N]\n{rows}", encoding="utf-8")
+    study = study_of(folder, excitation={"applied_force": {"file": "force.csv", "mass": 2, "scale": "x"}})
+    told = Built(study).simulator.told(Conditions({"x": 3.0}))
+    assert set(told) == {"x", "time", "applied_force_2"}
+    np.testing.assert_allclose(told["time"], time, atol=1e-12)
+    np.testing.assert_allclose(told["applied_force_2"], 3.0 * force, atol=1e-6)
+    with pytest.raises(UserError, match=r"inputs\.applied_force_1: a function is told a history of this name"):
+        Built(study_of(folder, ["inputs={applied_force_1: {uniform: [1.0, 5.0]}}"])).check()
+
+
+def test_specimens_have_no_model_of_their_own_beside_a_function(folder):
+    own = {"between": [1, 2], "model": {"spring": "elastic", "parameters": {"k": {"uniform": [1.0, 2.0]}}}}
+    structure = {name: value for name, value in LAW["structure"].items() if name != "specimen"}
+    study = study_of(folder, structure={**structure, "specimens": {"wall": own}})
+    with pytest.raises(UserError, match=r"structure\.specimens\.wall\.model: the model is a function"):
+        Built(study).check()
+
+
 def test_a_report_executes_nothing(folder, tmp_path):
     study = study_of(folder, ["calibration.sampler=laplace", "model.function=mine.py:plain"])
     run = hx.run(study, tmp_path / "run", progress=False, figures=False)

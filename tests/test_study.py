@@ -474,3 +474,19 @@ def test_a_prior_that_lies_there_in_part_makes_failures_of_its_simulations_there
     Built(study).check()
     found = hx.simulate(study, {"V_P": 2.25, "T_P": 1.0}, {"A": 5e5, "beta": 1.0, "gamma": np.array([-2, -1, 0.5])}, ())
     assert found.ok.tolist() == [False, True, True]
+
+
+def test_files_of_a_specimens_own_law_are_code_and_are_written_by_their_whole_path(tmp_path):
+    own = {"spring": {"file": "mine.py", "class": "Mine"}, "parameters": {"k": 1.0}}
+    given = content()
+    place = given["structure"].pop("specimen")["between"]
+    given["structure"]["specimens"] = {"lower": {"between": place, "model": own}, "upper": {"between": place}}
+    (tmp_path / "study.yaml").write_text(yaml.safe_dump(given), encoding="utf-8")
+    study = load_study(tmp_path / "study.yaml")
+    assert study.code == ["mine.py"] and list(study.models) == ["model", "structure.specimens.lower.model"]
+    written = study.written()
+    assert written["structure"]["specimens"]["lower"]["model"]["spring"] == {
+        "file": str(tmp_path / "mine.py"),
+        "class": "Mine",
+    }
+    assert load_study(written).written() == written

@@ -31,7 +31,9 @@ def scales_of(built: "Built") -> Scales:
     told = _told(built)
     plain = Scales()
     if _are_missing(built):
-        simulator = Simulator(built.structure, built.excitation, built.timeline, elements=built.elements)
+        simulator = Simulator(
+            structure=built.structure, excitation=built.excitation, timeline=built.timeline, elements=built.elements
+        )
         middle = {
             named(element.name, name): getattr(law, name)
             for element, law in zip(built.elements, built.laws, strict=True)
