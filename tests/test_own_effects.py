@@ -25,6 +25,7 @@ model:
 experiments: {{campaign: nowhere}}
 steps: [calibrate]
 """
+CAMPAIGN = Campaign("measured", "displacement")
 
 
 @pytest.fixture
@@ -38,7 +39,7 @@ def folder(tmp_path):
 
 
 def test_the_example_of_the_documentation_joins_the_catalogue(folder, capsys):
-    built = Built(load_study(folder / "study.yaml"))
+    built = Built(load_study(folder / "study.yaml"), CAMPAIGN)
     assert built.parameters[1]["wave.force"] == 2e3
     assert main(["effects", "wave", "--study", str(folder / "study.yaml"), "--trust"]) == 0
     assert "waves with the elongation" in capsys.readouterr().out
@@ -75,8 +76,8 @@ def test_an_effect_is_given_from_python(folder):
     wave = Built(load_study(folder / "study.yaml")).catalogue["wave"]
     study = load_study(folder / "study.yaml", ["model.own_effects=[]"])
     with pytest.raises(UserError, match="no such effect"):
-        _ = Built(study).parameters
-    assert Built(study.with_own_effects(wave)).parameters[1] == {"beta": 40.0, "wave.force": 2e3}
+        _ = Built(study, CAMPAIGN).parameters
+    assert Built(study.with_own_effects(wave), CAMPAIGN).parameters[1] == {"beta": 40.0, "wave.force": 2e3}
 
 
 def test_a_name_that_is_taken_is_refused(folder):

@@ -29,6 +29,7 @@ from hsed_jax.measurements import (
     read_campaign,
 )
 from hsed_jax.physics.effects import EFFECTS
+from hsed_jax.physics.excitations import CyclicElongation
 from hsed_jax.physics.laws import LAWS
 from hsed_jax.physics.outputs import CHANNELS, QUANTITIES
 from hsed_jax.physics.pairs import ELONGATION_AND_FORCE, PAIRS
@@ -242,7 +243,12 @@ def test_what_a_laboratory_declares_is_asked_in_its_pair():
     asks, asked = object.__new__(AskTell), Asked("E01", 0, 1, {}, {}, np.zeros((1, 1)))
     expected = Expected(np.zeros(1), {}, {"peak_force": np.asarray([1e3, 2e3, 3e3])})
     vars(asks).update(
-        built=SimpleNamespace(space=SimpleNamespace(units={}), study=study, pair=built.pair),
+        built=SimpleNamespace(
+            space=SimpleNamespace(units={}),
+            study=study,
+            pair=built.pair,
+            excitation=SimpleNamespace(constructor=CyclicElongation),
+        ),
         path="here",
         _requests=SimpleNamespace(folder=lambda id: Path("there"), expected=lambda asked: expected),
     )

@@ -85,8 +85,10 @@ class Built:
     @cached_property
     def catalogue(self) -> Catalogue:
         """The effects that the study may name; its own files of effects are executed."""
-        structure = None if self.component_test else self.study.structure
-        return placed(catalogue_of(self.study), self.elements, 0 if structure is None else len(structure.springs))
+        springs = [] if self.study.structure is None else self.study.structure.springs
+        # What drives the experiments a campaign may have to tell, and a study without springs needs none for its catalogue.
+        count = len(springs) if springs and not self.component_test else 0
+        return placed(catalogue_of(self.study), self.elements, count)
 
     @cached_property
     def elements(self) -> tuple[Element, ...]:
