@@ -95,7 +95,11 @@ def page() -> str:
     """The text of `docs/laws.md`."""
     index, parts = [], []
     for name, law in LAWS.items():
-        lacking = [f"`{effect}`" for effect, kind in EFFECTS.items() if unserved(kind, law)]
+        lacking = [
+            f"`{effect}`"
+            for effect, kind in EFFECTS.items()
+            if unserved(kind, law) and not getattr(kind, "linear_only", False)
+        ]
         index.append(f"| [`{name}`](#{name}) | {law.title} | {', '.join(lacking) or 'none'} |")
         rows = [_row(known) for known in parameters_of(law).values()]
         places = ", ".join(f"`{slot}`" for slot in (*ALWAYS, *law.slots))

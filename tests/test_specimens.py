@@ -229,6 +229,25 @@ def test_candidates_are_those_of_each_specimen(tmp_path):
         with_effects(Built(larger), ["storey2.strength_degradation"])
 
 
+def test_an_effect_of_all_needs_one_that_shares_the_model(tmp_path):
+    model = "{parameters: {A: {uniform: [1e6, 2e6]}, beta: 60.0}}"
+    apart = f"structure.specimens={{left: {{between: [ground, 1], model: {model}}}}}"
+    changes = [
+        apart,
+        "structure.damping.specimen_stiffness=1e6",
+        "experiments.virtual.parameters={left.A: 1e6, left.beta: 60.0}",
+    ]
+    changes += ["experiments.virtual.effects={}", "model={}"]
+    built = Built(study(tmp_path, *changes))
+    built.check()
+    assert "left.slip" in built.naming.candidates and "slip" not in built.naming.candidates
+    assert "storey2.yielding" not in built.naming.candidates
+    with pytest.raises(
+        UserError, match=r"slip: no specimen shares the model of the study; say of which one, left\.slip"
+    ):
+        Built(study(tmp_path, *changes, "model={effects: {slip: {}}}")).check()
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -242,6 +261,7 @@ def test_candidates_are_those_of_each_specimen(tmp_path):
         ("structure.damping.specimen_stiffness={storey1: 6e6}", "one for each of several specimens: storey1, storey2"),
         ("improve.add=[storey2.slip]", "which the law bilinear has no place for"),
         ("model.effects={storey9.slip: {}}", "there is no such effect"),
+        ("model.parameters={beta: 60.0}", "model.parameters.A: this key is required"),
     ],
 )
 def test_a_mistake_gets_one_message(tmp_path, change, message):

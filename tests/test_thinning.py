@@ -7,12 +7,14 @@ import pytest
 
 import hsed_jax as hx
 from hsed_jax.config.build import Built
-from hsed_jax.config.parts import law_parameters
 from hsed_jax.config.records import forecast, thinning_notes
+from hsed_jax.config.specimens import Naming
 from hsed_jax.config.timelines import imposed_grid
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Experiment, Record, characteristics
 from hsed_jax.measurements.thinning import loss, thinned
+from hsed_jax.physics.effects import EFFECTS
+from hsed_jax.physics.elements import Element
 from hsed_jax.physics.laws import BoucWen
 from hsed_jax.reporting.page_tables import _predicted_part
 
@@ -87,7 +89,8 @@ def test_steps_longer_than_the_yield_elongation_are_divided():
     )
     campaign = campaign_of(long_record())
     priors = {"A": Prior("lognormal", [np.log(2e7), 0.3]), "beta": Prior("lognormal", [np.log(200.0), 0.3])}
-    middle, steepest = (BoucWen(**law_parameters((priors, {}), at)) for at in ({}, BoucWen.steepest))
+    naming = Naming((Element(law=BoucWen),), EFFECTS)
+    (middle,), (steepest,) = (naming.laws((priors, {}), steepest=steepest) for steepest in (False, True))
     for record, longest in ((coarse, 1.0), (long_record(500), None)):
         longest = longest or np.abs(np.diff(record["elongation"])).max()
         step = longest / imposed_grid([record], characteristics(campaign), middle, steepest).every

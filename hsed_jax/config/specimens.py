@@ -116,14 +116,14 @@ class Naming:
 
     @property
     def candidates(self) -> list[str]:
-        """Effects that a diagnosis may look for: of several specimens those of each, and of all none."""
-        several = len(self.elements) > 1
+        """Effects that a diagnosis may look for: of specimens with names those of each, and of all none."""
+        have_names = any(element.name for element in self.elements)
 
         def is_one(name: str) -> bool:
             effect, owner = self.catalogue[name], owner_of(name)
-            if _is_of_linear(effect) and number_of_spring(owner) is None:
-                return any(law is Elastic for law in self.laws_with(name)) and bool(owner) == several
-            return bool(owner) or not (several and _is_of_specimen(effect))
+            if number_of_spring(owner) is None and _is_of_linear(effect) and Elastic not in self.laws_with(name):
+                return False
+            return bool(owner) or not (have_names and _is_of_specimen(effect))
 
         return [name for name in self.catalogue if is_one(name)]
 
@@ -321,6 +321,9 @@ class Naming:
             raise UserError(f"{where}.{effect}: {self.no_such(effect)}")
         if missing := self.unserved(effect):
             raise UserError(f"{where}.{effect}: {missing}")
+        if _is_of_specimen(self.catalogue[effect]) and not self.laws_with(effect):
+            each = ", ".join(named(element.name, effect) for element in self.elements)
+            raise UserError(f"{where}.{effect}: no specimen shares the model of the study; say of which one, {each}")
         forms = self.parameters(effect)
         check_names(f"{where}.{effect}", entries, forms)
         for name in entries:

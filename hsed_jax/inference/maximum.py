@@ -136,12 +136,12 @@ def _held(u: Float[Array, " p"]) -> Float[Array, " p"]:
 
 @eqx.filter_jit
 def _race(posterior: Posterior, data: Data, starts: Float[Array, "s p"]) -> Float[Array, "s p"]:
-    return jax.vmap(lambda start: _least_squares(posterior, data, start, _RACE)[0])(starts)
+    return jax.vmap(lambda start: least_squares(posterior, data, start, _RACE)[0])(starts)
 
 
 @eqx.filter_jit
 def _descend(posterior: Posterior, data: Data, start: Float[Array, " p"]) -> tuple[Float[Array, " p"], Bool[Array, ""]]:
-    return _least_squares(posterior, data, start, _MOST_STEPS)
+    return least_squares(posterior, data, start, _MOST_STEPS)
 
 
 @eqx.filter_jit
@@ -154,10 +154,24 @@ def _physical(posterior: Posterior, u: Float[Array, " p"]) -> tuple[Float[Array,
     return posterior.constrain(u), jax.jacfwd(posterior.constrain)(u)
 
 
-def _least_squares(posterior: Posterior, data: Data, start: Float[Array, " p"], most_steps: int):
+def least_squares(
+    posterior: Posterior, data: Data, start: Float[Array, " p"], most_steps: int, tolerance: float = 1e-6
+) -> tuple[Float[Array, " p"], Bool[Array, ""]]:
+    """Descend by Levenberg and Marquardt, without evidence or covariance.
+
+    Arguments:
+        posterior: to climb.
+        data: the measurements.
+        start: unconstrained parameters, (p,).
+        most_steps: the descent ends after so many.
+        tolerance: relative; a tenth of it absolute.
+
+    Returns:
+        Where it ended, and whether that is a minimum of the squares to the tolerance.
+    """
     solution = optx.least_squares(
         lambda u, _: posterior.residuals(u, data),
-        optx.LevenbergMarquardt(rtol=1e-6, atol=1e-7),
+        optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance / 10),
         start,
         max_steps=most_steps,
         throw=False,

@@ -7,13 +7,13 @@ from itertools import product
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array
 
 from hsed_jax.design.sequential import DesignState, SequentialDesign
 from hsed_jax.design.space import InputSpace
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.maximum import least_squares
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.physics.excitations import channels_of
 from hsed_jax.physics.outputs import named, of_each
@@ -125,15 +125,10 @@ def _estimate_maps(outcome: Outcome, design: SequentialDesign, laboratory: Virtu
         measured = laboratory.exact({name: float(x[0]) for name, x in si.items()})
         return alone.data(alone.tell(nothing, cube, list(measured.values())))
 
-    # Three digits make a contour, and no evidence or covariance: a coarse descent of its own costs a tenth of `maximise`.
+    # Three digits make a contour, and no evidence or covariance: this costs a tenth of `maximise`.
     def descend(data: Data, start: Array) -> tuple[Array, Array]:
-        def residuals(u, _):
-            values = posterior.residuals(u, data)
-            return values, jnp.sum(values**2)
-
-        solver = optx.LevenbergMarquardt(rtol=1e-4, atol=1e-4)
-        found = optx.least_squares(residuals, solver, start, max_steps=60, has_aux=True, throw=False)
-        return found.value, found.aux
+        end, _ = least_squares(posterior, data, start, 60, tolerance=1e-4)
+        return end, jnp.sum(posterior.residuals(end, data) ** 2)
 
     def estimate(data: Data) -> Array:
         ends, squares = jax.lax.map(lambda start: descend(data, start), starts)
