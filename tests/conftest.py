@@ -1,8 +1,10 @@
 """The paper's structure and simulator, the shared data, the reference table: what several test files use."""
 
+import gc
 import signal
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import pandas as pd
 import pytest
@@ -18,12 +20,25 @@ from hsed_jax.physics.structures import ModalDamping, Spring, Structure
 # Many tests build no study.
 prepare()
 
+# A process may map 65 530 pieces of memory on Linux, a compiled program is several, and beyond that the compiler crashes.
+MOST_PIECES = 25_000
+
 REFERENCE = Path(__file__).with_name("data") / "reference_quantities.csv"
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # A shell's background jobs ignore Ctrl-C, and so would the processes that the tests interrupt.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_programs():
+    """Compiled programs of earlier files of tests are dropped where there are many."""
+    yield
+    pieces = Path("/proc/self/maps")
+    if pieces.is_file() and len(pieces.read_bytes().splitlines()) > MOST_PIECES:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture(scope="session")

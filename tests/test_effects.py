@@ -23,9 +23,9 @@ from hsed_jax.physics.systems import ShakenStructure
 
 SCALES = Scales(force=1.2e5, elongation=0.25, rate=1.5, energy=2e4)
 QUANTITIES = ("peak_force", "peak_elongation", "dissipated_energy")
-SPRING = tuple(name for name, effect in EFFECTS.items() if issubclass(effect, AbstractSpringEffect))
 # Effects that a Bouc–Wen specimen can have.
 PRESENT = tuple(name for name in EFFECTS if not unserved(EFFECTS[name], BoucWen))
+SPRING = tuple(name for name in PRESENT if issubclass(EFFECTS[name], AbstractSpringEffect))
 SETUP = tuple(name for name, effect in EFFECTS.items() if issubclass(effect, AbstractSetupEffect))
 LAW = {"A": 5e5, "beta": 0.8, "gamma": 0.2, "n": 1.2}
 
@@ -38,8 +38,8 @@ def points(count: int = 200) -> SpringPoint:
     travel = draw.exponential(2.0, count)
     z[:2] = du[:2] = energy[:2] = travel[:2] = rate[0] = 0.0
     memory = {"hysteretic": z, "energy": energy, "largest_elongation": 1.5 * np.abs(du), "travel": travel}
-    for name in SPRING:
-        memory |= {state: draw.normal(scale=1e5, size=count) for state in EFFECTS[name].states}
+    for effect in EFFECTS.values():
+        memory |= {state: draw.normal(scale=1e5, size=count) for state in getattr(effect, "states", ())}
     return SpringPoint(du, rate, z, memory, Scales(*(np.full(count, s) for s in SCALES)), np.full(count, 1e5))
 
 

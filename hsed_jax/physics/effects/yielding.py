@@ -11,10 +11,10 @@ from hsed_jax.physics.parameters import PhysicalForm, parameter
 @register
 @final
 class Yielding(AbstractSpringEffect):
-    r"""A linear spring yields: $f = k(\Delta u - p)$, $\dot p = (1 - \phi + \phi\,\mathrm{sign}(x\Delta\dot u))|x|\Delta\dot u$.
+    r"""A linear spring yields: $f = k\,\epsilon$ with the elastic elongation $\epsilon = \Delta u - \delta q$.
 
-    $x = \delta(\Delta u - p)/u_c$ is the elastic elongation over that at which the force comes to its bound, $u_c/\delta$:
-    Bouc–Wen with n = 1 and φ = β/(β + γ), whose unloading is elastic at φ = 1/2.  At δ = 0 the bound is infinite.
+    $\dot q = (1 - \phi + \phi\,\mathrm{sign}(\epsilon\Delta\dot u))\,|\epsilon|\,\Delta\dot u/u_c$: the force comes to its bound at
+    $\epsilon = u_c/\delta$, as that of Bouc–Wen with n = 1 and φ = β/(β + γ), whose unloading is elastic at φ = 1/2.
     """
 
     name: ClassVar[str] = "yielding"
@@ -39,10 +39,10 @@ class Yielding(AbstractSpringEffect):
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `plastic`."""
-        return {"plastic": point.memory["plastic"]}
+        return {"plastic": self.delta * point.memory["plastic"]}
 
     def flow(self, point: SpringPoint) -> dict[str, Scalar]:
-        """Rate of the plastic elongation."""
-        x = self.delta * (point.elongation - point.memory["plastic"]) / point.scales.elongation
-        share = (1 - self.phi + self.phi * jnp.sign(point.rate * x)) * jnp.abs(x)
-        return {"plastic": share * point.rate}
+        """Rate of the plastic elongation over δ."""
+        elastic = point.elongation - self.delta * point.memory["plastic"]
+        share = (1 - self.phi + self.phi * jnp.sign(point.rate * elastic)) * jnp.abs(elastic)
+        return {"plastic": share * point.rate / point.scales.elongation}
