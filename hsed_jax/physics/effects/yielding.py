@@ -13,8 +13,8 @@ from hsed_jax.physics.parameters import PhysicalForm, parameter
 class Yielding(AbstractSpringEffect):
     r"""A linear spring yields: $f = k\,\epsilon$ with the elastic elongation $\epsilon = \Delta u - \delta q$.
 
-    $\dot q = (1 - \phi + \phi\,\mathrm{sign}(\epsilon\Delta\dot u))\,|\epsilon|\,\Delta\dot u/u_c$: the force comes to its bound at
-    $\epsilon = u_c/\delta$, as that of Bouc–Wen with n = 1 and φ = β/(β + γ), whose unloading is elastic at φ = 1/2.
+    $\dot q = (1 - \phi + \phi\,\mathrm{sign}\,\epsilon\Delta\dot u)\,|\epsilon|\,\Delta\dot u/u_c$: the force comes to its bound
+    at $\epsilon = u_c/\delta$, as that of Bouc–Wen with n = 1 and φ = β/(β + γ), whose unloading is elastic at φ = 1/2.
     """
 
     name: ClassVar[str] = "yielding"
