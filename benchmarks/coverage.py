@@ -1,14 +1,16 @@
 """Do intervals cover, do p-values keep their promise, are there false alarms, and how small an effect is seen?
 
-    python benchmarks/coverage.py [--campaigns N] [--only intervals p_values alarms power] [--markdown]
+    python benchmarks/coverage.py [--campaigns N] [--only intervals p_values alarms power] [--processes P] [--resume]
+                                  [--markdown]
 
 Campaigns of the paper's structure with a known truth, under noises of several kinds; nothing of the noise is told but its size.
-Results go to `coverage.json` beside this file, from which `--markdown` prints the tables.
+Results go to `coverage.json` beside this file, from which `--markdown` prints the tables; `--resume` adds the campaigns that they
+lack, which is right as long as the package is the same.
 """
 
 import argparse
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from functools import cache
@@ -134,7 +136,7 @@ def _hidden(case: Case) -> str:
     return f"{{stiffness_degradation: {{eta: {case.eta}}}}}" if case.eta else "{}"
 
 
-def intervals(case: Case, seeds: range) -> dict[str, list]:
+def intervals(case: Case, seeds: Sequence[int]) -> dict[str, list]:
     """Whether the 90 % interval of each parameter holds the truth, the effect's size included."""
     from hsed_jax.analysis import calibrate_built
 
@@ -147,14 +149,14 @@ def intervals(case: Case, seeds: range) -> dict[str, list]:
     return found
 
 
-def p_values(case: Case, seeds: range) -> dict[str, list]:
+def p_values(case: Case, seeds: Sequence[int]) -> dict[str, list]:
     """p-values of the calibrated true model."""
     from hsed_jax.analysis import calibrate_built
 
     return {"p": [calibrate_built(built(case, "{}"), noisy(case, seed)).fit.p_value for seed in seeds]}
 
 
-def diagnoses(case: Case, seeds: range) -> dict[str, list]:
+def diagnoses(case: Case, seeds: Sequence[int]) -> dict[str, list]:
     """Verdicts, what was named, and the p-value of the residual."""
     import hsed_jax as hx
     from hsed_jax.analysis import calibrate_built
@@ -177,25 +179,37 @@ PARTS = {
 }
 
 
-def measured(parts: list[str], campaigns: int) -> Iterator[dict[str, list[dict]]]:
-    """What has been found of the cases of these parts, on all cores; every few campaigns of a case anew."""
-    found: dict[str, list[dict]] = {part: [_about(case) for case in PARTS[part][1]] for part in parts}
-    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+def measured(
+    parts: list[str], campaigns: int, processes: int | None, known: dict[str, list[dict]]
+) -> Iterator[dict[str, list[dict]]]:
+    """What has been found of the cases of these parts, what is known included; every few campaigns of a case anew."""
+    found: dict[str, list[dict]] = {
+        part: [_begun(case, known.get(part, [])) for case in PARTS[part][1]] for part in parts
+    }
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
         # All cases go on side by side, so that tables of a run that was stopped are whole.
         asked = {
-            pool.submit(PARTS[part][0], case, range(first, min(first + CHUNK, campaigns))): row
+            pool.submit(PARTS[part][0], case, seeds): (row, seeds)
             for first in range(0, campaigns, CHUNK)
             for part in parts
             for case, row in zip(PARTS[part][1], found[part], strict=True)
+            if (seeds := [s for s in range(first, min(first + CHUNK, campaigns)) if s not in row["seeds"]])
         }
         for job in as_completed(asked):
-            for key, values in job.result().items():
-                asked[job].setdefault(key, []).extend(values)
-            yield {part: [row for row in rows if len(row) > 3] for part, rows in found.items()}
+            row, seeds = asked[job]
+            for key, values in {**job.result(), "seeds": seeds}.items():
+                row.setdefault(key, []).extend(values)
+            yield {part: [row for row in rows if row["seeds"]] for part, rows in found.items()}
 
 
 def _about(case: Case) -> dict:
     return {"case": str(case.noise), "experiments": case.experiments, "eta": case.eta}
+
+
+def _begun(case: Case, known: list[dict]) -> dict:
+    """What is known of a case, or nothing yet."""
+    about = _about(case)
+    return next((dict(row) for row in known if about.items() <= row.items()), {**about, "seeds": []})
 
 
 def tables(results: dict[str, list[dict]]) -> str:
@@ -235,13 +249,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--campaigns", type=int, default=100, help="of each case")
     parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS), help="parts to measure")
+    parser.add_argument("--processes", type=int, help="at once; as many as cores if left out")
+    parser.add_argument("--resume", action="store_true", help="add to what was measured")
     parser.add_argument("--markdown", action="store_true", help="print the tables of what was measured last")
     options = parser.parse_args()
     known = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
     if not options.markdown:
-        for found in measured(options.only, options.campaigns):
+        for found in measured(options.only, options.campaigns, options.processes, known if options.resume else {}):
             known |= found
-            RESULTS.write_text(json.dumps(known, indent=1))
+            RESULTS.write_text(json.dumps(known))
     print(tables(known))
 
 
