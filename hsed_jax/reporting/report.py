@@ -109,7 +109,9 @@ def _column(name: str) -> str:
 
 
 def _stills(run: FinishedRun, names: Sequence[str]) -> Iterator[InlineFigure]:
-    yield from (inline(name, run.figures[name]) for name in names if name in run.figures)
+    # Of several specimens there is one for each, with its name behind.
+    for name in names:
+        yield from (inline(key, f) for key, f in run.figures.items() if key == name or key.startswith(f"{name}_"))
 
 
 def _experiments(run: FinishedRun) -> dict[str, Any]:
