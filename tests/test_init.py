@@ -226,7 +226,7 @@ def test_study_of_quantities_alone_has_an_excitation_to_begin_with(tmp_path, cap
     study, text = init(tmp_path / "numbers", quantities_campaign(), capsys)
     assert study.observe == "quantities" and study.quantities == ["peak_force", "peak_elongation"]
     assert (study.excitation.near_fault_pulse.V_P, study.excitation.near_fault_pulse.T_P) == ("V_P", "T_P")
-    assert study.inputs["V_P"].written() == {"uniform": [1.0, 1.3], "unit": "m/s"}
+    assert study.written()["inputs"]["V_P"] == {"uniform": [1.0, 1.3], "unit": "m/s"}
     assert "describe yours here" in text and commented(text)
 
 

@@ -71,9 +71,9 @@ class Built:
     workspace: Path | None = None
     function: Callable[..., Any] | None = None
 
-    def __new__(cls, study: Study, *rest: Any, **more: Any) -> "Built":
-        """Of the kind that the model needs."""
-        if cls is Built and isinstance(study.model, FunctionEntry):
+    def __new__(cls, study: Study | None = None, *rest: Any, **more: Any) -> "Built":
+        """Of the kind that the model needs; of a copy the class says it."""
+        if cls is Built and study is not None and isinstance(study.model, FunctionEntry):
             from hsed_jax.config.function_model import BuiltOfFunction  # which is a Built itself
 
             return object.__new__(BuiltOfFunction)

@@ -126,8 +126,10 @@ def summary(outcome: Outcome) -> dict[str, Any]:
 
 def _references(outcome: Outcome) -> dict[str, str]:
     """Of the model, of the effects that are named and of those added, by name."""
-    used = [] if outcome.diagnosis is None else outcome.diagnosis.effects
-    used += [] if outcome.trail is None else [effect for step in outcome.trail.steps for effect in step.effects]
+    named = [] if outcome.diagnosis is None else outcome.diagnosis.effects
+    used = named + (
+        [] if outcome.trail is None else [effect for step in outcome.trail.steps for effect in step.effects]
+    )
     return outcome.model.references | {name: outcome.catalogue[name].reference for name in dict.fromkeys(used)}
 
 
