@@ -70,7 +70,7 @@ def frame(springs=(), specimens=BETWEEN, stiffness=(FIRST["A"], SECOND["A"])):
 
 
 def histories(structure, parameters, channels, **changes):
-    simulator = Simulator(structure, EXCITATION, TIMELINE, scales=SCALES, **changes)
+    simulator = Simulator(structure=structure, excitation=EXCITATION, timeline=TIMELINE, scales=SCALES, **changes)
     response = simulator.respond({name: jnp.asarray(float(v)) for name, v in parameters.items()}, CONDITIONS, channels)
     assert response.ok
     return response
