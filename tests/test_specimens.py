@@ -1,5 +1,7 @@
 """Several specimens in one structure, of one law or of several, and linear springs that yield."""
 
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -269,3 +271,16 @@ def test_a_mistake_gets_one_message(tmp_path, change, message):
     changes += ["observe=quantities"] if "quantities" in change else []
     with pytest.raises(UserError, match=message.replace(".", r"\.")):
         Built(study(tmp_path, *changes)).check()
+
+
+def test_the_ready_frame_has_a_takeda_storey():
+    ready = hx.load_study(Path(__file__).parents[1] / "configs" / "two_storeys.yaml")
+    truth = {"storey1.k": 6e6, "storey1.F_y": 6e4, "A": 4e6, "beta": 50.0, "structure.mass_2": 1.5e4}
+    response = hx.simulate(ready, {"V_P": 0.8, "T_P": 0.8}, truth)
+    elongation, force = (np.asarray(response.channels[f"storey1.{name}"]) for name in ("elongation", "force"))
+    # Elastic until it yields, then on the hardening branch, whose slope is b k = 0.05 k.
+    before = np.cumsum(np.abs(elongation) > 6e4 / 6e6) == 0
+    np.testing.assert_allclose(force[before], 6e6 * elongation[before], rtol=1e-9)
+    first = int(np.argmax(np.abs(elongation)))
+    assert abs(force[first]) <= (6e4 + 0.05 * 6e6 * (np.abs(elongation[first]) - 0.01)) * (1 + 1e-6)
+    assert abs(force[first]) > 6e4
