@@ -15,6 +15,11 @@ _FLAGS = (
 _TRIED_FROM, _TRIED_TO = (0, 10), (0, 13)
 
 
+def cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 @cache
 def prepare() -> None:
     """Prepare this process for work: called where a study is built, and not by an import.

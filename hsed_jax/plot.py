@@ -237,7 +237,9 @@ def parameters(improvement: Improvement, truth: Mapping[str, float] | None = Non
         UserError: no parameter of the law is free.
     """
     before, after = improvement.original.fit, improvement.calibration.fit
-    picture = diagnosis_figures.parameters_before_after(before.summary(), after.summary(), after.units, truth or {})
+    picture = diagnosis_figures.parameters_before_after(
+        before.summary(), after.summary(), after.units, truth or {}, improvement.original.built.catalogue
+    )
     return _several(_there(picture, "no parameter of the law is free; there is nothing to draw"))
 
 

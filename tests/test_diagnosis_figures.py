@@ -180,11 +180,28 @@ def test_intervals_of_the_parameters_in_the_unit_of_their_axis_with_the_truth():
     assert parameters_before_after({}, IMPROVED, {}, {}) is None
 
 
+def test_what_belongs_to_an_effect_is_none_of_the_law_even_a_users_own():
+    told = {"mean": 1.0, "q05": 0.9, "q95": 1.1}
+    both = {"storey1.k": told, "structure.mass_2": told, "storey1.bumper.delta": told}
+    picture = parameters_before_after(both, both, {}, {}, {"storey1.bumper"})
+    assert [name in picture.alt for name in both] == [True, True, False]
+
+
 def test_what_there_is_material_for(monkeypatch):
     for name in ("ranking", "error_fall", "before_after", "parameters_before_after"):
         monkeypatch.setattr(diagnosis_figures, name, lambda *_, name=name: name)
     nothing = dict.fromkeys(
-        ("diagnosis", "trail", "comparison", "improved_comparison", "fit", "improved", "laboratory", "campaign")
+        (
+            "diagnosis",
+            "trail",
+            "comparison",
+            "improved_comparison",
+            "fit",
+            "improved",
+            "laboratory",
+            "campaign",
+            "catalogue",
+        )
     )
     fit = SimpleNamespace(summary=dict, units={})
     cases = [

@@ -58,7 +58,9 @@ def calibration(case, observe="histories", fit=None):
     """A calibration whose predictions are those of a synthetic comparison."""
     campaign, comparison, _ = case
     study = SimpleNamespace(observe=observe)
-    built = SimpleNamespace(study=study, component_test=not campaign.has_time, grid=None, taken=lambda e: e)
+    built = SimpleNamespace(
+        study=study, component_test=not campaign.has_time, grid=None, taken=lambda e: e, catalogue={}
+    )
     fit = fit or fitted()
     fit.posterior.is_declared = np.ones(len(comparison.train_prediction.outputs), dtype=bool)
     return bare(Calibration, campaign=campaign, built=built, fit=fit,

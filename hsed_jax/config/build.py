@@ -282,8 +282,7 @@ class Built:
     def observation(self) -> Observation:
         """What is compared with the model."""
         if self.study.observe == "quantities":
-            masses = 0 if self.structure is None else len(self.structure.masses)
-            return Quantities(self.outputs, self.grid, self.excitation, masses)
+            return Quantities(self.outputs, self.grid, self.excitation, structures.masses_of(self.structure))
         samples = self.timeline.steps // self.timeline.every + 1
         return Histories(self.outputs, samples, self.grid, self.excitation)
 

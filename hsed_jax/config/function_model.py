@@ -1,15 +1,14 @@
 """A study whose model is a function or a program, built: what differs from one of a spring law."""
 
-import os
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from shutil import which
 from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from hsed_jax.backend import cores
 from hsed_jax.config import parts
 from hsed_jax.config.build import Built
 from hsed_jax.config.functions import FunctionEntry
@@ -218,8 +217,7 @@ class BuiltOfFunction(Built):
                 )
         plain = unpadded({name: np.asarray(value) if np.ndim(value) else float(value) for name, value in told.items()})
         outputs = tuple(self._called(where, function, {**middle, **fixed}, plain, wanted))
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        workers = 1 if self._entry.command is None else cores
+        workers = 1 if self._entry.command is None else cores()
         return model(Differenced(function, name, outputs, tuple(map(_free, free, free.values())), workers), outputs)
 
     def _called(
@@ -259,8 +257,6 @@ class BuiltOfFunction(Built):
         template = entry.words(self.study.folder)
         known = (*self._entry.parameters, *self.study.inputs)
         parts.at("model.command.run", check_template, template, known, ("folder", "python"))
-        if "{" not in template[0] and which(template[0]) is None:
-            raise UserError(f"model.command.run: there is no program {template[0]} that may be executed")
         return Program(template, self.outputs, entry.timeout), entry.run
 
     def _check_names(self) -> None:
@@ -276,9 +272,7 @@ class BuiltOfFunction(Built):
         if self.measured is not None:
             experiment = self.taken(self.measured.completed.experiments[:1])[0]
             return conditions_of(experiment, self.measured, self.grid, self.excitation)
-        space = self.space
-        middle = space.si(space.declared(np.full((1, len(space.names)), 0.5)))
-        return Conditions({name: jnp.asarray(values[0]) for name, values in middle.items()})
+        return Conditions(self.space.middle())
 
 
 def _free(name: str, prior: Prior) -> Free:

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from shutil import which
 from typing import TYPE_CHECKING, Any
 
 from hsed_jax.config import parts, structures
@@ -64,10 +63,6 @@ class Site:
     function: Callable[..., Any] | None
 
 
-def _masses(structure: Structure | None) -> int:
-    return 0 if structure is None else len(structure.masses)
-
-
 def responses(channels: Iterable[str], *, component_test: bool) -> tuple[str, ...]:
     """The channels that are a response to what drove the experiments."""
     return tuple(name for name in channels if not (is_driver(name) or (component_test and name == "elongation")))
@@ -92,7 +87,7 @@ def sensors_of(study: Study, outputs: tuple[str, ...], structure: Structure | No
     entry, where = study.experiments.laboratory, f"experiments.{study.experiments.kind}"
     histories, driver = study.observe == "histories", driver_of(study)
     channels, quantities = (outputs, ()) if histories else ((), outputs)
-    sources = {name: quantity(name).channels(_masses(structure)) for name in quantities}
+    sources = {name: quantity(name).channels(structures.masses_of(structure)) for name in quantities}
     if isinstance(entry, OpenSeesEntry) and not histories:
         # What its program does not take from all its steps is taken from the record.
         channels = tuple(dict.fromkeys(["elongation", "force", *chain(*sources.values())]))
@@ -151,8 +146,6 @@ def laboratory_of(site: Site) -> Laboratory:
     if isinstance(entry, CommandEntry):
         template = entry.words(study.folder)
         parts.at("experiments.command.run", check_template, template, study.inputs)
-        if "{" not in template[0] and which(template[0]) is None:
-            raise UserError(f"experiments.command.run: there is no program {template[0]} that may be executed")
         return CommandLaboratory(template, site.programme, site.sensors, entry.timeout, site.workspace)
     if isinstance(entry, FolderEntry):
         return FolderLaboratory()

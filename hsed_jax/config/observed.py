@@ -8,6 +8,7 @@ from hsed_jax.config import parts
 from hsed_jax.config.experiments import MeasuredEntry
 from hsed_jax.config.laboratories import driver_of, responses
 from hsed_jax.config.schema import Study
+from hsed_jax.config.structures import masses_of
 from hsed_jax.config.timelines import duration_of
 from hsed_jax.errors import UserError
 from hsed_jax.physics.outputs import CHANNELS, PER_MASS, of_each, own_name, owner_of, quantity
@@ -71,7 +72,7 @@ def _check_channel(name: str, structure: Structure | None, owners: Sequence[str]
     Raises:
         UserError: there is no such channel, it is imposed, or it is of a mass that does not exist.
     """
-    masses = range(1, _count(structure) + 1)
+    masses = range(1, masses_of(structure) + 1)
     # Without a structure it was imposed.
     imposed = () if masses else ("elongation",)
     kinds = [*(f"{kind}_{{}}" for kind in PER_MASS), "acceleration_{}_absolute"]
@@ -102,15 +103,10 @@ def _check_quantities(
         if known.of_specimen and owner_of(name) not in owners:
             each = ", ".join(of_each(owners, (own_name(name),)))
             raise UserError(f"quantities: there is no {name}; the structure has {each}")
-        if not known.channels(_count(structure)):
+        if not known.channels(masses_of(structure)):
             raise UserError(f"quantities: {name} is one of masses, and a component test has none; leave it out")
         if known.until > duration:
             raise UserError(f"quantities: {name} lies beyond the end of the experiments, which last {duration:g} s")
-
-
-def _count(structure: Structure | None) -> int:
-    """Of the masses."""
-    return 0 if structure is None else len(structure.masses)
 
 
 def _declared(study: Study) -> tuple[str, ...] | None:

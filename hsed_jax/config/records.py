@@ -1,8 +1,8 @@
 """Measured records in a study: what thinning took, and what a run will cost."""
 
-import os
 from typing import TYPE_CHECKING
 
+from hsed_jax.backend import cores
 from hsed_jax.config.functions import FunctionEntry
 from hsed_jax.measurements import Campaign
 from hsed_jax.measurements.thinning import loss
@@ -32,13 +32,13 @@ def forecast(built: "Built", campaign: Campaign) -> str:
         return f"{len(campaign.completed)} experiments; how long they take is up to the model's {built.study.model.described[0]}"
     steps, count = built.timeline.steps, len(campaign.completed)
     columns = len(built.observation.groups)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    seconds = _COMPILING + count * steps * sum(_SECONDS.get(step, 0.0) for step in built.study.steps) / cores
-    memory = _PROGRAM + cores * (_TILE * steps + _CHUNK * columns)
+    available = cores()
+    seconds = _COMPILING + count * steps * sum(_SECONDS.get(step, 0.0) for step in built.study.steps) / available
+    memory = _PROGRAM + available * (_TILE * steps + _CHUNK * columns)
     if "diagnose" in built.study.steps:
         memory += min(_SEARCH * count * columns, _BATCH)
     duration = f"{seconds / 60:.0f} minutes" if seconds > 90 else "a minute"
     return (
-        f"{count} experiments of {steps} steps each: expect about {duration} on {cores} cores, to a factor of three, and "
+        f"{count} experiments of {steps} steps each: expect about {duration} on {available} cores, to a factor of three, and "
         f"{memory / 1e9:.1f} GB"
     )

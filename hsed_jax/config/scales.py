@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-import jax.numpy as jnp
 import numpy as np
 
 from hsed_jax.config.specimens import effects_of
@@ -71,9 +70,7 @@ def _conditions(built: "Built") -> list[Conditions]:
     if built.measured is not None and len(built.measured.train):
         train = built.taken(built.measured.train.experiments)
         return [conditions_of(e, built.measured, built.grid, built.excitation) for e in train]
-    space = built.space
-    middle = space.si(space.declared(np.full((1, len(space.names)), 0.5)))
-    return [Conditions({name: jnp.asarray(values[0]) for name, values in middle.items()})]
+    return [Conditions(built.space.middle())]
 
 
 def _simulated(plain: Simulator, middle: Mapping[str, float], experiments: Sequence[Conditions]) -> Scales:
@@ -84,7 +81,7 @@ def _simulated(plain: Simulator, middle: Mapping[str, float], experiments: Seque
     Raises:
         UserError: it does nothing, or its simulation diverges.
     """
-    owners, rows = [element.name for element in plain.elements], []
+    owners, rows = plain.owners, []
     for conditions in experiments:
         response = plain.respond(middle, conditions, of_each(owners, ("elongation_rate",)))
 

@@ -50,6 +50,11 @@ def structure(entry: StructureEntry) -> Structure:
         raise UserError(f"structure: {error}") from None
 
 
+def masses_of(structure: Structure | None) -> int:
+    """How many masses there are; none of a specimen that is alone."""
+    return 0 if structure is None else len(structure.masses)
+
+
 def priors_of(entry: StructureEntry) -> dict[str, Prior]:
     """Priors of the numbers of the structure that are calibrated, by the name of the parameter."""
     priors = {}

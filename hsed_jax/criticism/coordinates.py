@@ -1,5 +1,6 @@
 """The coordinates of a misfit: for every sample of a history, when and where on the loop it was measured."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +9,7 @@ from hsed_jax.criticism.compare import noise_sizes
 from hsed_jax.criticism.cycles import absorbed_energy, branches, cycle_numbers, frequencies, half_cycles
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.errors import UserError
-from hsed_jax.measurements import Campaign, Experiment
+from hsed_jax.measurements import Campaign, Experiment, Record
 from hsed_jax.physics.outputs import channel, named, owner_of
 
 
@@ -46,8 +47,8 @@ def samples_of(prediction: Prediction, campaign: Campaign) -> Samples:
     for output in prediction.outputs:
         beyond[output], noise[output] = _beyond_noise(prediction, output)
     for row, experiment in enumerate(prediction.experiments):
+        coordinates = coordinates_of(experiment, prediction.outputs)
         for output in prediction.outputs:
-            along = coordinates_of(experiment, output)
             columns = prediction.columns(output)
             used = prediction.used[row, columns]
             length = int(used.size) if experiment.record is None else len(experiment.record)
@@ -55,7 +56,7 @@ def samples_of(prediction: Prediction, campaign: Campaign) -> Samples:
             if not inside.size:
                 continue
             towards = np.where(prediction.measured[row, columns][inside] < 0, -1.0, 1.0)
-            part = {name: values[inside] for name, values in along.items()}
+            part = {name: values[inside] for name, values in coordinates[output].items()}
             part |= {
                 "signed": beyond[output] * towards * prediction.residual[row, columns][inside],
                 "motion": _motion(prediction.measured[row, columns][inside]),
@@ -137,17 +138,23 @@ def _rates_vary(frequency: np.ndarray) -> bool:
     return bool(fast > 1.5 * slow)
 
 
-def coordinates_of(experiment: Experiment, output: str) -> dict[str, np.ndarray]:
-    """Coordinates of every sample of an output: when it was measured, and where on the loop of its specimen.
+def coordinates_of(experiment: Experiment, outputs: Sequence[str]) -> dict[str, dict[str, np.ndarray]]:
+    """By output, the coordinates of every sample: when it was measured, and where on the loop of its specimen.
 
     What is of no specimen has its place on the loop of the first.
     """
     record = experiment.record
     assert record is not None
+    first = next((owner_of(name) for name in record.channels if channel(name).of_specimen), "")
+    owners = {output: owner_of(output) or first for output in outputs}
+    along = {owner: _along_loop(record, owner) for owner in dict.fromkeys(owners.values())}
+    return {output: along[owner] for output, owner in owners.items()}
+
+
+def _along_loop(record: Record, owner: str) -> dict[str, np.ndarray]:
+    """The coordinates of every sample of a record on the loop of one specimen."""
     size = len(record)
     unknown = np.full(size, np.nan)
-    owners = dict.fromkeys(owner_of(name) for name in record.channels if channel(name).of_specimen)
-    owner = owner_of(output) or next(iter(owners), "")
     force, elongation = (record.channels.get(named(owner, name)) for name in ("force", "elongation"))
     along = {name: unknown for name in (*UNITS, "frequency")}
     along["time"] = record.time

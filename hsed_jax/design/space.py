@@ -54,6 +54,10 @@ class InputSpace:
             name: prior.quantile(point[i]) * self.factors[name] for i, (name, prior) in enumerate(self.priors.items())
         }
 
+    def middle(self) -> dict[str, Array]:
+        """The inputs in the middle of their distributions by name in SI."""
+        return self.inputs(jnp.full(len(self.names), 0.5))
+
     def bounds(self) -> np.ndarray:
         """What the design may reach, in declared units, shape (d, 2)."""
         d = len(self.names)

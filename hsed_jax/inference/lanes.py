@@ -5,7 +5,6 @@ constant in it, so that a process that looks at a hundred campaigns compiles onc
 this kind on one core, and several at a time on several.
 """
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
@@ -15,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from hsed_jax.backend import cores
 from hsed_jax.inference.observation import Observation, Outputs
 from hsed_jax.physics.batch import tiled_map
 from hsed_jax.physics.simulator import AbstractModel, Conditions
@@ -35,9 +35,7 @@ class Lanes:
 
     def __init__(self, model: AbstractModel, observation: Observation, names: tuple[str, ...], conditions: Conditions):
         self._run = partial(_outputs, Outputs(model, observation, names), conditions)
-        self._threads = ThreadPoolExecutor(
-            len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-        )
+        self._threads = ThreadPoolExecutor(cores())
 
     def __call__(
         self, thetas: Float[np.ndarray, "L P"], experiments: Int[np.ndarray, " L"]

@@ -3,10 +3,11 @@
 import re
 import sys
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from shutil import which
 from typing import Any
 
 from hsed_jax.errors import UserError
@@ -82,14 +83,16 @@ class CommandLaboratory:
                 attempt += 1
 
 
-def check_template(template: Iterable[str], inputs: Iterable[str], words: Iterable[str] = WORDS) -> None:
+def check_template(template: Sequence[str], inputs: Iterable[str], words: Iterable[str] = WORDS) -> None:
     """Refuse a template that names what is not there.
 
     Raises:
-        UserError: an unknown name in braces, with those that are allowed.
+        UserError: an unknown name in braces, with those that are allowed, or a program that there is not.
     """
-    known = (*words, *inputs)
+    known, program = (*words, *inputs), template[0]
     for word in template:
         for name in _NAME.findall(word):
             if name not in known:
                 raise UserError(f"it names {{{name}}}; it can name {', '.join(f'{{{k}}}' for k in known)}")
+    if "{" not in program and which(program) is None:
+        raise UserError(f"there is no program {program} that may be executed")

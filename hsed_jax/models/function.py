@@ -10,7 +10,7 @@ import numpy as np
 
 from hsed_jax.errors import UserError
 from hsed_jax.physics.excitations import AbstractExcitation, Imposed, Tabulated, channels_of
-from hsed_jax.physics.outputs import CHANNELS, channel, is_driver, is_quantity, output, owner_of
+from hsed_jax.physics.outputs import is_driver, is_quantity, output, owner_of
 from hsed_jax.physics.response import Response
 from hsed_jax.physics.simulator import AbstractModel, Conditions, Scalar
 from hsed_jax.physics.timeline import Timeline
@@ -154,10 +154,8 @@ def is_output(name: Any) -> bool:
     """Whether this is the name of a quantity, or of a channel that can be predicted."""
     if not isinstance(name, str) or is_driver(name):
         return False
-    if is_quantity(name) or name in CHANNELS:
-        return True
     try:
-        channel(name)
+        output(name)
     except KeyError:
         return False
     return True

@@ -165,6 +165,9 @@ class Simulator(AbstractModel):
     def system(self, parameters: Mapping[str, Scalar]) -> AbstractSystem:
         """What is integrated; parameters of effects are named `effect.parameter`, in dimensionless or physical form."""
         given = self._given(parameters)
+        return self._system(given, self._setup(given))
+
+    def _system(self, given: "_Given", slots: Callable[..., Any] | None) -> AbstractSystem:
         specimens = [
             Specimen(element.law(**element.parameters(given.owners)), given.of_spring(element.has), self.scales)
             for element in self.elements
@@ -175,7 +178,7 @@ class Simulator(AbstractModel):
         if self.damping_follows_model:
             stiffness = tuple(specimen.law.stiffness for specimen in specimens)
             structure = eqx.tree_at(lambda s: s.damping.specimen_stiffness, structure, stiffness)
-        altered, slots, damping = structure, self._setup(given), None
+        altered, damping = structure, None
         if slots is not None:
             # C is what the model was built with: an error of mass or stiffness does not carry over to it.
             damping = slots("damping") * structure.damping_matrix()
@@ -185,8 +188,7 @@ class Simulator(AbstractModel):
             for i, spring in enumerate(altered.springs)
             if (of_spring := given.of_spring(lambda owner, i=i: number_of_spring(owner) == i))
         }
-        names = tuple(element.name for element in self.elements)
-        return ShakenStructure(altered, specimens, names, damping, yielding)
+        return ShakenStructure(altered, specimens, self.owners, damping, yielding)
 
     @eqx.filter_jit
     def respond(
@@ -217,13 +219,14 @@ class Simulator(AbstractModel):
             excitation = self.excitation(conditions.inputs)
             length = excitation.step_length(self.timeline)
             forcing = excitation.forcing(length, steps)
-        slots = self._setup(self._given(parameters))
+        given = self._given(parameters)
+        slots = self._setup(given)
         if slots is not None and self.structure is not None:
             forcing = Shaken(forcing, slots("ground_motion"))
         elif slots is not None:
             assert isinstance(forcing, Tabulated)
             forcing = felt(forcing, slots, jax.numpy.asarray(length))
-        system = self.system(parameters)
+        system = self._system(given, slots)
         response = integrate(system, forcing, length, steps, channels=channels, quantities=quantities, every=every)
         for specimen in system.specimens:
             response = response._replace(ok=response.ok & specimen.law.is_bounded)

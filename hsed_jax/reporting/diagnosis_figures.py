@@ -1,7 +1,7 @@
 """The figures of a diagnosis and of what became of the model: the candidates, the fall of the error, before and after."""
 
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,7 +11,8 @@ from hsed_jax.criticism.findings import Candidate, Diagnosis
 from hsed_jax.criticism.improve import Step, Trail
 from hsed_jax.criticism.prediction import Prediction, error_cell, has_diverged
 from hsed_jax.measurements import Campaign
-from hsed_jax.physics.outputs import named
+from hsed_jax.physics.effects import EFFECTS
+from hsed_jax.physics.outputs import named, owner_of
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
 from hsed_jax.reporting.misfit_figures import hysteresis_loops, words_of_loop
@@ -43,7 +44,7 @@ def diagnosis_pictures(outcome: Outcome) -> Iterator[tuple[str, Picture]]:
     if outcome.fit is not None and outcome.improved is not None:
         truth = {} if outcome.laboratory is None else outcome.laboratory.parameters
         picture = parameters_before_after(
-            outcome.fit.summary(), outcome.improved.summary(), outcome.improved.units, truth
+            outcome.fit.summary(), outcome.improved.summary(), outcome.improved.units, truth, outcome.catalogue
         )
         if picture is not None:
             yield "parameters_before_after", picture
@@ -329,6 +330,7 @@ def parameters_before_after(
     after: Mapping[str, Mapping[str, float]],
     units: Mapping[str, str],
     truth: Mapping[str, float],
+    effects: Container[str] = EFFECTS,
 ) -> Picture | None:
     """Posterior means and 90 % intervals of the law's parameters, before and after effects were added.
 
@@ -336,11 +338,12 @@ def parameters_before_after(
         before, after: `mean`, `q05` and `q95` by parameter, SI, as `Fit.summary` gives them.
         units: SI unit by parameter.
         truth: values of the virtual specimen where there is one, drawn as a line.
+        effects: names of all that there are; what belongs to one of them is left out.
 
     Returns:
         The picture; None where the two have no parameter of the law in common.
     """
-    names = [name for name in before if name in after and not style.is_of_effect(name)]
+    names = [name for name in before if name in after and owner_of(name) not in effects]
     if not names:
         return None
     figure, panels = style.panels(len(names), 1.25)

@@ -158,8 +158,9 @@ def residual_table(run: FinishedRun) -> Table:
     }
     for id, _, models in _histories(run):
         experiment = run.campaign[id]
+        coordinates = coordinates_of(experiment, list(scales))
         for name, scale in scales.items():
-            along = {key: values for key, values in coordinates_of(experiment, name).items() if key in UNITS}
+            along = {key: values for key, values in coordinates[name].items() if key in UNITS}
             along |= {key: np.full(len(along["time"]), value) for key, value in _declared(run, id).items()}
             for model, dataset in models.items():
                 if f"{name}_measured" not in dataset:

@@ -213,7 +213,7 @@ def symbol(name: str) -> str:
     owner, own = owner_of(name), own_name(name)
     if owner == OWNER:
         return f"${parameter_of(own).symbol}$"
-    place, effect = (owner_of(owner), own_name(owner)) if is_of_effect(name) else (owner, "")
+    place, effect = (owner_of(owner), own_name(owner)) if own_name(owner) in EFFECTS else (owner, "")
     sources = [EFFECTS[effect]] if effect else [] if "." in place else LAWS.values()
     declared = next((known[own] for source in sources if own in (known := parameters_of(source))), None)
     if declared:
@@ -223,11 +223,6 @@ def symbol(name: str) -> str:
         stem, index = match.groups()
         return f"${stem}_{{{index}}}$" if index else f"${stem}$"
     return name.replace("_", " ").replace("$", r"\$")
-
-
-def is_of_effect(name: str) -> bool:
-    """Whether a parameter is one of an effect of the package."""
-    return own_name(owner_of(name)) in EFFECTS
 
 
 def plain(name: str, longest: int = 40) -> str:

@@ -11,6 +11,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hsed_jax.backend import cores
 from hsed_jax.errors import UserError
 from hsed_jax.sweeps.folder import alone, note, outcome, run_folder
 
@@ -104,7 +105,7 @@ def local_client(workers: int | None, tasks: int) -> "Iterator[Client]":
     import dask.config
     from distributed import Client, LocalCluster
 
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    available = cores()
     settings = {
         "distributed.scheduler.allowed-failures": _DEATHS,
         # A worker has one study at a time: what dies with it is not counted against others.
@@ -117,7 +118,7 @@ def local_client(workers: int | None, tasks: int) -> "Iterator[Client]":
         with _deaf():
             cluster = stack.enter_context(
                 LocalCluster(
-                    n_workers=min(workers or cores, tasks),
+                    n_workers=min(workers or available, tasks),
                     threads_per_worker=1,
                     memory_limit=0,
                     # No dashboard; without an address its server would take, and complain about, a port of its own choice.

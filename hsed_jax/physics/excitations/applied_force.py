@@ -4,18 +4,15 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, final
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hsed_jax.physics.excitations.base import (
     APPLIED_FORCE,
-    AbstractExcitation,
-    AbstractForcing,
+    AbstractRecord,
     Applied,
     Kind,
     Scalar,
-    Tabulated,
     setting,
 )
 
@@ -24,7 +21,7 @@ _STEPS_PER_PERIOD = 24
 
 
 @final
-class AppliedForce(AbstractExcitation):
+class AppliedForce(AbstractRecord):
     r"""A history of a force on one mass times a factor, linear between its samples and zero outside them.
 
     $$M\ddot u + C\dot u + K u + b\,r = p(t)\,e_i$$
@@ -40,15 +37,9 @@ class AppliedForce(AbstractExcitation):
     kind: ClassVar[Kind] = APPLIED_FORCE
     of_file: ClassVar[tuple[str, ...]] = ("time", "force")
 
-    time: Float[Array, " m"] = eqx.field(converter=jnp.asarray)
     force: Float[Array, " m"] = eqx.field(converter=jnp.asarray)
     mass: int = setting("number of the mass", "1", kind="whole")
     scale: Scalar = setting("factor", "1", default=1.0)
-
-    @property
-    def duration(self) -> Scalar:
-        """When the record ends [s]."""
-        return self.time[-1]
 
     @property
     def shortest_period(self) -> Scalar:
@@ -58,10 +49,6 @@ class AppliedForce(AbstractExcitation):
     def sample(self, time: Scalar) -> Applied:
         """The force at one instant [s]."""
         return Applied({self.mass - 1: self.scale * jnp.interp(time, self.time, self.force, left=0.0, right=0.0)})
-
-    def forcing(self, step: Scalar, steps: int) -> AbstractForcing:
-        """The record, interpolated on the half-step grid once, before the integration."""
-        return Tabulated(jax.vmap(self.sample)(0.5 * step * jnp.arange(2 * steps + 1)))
 
     @classmethod
     def sentence(cls, settings: Mapping[str, Any], duration: float | None) -> str:

@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, final
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, PyTree
 
@@ -224,6 +225,25 @@ class AbstractExcitation(eqx.Module):
             settings: as they stand in the study.
             duration: [s] as it stands in the study.
         """
+
+
+class AbstractRecord(AbstractExcitation):
+    """What was recorded; an excitation of this kind is interpolated between its samples.
+
+    Attributes:
+        time: sample times [s], increasing, shape (m,).
+    """
+
+    time: Float[Array, " m"] = eqx.field(converter=jnp.asarray)
+
+    @property
+    def duration(self) -> Scalar:
+        """When the record ends [s]."""
+        return self.time[-1]
+
+    def forcing(self, step: Scalar, steps: int) -> AbstractForcing:
+        """The record, interpolated on the half-step grid once, before the integration."""
+        return Tabulated(jax.vmap(self.sample)(0.5 * step * jnp.arange(2 * steps + 1)))
 
 
 class AbstractImposedElongation(AbstractExcitation):

@@ -4,23 +4,20 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, final
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hsed_jax.physics.excitations.base import (
     GROUND_MOTION,
-    AbstractExcitation,
-    AbstractForcing,
+    AbstractRecord,
     Kind,
     Scalar,
-    Tabulated,
     setting,
 )
 
 
 @final
-class RecordedMotion(AbstractExcitation):
+class RecordedMotion(AbstractRecord):
     """A recorded accelerogram times a factor, linear between its samples and zero outside them.
 
     Arguments:
@@ -33,22 +30,12 @@ class RecordedMotion(AbstractExcitation):
     kind: ClassVar[Kind] = GROUND_MOTION
     of_file: ClassVar[tuple[str, ...]] = ("time", "ground_acceleration")
 
-    time: Float[Array, " m"] = eqx.field(converter=jnp.asarray)
     ground_acceleration: Float[Array, " m"] = eqx.field(converter=jnp.asarray)
     scale: Scalar = setting("factor", "1", default=1.0)
-
-    @property
-    def duration(self) -> Scalar:
-        """When the record ends [s]."""
-        return self.time[-1]
 
     def sample(self, time: Scalar) -> Scalar:
         """Ground acceleration [m/s²] at one instant [s]."""
         return self.scale * jnp.interp(time, self.time, self.ground_acceleration, left=0.0, right=0.0)
-
-    def forcing(self, step: Scalar, steps: int) -> AbstractForcing:
-        """The record, interpolated on the half-step grid once, before the integration."""
-        return Tabulated(jax.vmap(self.sample)(0.5 * step * jnp.arange(2 * steps + 1)))
 
     @classmethod
     def sentence(cls, settings: Mapping[str, Any], duration: float | None) -> str:
