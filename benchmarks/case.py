@@ -8,7 +8,7 @@ import scipy.linalg
 
 from hsed_jax import load_study
 from hsed_jax.backend import prepare
-from hsed_jax.config.build import Built
+from hsed_jax.study.build import Built
 
 prepare()  # some rows compute before they build a study
 

@@ -87,7 +87,7 @@ POWER = [Case(WHITE, 4, 6.0, eta) for eta in (5e-8, 1e-7, 2e-7, 4e-7, 1e-6)]
 def clean(case: Case):
     """The campaign without noise."""
     import hsed_jax as hx
-    from hsed_jax.analysis import campaign_of
+    from hsed_jax.analysis.calibration import campaign_of
 
     return campaign_of(hx.load_study(STUDY, [*_common(case), f"experiments.virtual.effects={_hidden(case)}"]))
 
@@ -96,7 +96,7 @@ def clean(case: Case):
 def built(case: Case, effects: str):
     """The study of such a campaign."""
     import hsed_jax as hx
-    from hsed_jax.config.build import Built
+    from hsed_jax.study.build import Built
 
     sizes = ["calibration.sampler=importance", "calibration.draws=100"]
     told = [f"error={{relative: {case.noise.level}}}", f"model.effects={effects}", *sizes]
@@ -138,7 +138,7 @@ def _hidden(case: Case) -> str:
 
 def intervals(case: Case, seeds: Sequence[int]) -> dict[str, list]:
     """Whether the 90 % interval of each parameter holds the truth, the effect's size included."""
-    from hsed_jax.analysis import calibrate_built
+    from hsed_jax.analysis.calibration import calibrate_built
 
     study, name = built(case, "{stiffness_degradation: {eta: {half_normal: 1e-4}}}"), "stiffness_degradation.eta"
     found: dict[str, list] = {"A": [], "beta": [], "size": []}
@@ -151,7 +151,7 @@ def intervals(case: Case, seeds: Sequence[int]) -> dict[str, list]:
 
 def p_values(case: Case, seeds: Sequence[int]) -> dict[str, list]:
     """p-values of the calibrated true model."""
-    from hsed_jax.analysis import calibrate_built
+    from hsed_jax.analysis.calibration import calibrate_built
 
     return {"p": [calibrate_built(built(case, "{}"), noisy(case, seed)).fit.p_value for seed in seeds]}
 
@@ -159,7 +159,7 @@ def p_values(case: Case, seeds: Sequence[int]) -> dict[str, list]:
 def diagnoses(case: Case, seeds: Sequence[int]) -> dict[str, list]:
     """Verdicts, what was named, and the p-value of the residual."""
     import hsed_jax as hx
-    from hsed_jax.analysis import calibrate_built
+    from hsed_jax.analysis.calibration import calibrate_built
 
     verdicts, named, values = [], [], []
     for seed in seeds:

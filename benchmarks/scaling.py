@@ -15,11 +15,11 @@ from fresh import alone
 from measure import seconds
 from rows.memory import growth
 
-from hsed_jax.config.build import Built
 from hsed_jax.design.acquisition import choose, sobol_candidates
 from hsed_jax.design.kriging import fit_kriging
 from hsed_jax.physics.batch import tiled_map
 from hsed_jax.physics.simulator import Conditions
+from hsed_jax.study.build import Built
 
 _EXPERIMENTS, _SIMULATIONS = 43, 256
 # One parameter each; the law's two come first.

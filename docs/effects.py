@@ -18,7 +18,6 @@ import jax.numpy as jnp
 import numpy as np
 from PIL import Image
 
-from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study
 from hsed_jax.inference.priors import Prior
 from hsed_jax.physics.effects import EFFECTS
@@ -30,6 +29,7 @@ from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Conditions, Recorded, Simulator, Timeline
 from hsed_jax.reporting import style
 from hsed_jax.reporting.style import Picture
+from hsed_jax.study.build import Built
 
 DOCS = Path(__file__).resolve().parent
 PAGE, IMAGES = DOCS / "effects.md", DOCS / "images" / "effects"

@@ -5,13 +5,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hsed_jax import plot as plot
-    from hsed_jax.analysis import calibrate as calibrate
-    from hsed_jax.analysis import campaign_of as campaign_of
-    from hsed_jax.analysis import compare as compare
-    from hsed_jax.analysis import locate as locate
-    from hsed_jax.analysis import simulate as simulate
-    from hsed_jax.ask_tell import AskTell as AskTell
-    from hsed_jax.config.initial import initial_study as initial_study
+    from hsed_jax.analysis.calibration import calibrate as calibrate
+    from hsed_jax.analysis.calibration import campaign_of as campaign_of
+    from hsed_jax.analysis.calibration import compare as compare
+    from hsed_jax.analysis.calibration import locate as locate
+    from hsed_jax.analysis.calibration import simulate as simulate
+    from hsed_jax.analysis.remedy import diagnose as diagnose
+    from hsed_jax.analysis.remedy import improve as improve
+    from hsed_jax.analysis.sensitivity import sensitivity as sensitivity
     from hsed_jax.config.load import load_study as load_study
     from hsed_jax.config.schema import Study as Study
     from hsed_jax.errors import UserError as UserError
@@ -22,17 +23,16 @@ if TYPE_CHECKING:
     from hsed_jax.measurements import read_at2 as read_at2
     from hsed_jax.measurements import read_campaign as read_campaign
     from hsed_jax.measurements import write_campaign as write_campaign
-    from hsed_jax.remedy import diagnose as diagnose
-    from hsed_jax.remedy import improve as improve
-    from hsed_jax.sobol import sensitivity as sensitivity
+    from hsed_jax.runs.ask_tell import AskTell as AskTell
+    from hsed_jax.runs.workflow import run as run
+    from hsed_jax.study.initial import initial_study as initial_study
     from hsed_jax.sweeps.sweep import sweep as sweep
-    from hsed_jax.workflow import run as run
 
 # Public names by the module they live in, imported when first used: `hsed --help` answers before JAX is loaded.
 _HOMES = {
-    "analysis": ("calibrate", "campaign_of", "compare", "locate", "simulate"),
-    "ask_tell": ("AskTell",),
-    "config.initial": ("initial_study",),
+    "analysis.calibration": ("calibrate", "campaign_of", "compare", "locate", "simulate"),
+    "runs.ask_tell": ("AskTell",),
+    "study.initial": ("initial_study",),
     "config.load": ("load_study",),
     "config.schema": ("Study",),
     "errors": ("UserError",),
@@ -45,10 +45,10 @@ _HOMES = {
         "read_campaign",
         "write_campaign",
     ),
-    "remedy": ("diagnose", "improve"),
-    "sobol": ("sensitivity",),
+    "analysis.remedy": ("diagnose", "improve"),
+    "analysis.sensitivity": ("sensitivity",),
     "sweeps.sweep": ("sweep",),
-    "workflow": ("run",),
+    "runs.workflow": ("run",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 

@@ -13,14 +13,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.registry import BackendFilter, backend_registry
 
-from hsed_jax.analysis import Calibration, compare, locate
-from hsed_jax.ask_tell import AskTell
-from hsed_jax.config.build import Built
+from hsed_jax.analysis.calibration import Calibration, compare, locate
+from hsed_jax.analysis.remedy import Improvement
 from hsed_jax.config.schema import Study
-from hsed_jax.criticism.findings import Diagnosis
+from hsed_jax.diagnosis.findings import Diagnosis
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
-from hsed_jax.remedy import Improvement
 from hsed_jax.reporting import (
     cycle_figures,
     design_figures,
@@ -32,7 +30,9 @@ from hsed_jax.reporting import (
 )
 from hsed_jax.reporting.outcome import Outcome
 from hsed_jax.reporting.style import Picture
-from hsed_jax.workflow import Run
+from hsed_jax.runs.ask_tell import AskTell
+from hsed_jax.runs.workflow import Run
+from hsed_jax.study.build import Built
 
 # What a study brings along.
 

@@ -17,16 +17,16 @@ from hsed_jax.plain import shown
 from hsed_jax.sweeps import command as sweeping
 
 if TYPE_CHECKING:
-    from hsed_jax.ask_tell import AskTell
     from hsed_jax.config.schema import Study
-    from hsed_jax.workflow import Run
+    from hsed_jax.runs.ask_tell import AskTell
+    from hsed_jax.runs.workflow import Run
 
 
 class _CallableModule(ModuleType):
     """`hsed_jax.run` is a function by contract and a module by the same: importing the one must not hide the other."""
 
     def __call__(self, *arguments: Any, **settings: Any) -> Any:
-        from hsed_jax.workflow import run
+        from hsed_jax.runs.workflow import run
 
         return run(*arguments, **settings)
 
@@ -183,7 +183,7 @@ def _effects(options: Any) -> int:
     effects = EFFECTS
     if options.study:
         from hsed_jax.config.load import load_study
-        from hsed_jax.config.own_effects import catalogue_of
+        from hsed_jax.study.own_effects import catalogue_of
 
         effects = catalogue_of(_trusted(load_study(options.study), options))
     print(entry(options.name, effects) if options.name else catalogue(effects))
@@ -191,11 +191,11 @@ def _effects(options: Any) -> int:
 
 
 def _check(options: Any) -> int:
-    from hsed_jax.config.build import Built
-    from hsed_jax.config.excitations import sentence_of
     from hsed_jax.config.load import load_study
-    from hsed_jax.config.records import forecast, thinning_notes
     from hsed_jax.measurements import check_campaign, overview, stop_at_errors
+    from hsed_jax.study.build import Built
+    from hsed_jax.study.excitations import sentence_of
+    from hsed_jax.study.records import forecast, thinning_notes
 
     study = _trusted(load_study(options.study, options.overrides), options)
     built = Built(study)
@@ -225,7 +225,7 @@ def _run(options: Any) -> int:
     if options.check:
         return _check(options)
     from hsed_jax.config.load import load_study
-    from hsed_jax.workflow import run
+    from hsed_jax.runs.workflow import run
 
     steps = getattr(options, "steps", None)
     only = []
@@ -249,8 +249,8 @@ def _run(options: Any) -> int:
 
 
 def _opened(options: Any) -> "AskTell":
-    from hsed_jax.ask_tell import AskTell
     from hsed_jax.config.load import load_study
+    from hsed_jax.runs.ask_tell import AskTell
 
     if Path(options.study).is_dir():
         if options.output or options.overrides:
@@ -304,7 +304,7 @@ def _numbers(option: str, given: Sequence[str] | None) -> dict[str, float] | Non
 def _report(options: Any) -> int:
     from hsed_jax.reporting.report import report_page
     from hsed_jax.reporting.side_by_side import comparison_page
-    from hsed_jax.store import read_run, write_page
+    from hsed_jax.runs.folder import read_run, write_page
 
     folders = [Path(run) for run in options.runs]
     runs = [read_run(folder) for folder in folders]
@@ -348,8 +348,8 @@ def _said(done: "Run", step: str) -> Iterator[Any]:
 
 
 def _init(options: Any) -> int:
-    from hsed_jax.config.initial import initial_study
     from hsed_jax.measurements import check_campaign, read_campaign
+    from hsed_jax.study.initial import initial_study
 
     folder = Path(options.campaign)
     campaign = read_campaign(folder)

@@ -11,13 +11,13 @@ import yaml
 from test_conduct import STUDY as PERFORMED
 
 from hsed_jax import AskTell, campaign_of
-from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import read_at2, read_campaign
 from hsed_jax.run import main
-from hsed_jax.store import RunFolder
-from hsed_jax.workflow import Waiting, run
+from hsed_jax.runs.folder import RunFolder
+from hsed_jax.runs.workflow import Waiting, run
+from hsed_jax.study.build import Built
 
 INPUTS = {"V_P": {"uniform": [150, 300], "unit": "cm/s"}, "T_P": {"uniform": [0.5, 1.5], "unit": "s"}}
 DESIGN = PERFORMED["design"] | {"iterations": 4}

@@ -33,7 +33,7 @@ from hsed_jax import *
 """
 BUILD = """
 import hsed_jax as hx
-from hsed_jax.config.build import Built
+from hsed_jax.study.build import Built
 built = Built(hx.load_study("configs/paper.yaml"))
 """
 

@@ -14,11 +14,11 @@ from hypothesis import HealthCheck, given, settings
 from scipy.io import savemat
 from test_study import SMALL, content
 
-from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import check_campaign, read_at2, read_campaign, write_at2
 from hsed_jax.measurements.records import read_columns
+from hsed_jax.study.build import Built
 
 # The type checker of the test run draws at random which items of a list it looks at, also inside a strategy.
 pytestmark = pytest.mark.filterwarnings("ignore:Do not use the `random` module inside strategies")

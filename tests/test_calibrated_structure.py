@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import hsed_jax as hx
-from hsed_jax.config.build import Built
 from hsed_jax.errors import UserError
 from hsed_jax.physics.simulator import Conditions
+from hsed_jax.study.build import Built
 
 STUDY = """
 study: uncertain_frame

@@ -8,7 +8,6 @@ from scipy import stats
 from scipy.integrate import quad, trapezoid
 from scipy.optimize import minimize
 
-from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
 from hsed_jax.inference.correlation import memory_of
@@ -21,6 +20,7 @@ from hsed_jax.inference.predict import Predictor
 from hsed_jax.inference.priors import Prior
 from hsed_jax.inference.sampling import draw
 from hsed_jax.physics.simulator import Conditions
+from hsed_jax.study.build import Built
 
 EXPERIMENTS = 8
 

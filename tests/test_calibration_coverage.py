@@ -7,11 +7,11 @@ import pytest
 from scipy import stats
 
 import hsed_jax as hx
-from hsed_jax.config.build import Built
 from hsed_jax.inference.maximum import maximise
 from hsed_jax.inference.nuts import Settings
 from hsed_jax.inference.sampling import draw
 from hsed_jax.measurements import Campaign, Experiment, Record
+from hsed_jax.study.build import Built
 
 pytestmark = pytest.mark.slow
 

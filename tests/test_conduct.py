@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from hsed_jax.conduct import Conduct
-from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study
 from hsed_jax.design.feasible import near_failures
 from hsed_jax.design.stopping import StopRules, stop_reason
 from hsed_jax.errors import UserError
 from hsed_jax.laboratories.base import Measured
-from hsed_jax.store import RunFolder
+from hsed_jax.runs.conduct import Conduct
+from hsed_jax.runs.folder import RunFolder
+from hsed_jax.study.build import Built
 
 STUDY = {
     "study": "asked",

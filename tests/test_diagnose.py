@@ -9,22 +9,22 @@ import pytest
 from scipy import stats
 
 import hsed_jax as hx
-from hsed_jax.config.build import Built
-from hsed_jax.config.candidates import problem_of
-from hsed_jax.criticism.diagnose import diagnose
-from hsed_jax.criticism.measured import Measured
-from hsed_jax.criticism.problem import Problem
-from hsed_jax.criticism.rivals import look_alikes_of, separation
-from hsed_jax.criticism.scores import score_p_value
-from hsed_jax.criticism.search import Search
-from hsed_jax.inference.box import Box
-from hsed_jax.inference.lanes import Lanes
+from hsed_jax.diagnosis.box import Box
+from hsed_jax.diagnosis.diagnose import diagnose
+from hsed_jax.diagnosis.lanes import Lanes
+from hsed_jax.diagnosis.measured import Measured
+from hsed_jax.diagnosis.nested import NestedModels
+from hsed_jax.diagnosis.problem import Problem
+from hsed_jax.diagnosis.rivals import look_alikes_of, separation
+from hsed_jax.diagnosis.scores import score_p_value
+from hsed_jax.diagnosis.search import Search
 from hsed_jax.inference.likelihood import Error
-from hsed_jax.inference.nested import NestedModels
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Channel, Experiment, Noise, Record
 from hsed_jax.physics.effects import EFFECTS as CATALOGUE
 from hsed_jax.physics.scales import Scales
+from hsed_jax.study.build import Built
+from hsed_jax.study.candidates import problem_of
 
 # --- a dictionary: law + sum of amplitude × function, so that every answer is known in closed form -----------------------
 

@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose
 from test_misfit_figures import histories, quantities
 
 from hsed_jax.criticism.compare import compare
-from hsed_jax.criticism.findings import Candidate, Diagnosis
 from hsed_jax.criticism.improve import Step, Trail
+from hsed_jax.diagnosis.findings import Candidate, Diagnosis
 from hsed_jax.physics.scales import Scales
 from hsed_jax.reporting import diagnosis_figures
 from hsed_jax.reporting.diagnosis_figures import before_after, error_fall, parameters_before_after, ranking

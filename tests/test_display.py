@@ -17,7 +17,7 @@ from test_misfit_figures import histories, quantities
 from test_plot import STUDY, bare, calibration, fitted, improvement
 
 import hsed_jax as hx
-from hsed_jax.analysis import Calibration
+from hsed_jax.analysis.calibration import Calibration
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.nuts import Convergence
 from hsed_jax.measurements import Record

@@ -7,10 +7,10 @@ import pytest
 from scipy import stats
 from scipy.integrate import quad
 
-from hsed_jax.inference.box import Box
-from hsed_jax.inference.evidence import importance, laplace
-from hsed_jax.inference.lanes import Lanes
-from hsed_jax.inference.nested import Descent, NestedModels, Target, Task
+from hsed_jax.diagnosis.box import Box
+from hsed_jax.diagnosis.evidence import importance, laplace
+from hsed_jax.diagnosis.lanes import Lanes
+from hsed_jax.diagnosis.nested import Descent, NestedModels, Target, Task
 from hsed_jax.inference.priors import Prior
 
 TIME = np.linspace(0.0, 3.0, 12)

@@ -9,7 +9,6 @@ import pytest
 import yaml
 
 import hsed_jax as hx
-from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, Channel, Experiment, Noise, Record, write_campaign
@@ -17,6 +16,7 @@ from hsed_jax.models.differences import Differenced, Free
 from hsed_jax.models.function import FunctionModel
 from hsed_jax.physics.simulator import Conditions
 from hsed_jax.run import main
+from hsed_jax.study.build import Built
 
 FUNCTIONS = '''
 import math
@@ -249,7 +249,7 @@ LAW = {
 WRAPPED = """
 import numpy as np
 
-from hsed_jax.config.build import Built
+from hsed_jax.study.build import Built
 from hsed_jax.config.load import load_study
 from hsed_jax.physics.simulator import Conditions
 

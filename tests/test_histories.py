@@ -13,11 +13,11 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import eigh
 
 import hsed_jax as hx
-from hsed_jax.config.build import Built
 from hsed_jax.errors import UserError
 from hsed_jax.inference.observation import Quantities, assemble
 from hsed_jax.measurements import Campaign, Channel, Experiment, Noise, Record, read_at2
 from hsed_jax.physics.simulator import Conditions
+from hsed_jax.study.build import Built
 
 A, BETA, NOISE = 2.0e7, 200.0, 2.0e3  # strength 100 kN, yield elongation 5 mm
 

@@ -9,13 +9,13 @@ import pytest
 from test_diagnose import BETA, NOISE, A, C, spring_campaign, spring_study
 
 import hsed_jax as hx
-from hsed_jax.config.build import Built
-from hsed_jax.config.candidates import problem_of, with_effects
 from hsed_jax.config.experiments import ExperimentsEntry
-from hsed_jax.criticism.diagnose import diagnose
+from hsed_jax.diagnosis.diagnose import diagnose
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, Experiment, Record, write_campaign
 from hsed_jax.run import main
+from hsed_jax.study.build import Built
+from hsed_jax.study.candidates import problem_of, with_effects
 
 HARDENING = 8.0e5  # N/m: 24 kN at the largest elongation
 SMALL = {"starts": 1, "chains": 2, "warmup": 10, "draws": 20}
@@ -184,7 +184,7 @@ def test_what_is_there_already_is_not_added_again(better):
 
 
 def test_an_improved_model_lacks_nothing(better, monkeypatch):
-    monkeypatch.setattr("hsed_jax.config.own_effects.EFFECTS", few())
+    monkeypatch.setattr("hsed_jax.study.own_effects.EFFECTS", few())
     built = Built(better.study, better.calibration.built.campaign)
     found = hx.diagnose(replace(better.calibration, built=built))
     assert found.verdict == "adequate" and {c.effect for c in found.ranking} == {"coulomb_friction"}
@@ -219,7 +219,7 @@ def summary_of(folder):
 
 
 def test_diagnose_and_improve_from_the_command_line(folder, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("hsed_jax.config.own_effects.EFFECTS", few())
+    monkeypatch.setattr("hsed_jax.study.own_effects.EFFECTS", few())
     assert main(["diagnose", str(folder), "--output", str(tmp_path / "run")]) == 0, capsys.readouterr().err
     summary = summary_of(tmp_path / "run")
     assert summary["status"] == "complete" and summary.keys() >= {"calibration", "comparison", "diagnosis"}
@@ -268,7 +268,7 @@ def test_steps_that_lack_what_they_need_are_the_users_to_mend(folder, tmp_path, 
 def test_an_effect_that_cannot_be_added_is_refused_before_anything_is_computed(
     folder, tmp_path, capsys, monkeypatch, effect, words
 ):
-    monkeypatch.setattr("hsed_jax.workflow.calibrate_built", lambda *_, **__: pytest.fail("calibrated"))
+    monkeypatch.setattr("hsed_jax.runs.workflow.calibrate_built", lambda *_, **__: pytest.fail("calibrated"))
     more = ["model.effects={hardening: {}}"]
     assert main(["improve", str(folder), *more, "--add", effect, "--output", str(tmp_path / "run")]) == 2
     (line,) = capsys.readouterr().err.splitlines()

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hsed_jax.config.build import Built
-from hsed_jax.config.initial import initial_study
 from hsed_jax.config.load import load_study, parse_yaml
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, Channel, Noise, characteristics, read_campaign, write_campaign
 from hsed_jax.run import main
+from hsed_jax.study.build import Built
+from hsed_jax.study.initial import initial_study
 
 A, BETA = 2.0e7, 200.0  # strength 100 kN
 

@@ -351,11 +351,11 @@ def test_bands_of_eight_points_hold_what_they_say():
 @pytest.fixture(scope="module")
 def papers_field(request):
     """The discrepancy of the paper's case at the MAP of fifteen experiments, over the inputs, in units of its sd."""
-    from hsed_jax.config.build import Built
     from hsed_jax.config.load import load_study
     from hsed_jax.design.discrepancy import discrepancy
     from hsed_jax.inference.maximum import maximise
     from hsed_jax.physics.simulator import Conditions
+    from hsed_jax.study.build import Built
 
     path = request.config.rootpath / "configs" / "paper.yaml"
     built = Built(load_study(path, ["design.initial=15", "design.iterations=0"]))

@@ -16,7 +16,6 @@ import pytest
 import scipy.io
 import yaml
 
-from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
 from hsed_jax.laboratories.base import ExperimentFailed
@@ -28,7 +27,8 @@ from hsed_jax.laboratories.sensors import Sensors
 from hsed_jax.measurements import Channel, read_at2, read_campaign
 from hsed_jax.physics.simulator import Timeline
 from hsed_jax.run import run_main
-from hsed_jax.workflow import Run, run
+from hsed_jax.runs.workflow import Run, run
+from hsed_jax.study.build import Built
 
 import test_conduct  # isort: skip
 

@@ -13,10 +13,7 @@ import pytest
 from laws_in_steps import Bilinear, MenegottoPinto, Takeda, shaken
 
 import hsed_jax as hx
-from hsed_jax.config.build import Built
-from hsed_jax.config.candidates import applicable
 from hsed_jax.config.load import load_study
-from hsed_jax.config.plan import check_added
 from hsed_jax.errors import UserError
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.effects.base import slots_of
@@ -30,6 +27,9 @@ from hsed_jax.physics.specimen import Specimen, unserved
 from hsed_jax.physics.structures import RayleighDamping, Structure
 from hsed_jax.plain import dump_yaml
 from hsed_jax.run import main
+from hsed_jax.study.build import Built
+from hsed_jax.study.candidates import applicable
+from hsed_jax.study.plan import check_added
 
 ROOT = Path(__file__).parents[1]
 K, F_Y = 5e5, 6e4

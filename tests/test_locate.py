@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 import hsed_jax as hx
-from hsed_jax.config.build import Built
 from hsed_jax.criticism.cycles import absorbed_energy, branches, half_cycles
 from hsed_jax.criticism.locate import locate
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.inference.maximum import maximise
 from hsed_jax.measurements import Campaign, Experiment, Record
+from hsed_jax.study.build import Built
 
 # Strength A/β = 100 kN at a yield elongation of 5 mm; noise 1 % of the strength.
 A, BETA, NOISE = 2.0e7, 200.0, 1.0e3

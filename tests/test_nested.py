@@ -7,9 +7,9 @@ import pytest
 from scipy import stats
 from scipy.optimize import least_squares
 
-from hsed_jax.inference.box import Box
-from hsed_jax.inference.lanes import Lanes
-from hsed_jax.inference.nested import NestedModels, Target, Task
+from hsed_jax.diagnosis.box import Box
+from hsed_jax.diagnosis.lanes import Lanes
+from hsed_jax.diagnosis.nested import NestedModels, Target, Task
 from hsed_jax.inference.priors import Prior
 from hsed_jax.inference.watch import Watch
 

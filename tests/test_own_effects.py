@@ -7,13 +7,13 @@ import pandas as pd
 import pytest
 import yaml
 
-from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study, parse_yaml
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, write_campaign
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.run import main
-from hsed_jax.store import RunFolder
+from hsed_jax.runs.folder import RunFolder
+from hsed_jax.study.build import Built
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 STUDY = """

@@ -11,12 +11,9 @@ import pytest
 import xarray as xr
 
 import hsed_jax as hx
-from hsed_jax.ask_tell import AskTell
-from hsed_jax.conduct import Asked
-from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study
-from hsed_jax.criticism import diagnose
-from hsed_jax.inference.evidence import Sampled
+from hsed_jax.diagnosis import diagnose
+from hsed_jax.diagnosis.evidence import Sampled
 from hsed_jax.measurements import (
     Campaign,
     Channel,
@@ -35,8 +32,11 @@ from hsed_jax.physics.outputs import CHANNELS, QUANTITIES
 from hsed_jax.physics.pairs import ELONGATION_AND_FORCE, PAIRS
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.scales import Scales
-from hsed_jax.requests import Expected
 from hsed_jax.run import main
+from hsed_jax.runs.ask_tell import AskTell
+from hsed_jax.runs.conduct import Asked
+from hsed_jax.runs.requests import Expected
+from hsed_jax.study.build import Built
 
 LENGTH, ROTATION, STRAIN, SHEAR = PAIRS
 

@@ -14,19 +14,19 @@ from test_diagnosis_figures import candidate, diagnosis, improved
 from test_misfit_figures import histories, quantities
 
 import hsed_jax as hx
-from hsed_jax.analysis import Calibration
-from hsed_jax.ask_tell import AskTell
-from hsed_jax.config.build import Built
+from hsed_jax.analysis.calibration import Calibration
+from hsed_jax.analysis.remedy import Improvement
 from hsed_jax.config.experiments import ExperimentsEntry
 from hsed_jax.criticism.improve import Step, Trail
 from hsed_jax.design.sequential import DesignState
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.nuts import Chains, Convergence
 from hsed_jax.measurements import Campaign, Channel, Experiment, Record, write_campaign
-from hsed_jax.remedy import Improvement
 from hsed_jax.reporting.outcome import Outcome
-from hsed_jax.requests import Expected
-from hsed_jax.workflow import Run
+from hsed_jax.runs.ask_tell import AskTell
+from hsed_jax.runs.requests import Expected
+from hsed_jax.runs.workflow import Run
+from hsed_jax.study.build import Built
 
 STUDY = hx.load_study("configs/paper.yaml")
 UNITS = {"A": "N/m", "beta": "1/m", "stiffness_degradation.delta": "1", "error.force": "1"}

@@ -7,13 +7,13 @@ import pytest
 import yaml
 
 import hsed_jax as hx
-from hsed_jax.config.build import Built
 from hsed_jax.measurements import Campaign, Channel, Experiment, Record, check_campaign, parse_unit
 from hsed_jax.measurements.units import quantity_dimension
 from hsed_jax.physics.excitations import Imposed, Tabulated
 from hsed_jax.physics.outputs import EQ_18, QUANTITIES, Quantity, _largest, is_quantity, output, quantity
 from hsed_jax.physics.simulator import Conditions, Recorded, Simulator, Timeline
 from hsed_jax.physics.structures import ModalDamping, Structure
+from hsed_jax.study.build import Built
 
 NEW = ("residual_elongation", "peak_absolute_acceleration", "energy_at_1100ms")
 NAMES = (*EQ_18, *NEW, "energy_at_5s", "energy_at_60s")

@@ -19,7 +19,7 @@ from hsed_jax.reporting.inline_svg import inline
 from hsed_jax.reporting.page_tables import error_of, residual_table, samples_table, thinned, unit_words
 from hsed_jax.reporting.report import report_page
 from hsed_jax.run import main
-from hsed_jax.store import read_run
+from hsed_jax.runs.folder import read_run
 
 HOSTILE = "</script><script>alert('x')</script>"
 IDS = ("E01", "E02", "T01")

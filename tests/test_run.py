@@ -17,19 +17,19 @@ import pytest
 import xarray as xr
 import yaml
 
-from hsed_jax.ask_tell import AskTell
-from hsed_jax.conduct import Conduct
-from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
 from hsed_jax.interruptions import Interrupted
 from hsed_jax.laboratories.base import ExperimentFailed
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.measurements import Experiment, read_campaign, write_campaign
-from hsed_jax.progress import Progress
 from hsed_jax.run import run_main
-from hsed_jax.store import RunFolder, read_run
-from hsed_jax.workflow import Run, run
+from hsed_jax.runs.ask_tell import AskTell
+from hsed_jax.runs.conduct import Conduct
+from hsed_jax.runs.folder import RunFolder, read_run
+from hsed_jax.runs.progress import Progress
+from hsed_jax.runs.workflow import Run, run
+from hsed_jax.study.build import Built
 
 SMALL = """
 study: small
@@ -444,7 +444,7 @@ def quick(built, monkeypatch):
         object.__setattr__(other, "study", study)
         return other
 
-    monkeypatch.setattr("hsed_jax.workflow.Built", twin)
+    monkeypatch.setattr("hsed_jax.runs.workflow.Built", twin)
     monkeypatch.setattr("hsed_jax.reporting.run_figures.draw", lambda *_: None)
 
     def go(folder, *overrides, **flags):
@@ -607,7 +607,7 @@ def test_a_run_says_at_which_step_it_was_stopped(study, tmp_path, monkeypatch):
     def stop(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("hsed_jax.workflow.calibrate_built", stop)
+    monkeypatch.setattr("hsed_jax.runs.workflow.calibrate_built", stop)
     with pytest.raises(Interrupted, match="stopped while it was at calibrate, 1 of 2 steps; nothing is lost"):
         run(load_study(study, ["steps=[calibrate, compare]"]), tmp_path / "run", progress=False)
     found = json.loads(summary_text(tmp_path / "run"))
@@ -616,7 +616,7 @@ def test_a_run_says_at_which_step_it_was_stopped(study, tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_a_diagnosis_that_was_stopped_goes_on_where_it_was(study, tmp_path, monkeypatch):
-    from hsed_jax.inference.lanes import Lanes
+    from hsed_jax.diagnosis.lanes import Lanes
 
     simulated = 0
 

@@ -9,8 +9,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import hsed_jax as hx
-from hsed_jax.config.build import Built
-from hsed_jax.config.candidates import applicable, with_effects
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import overview, write_campaign
 from hsed_jax.physics.effects import EFFECTS, Catalogue
@@ -22,6 +20,8 @@ from hsed_jax.physics.outputs import is_quantity, loops, output
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator, Timeline
 from hsed_jax.physics.structures import ModalDamping, Spring, Structure
+from hsed_jax.study.build import Built
+from hsed_jax.study.candidates import applicable, with_effects
 
 MASSES = (2.0e4, 1.5e4)
 RATIO = 0.03

@@ -13,12 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hsed_jax as hx
-from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study, parse_yaml
 from hsed_jax.errors import UserError
 from hsed_jax.physics.simulator import Simulator
 from hsed_jax.plain import dump_yaml
 from hsed_jax.run import main, run_main
+from hsed_jax.study.build import Built
 
 SMALL = """
 study: small
@@ -407,7 +407,7 @@ def test_a_file_named_like_no_file_is_not_there(capsys):
 def test_code_of_the_user_that_leaves_by_an_exit_is_no_success(tmp_path, capsys, monkeypatch):
     file = tmp_path / "study.yaml"
     file.write_text(SMALL)
-    monkeypatch.setattr("hsed_jax.workflow.run", lambda *_, **__: sys.exit(0))
+    monkeypatch.setattr("hsed_jax.runs.workflow.run", lambda *_, **__: sys.exit(0))
     assert "sys.exit(0)" in message_of([str(file), "--output", str(tmp_path / "run")], capsys)
 
 

@@ -19,10 +19,10 @@ import xarray as xr
 import yaml
 
 import hsed_jax as hx
-from hsed_jax import workflow
 from hsed_jax.errors import UserError
 from hsed_jax.reporting.sweep_figures import comparison
 from hsed_jax.run import main
+from hsed_jax.runs import workflow
 from hsed_jax.sweeps import workers
 from hsed_jax.sweeps.folder import SweepFolder, alone, note, outcome, run_folder
 from hsed_jax.sweeps.plan import Plan, plan_of

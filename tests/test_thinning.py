@@ -6,10 +6,6 @@ import numpy as np
 import pytest
 
 import hsed_jax as hx
-from hsed_jax.config.build import Built
-from hsed_jax.config.records import forecast, thinning_notes
-from hsed_jax.config.specimens import Naming
-from hsed_jax.config.timelines import imposed_grid
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Experiment, Record, characteristics
 from hsed_jax.measurements.thinning import loss, thinned
@@ -17,6 +13,10 @@ from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.elements import Element
 from hsed_jax.physics.laws import BoucWen
 from hsed_jax.reporting.page_tables import _predicted_part
+from hsed_jax.study.build import Built
+from hsed_jax.study.records import forecast, thinning_notes
+from hsed_jax.study.specimens import Naming
+from hsed_jax.study.timelines import imposed_grid
 
 STRENGTH, YIELD, ROWS = 1e5, 5e-3, 28000
 

@@ -12,7 +12,7 @@ from case import ETA, Numbers, numbers
 from peers import surrogate
 from scipy.optimize import least_squares
 
-from hsed_jax.config.build import Built
+from hsed_jax.study.build import Built
 
 _DIFFERENCE = 1e-6
 _SPREAD = 256  # inputs over which the variance of Eq. 12 is taken

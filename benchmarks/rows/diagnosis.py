@@ -35,7 +35,7 @@ def measure(quick: bool) -> list[dict[str, Any]]:
 def diagnosed(seeds: tuple[int, ...], settings: tuple[str, ...]) -> list[dict[str, Any]]:
     """What the diagnosis of each campaign took [s], how many simulations it made, and whether it named the hidden effect."""
     import hsed_jax as hx
-    from hsed_jax.inference.lanes import Lanes
+    from hsed_jax.diagnosis.lanes import Lanes
 
     simulated = [0]
     run = Lanes.__call__

@@ -1,1 +1,1 @@
-"""What a user may say, and the objects that are built from it."""
+"""What a user may say in a study."""

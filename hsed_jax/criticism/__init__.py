@@ -1,1 +1,1 @@
-"""How wrong the model is, where it fails, and what it lacks."""
+"""How wrong the model is, and where it fails."""

@@ -1,1 +1,1 @@
-"""From measurements to parameters: priors, likelihood, MAP, NUTS, evidence."""
+"""From measurements to parameters: priors, likelihood, MAP, NUTS."""

@@ -12,7 +12,7 @@ class Awaited(Exception):
 
 @dataclass(frozen=True)
 class FolderLaboratory:
-    """Performs nothing by itself; `hsed_jax.ask_tell` writes its requests and takes its answers."""
+    """Performs nothing by itself; `hsed_jax.runs.ask_tell` writes its requests and takes its answers."""
 
     def perform(self, number: int, inputs: Mapping[str, float]) -> Measured:
         """Say that it takes a while.

@@ -7,9 +7,9 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from hsed_jax.criticism.compare import Comparison
-from hsed_jax.criticism.findings import Candidate, Diagnosis
 from hsed_jax.criticism.improve import Step, Trail
 from hsed_jax.criticism.prediction import Prediction, error_cell, has_diverged
+from hsed_jax.diagnosis.findings import Candidate, Diagnosis
 from hsed_jax.measurements import Campaign
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.outputs import named, owner_of

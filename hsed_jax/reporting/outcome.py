@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 
 from hsed_jax.criticism.compare import Comparison
-from hsed_jax.criticism.findings import Diagnosis
 from hsed_jax.criticism.improve import Trail
 from hsed_jax.criticism.locate import Location
 from hsed_jax.design.sequential import DesignState, SequentialDesign
 from hsed_jax.design.space import InputSpace
+from hsed_jax.diagnosis.findings import Diagnosis
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.laboratories.virtual import VirtualLaboratory

@@ -10,8 +10,8 @@ import numpy as np
 import xarray as xr
 
 from hsed_jax.criticism.compare import Comparison
-from hsed_jax.criticism.findings import Diagnosis
 from hsed_jax.criticism.locate import Location
+from hsed_jax.diagnosis.findings import Diagnosis
 from hsed_jax.inference.fit import Fit
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting.outcome import Outcome

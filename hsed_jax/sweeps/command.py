@@ -64,8 +64,8 @@ def _add_study(parser: argparse.ArgumentParser, help: str) -> None:
 def _sweep(options: Any) -> int:
     heed_interruptions()
     from hsed_jax.config.load import load_study
+    from hsed_jax.runs.workflow import Interrupted
     from hsed_jax.sweeps.sweep import sweep
-    from hsed_jax.workflow import Interrupted
 
     study = load_study(options.study, options.overrides)
     grid = _grid(options.grid) if options.grid else {}
@@ -100,8 +100,8 @@ def _sweep(options: Any) -> int:
 
 
 def _sensitivity(options: Any) -> int:
+    from hsed_jax.analysis.sensitivity import sensitivity
     from hsed_jax.config.load import load_study
-    from hsed_jax.sobol import sensitivity
 
     found = sensitivity(load_study(options.study, options.overrides), options.samples)
     print(found)

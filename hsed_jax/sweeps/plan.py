@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
-from hsed_jax.config import parts
-from hsed_jax.config.build import Built
 from hsed_jax.config.load import load_study
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
 from hsed_jax.memory import check_memory
+from hsed_jax.study import parts
+from hsed_jax.study.build import Built
 
 # A point and its study, as objects [bytes].
 _POINT = 1000

@@ -17,11 +17,11 @@ from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
 from hsed_jax.reporting.style import Picture, save
 from hsed_jax.reporting.sweep_figures import comparison
+from hsed_jax.runs.workflow import Interrupted
 from hsed_jax.sweeps import results, workers
 from hsed_jax.sweeps.folder import SweepFolder, outcomes
 from hsed_jax.sweeps.plan import Plan, Point, Range, plan_of
 from hsed_jax.tables import Table, Tabular, cell
-from hsed_jax.workflow import Interrupted
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -69,7 +69,7 @@ def _forget() -> None:
 def _ended(here: Path, study: Mapping[str, Any]) -> dict[str, Any]:
     """Run a study in a folder; returns how it ended."""
     from hsed_jax.config.load import load_study
-    from hsed_jax.workflow import run
+    from hsed_jax.runs.workflow import run
 
     begin = time.perf_counter()
     try:

@@ -16,7 +16,7 @@ from hsed_jax.physics.excitations.base import (
     setting,
 )
 
-# As the integration resolves a period (`hsed_jax.config.timelines`).
+# As the integration resolves a period (`hsed_jax.study.timelines`).
 _STEPS_PER_PERIOD = 24
 
 

@@ -1,0 +1,1 @@
+"""The sentence of the package in Python: simulate, calibrate, compare, locate, diagnose, improve, sensitivity."""

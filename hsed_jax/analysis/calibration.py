@@ -1,0 +1,250 @@
+"""The sentence of the package in Python: simulate, calibrate, compare, locate.  The command line says the same."""
+
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from hsed_jax.config.schema import Study
+from hsed_jax.criticism import compare as comparing
+from hsed_jax.criticism import locate as locating
+from hsed_jax.criticism.compare import Comparison
+from hsed_jax.criticism.locate import Location
+from hsed_jax.criticism.prediction import Prediction, predict
+from hsed_jax.errors import UserError
+from hsed_jax.inference.fit import Fit, fit
+from hsed_jax.inference.watch import Watch
+from hsed_jax.measurements import Campaign, stop_at_errors
+from hsed_jax.physics.batch import tiled_map
+from hsed_jax.physics.outputs import further, of_each
+from hsed_jax.physics.response import Response
+from hsed_jax.physics.simulator import AbstractModel, Conditions
+from hsed_jax.study.build import Built
+from hsed_jax.study.records import thinning_notes
+from hsed_jax.tables import Table, Tabular
+
+# Of the random numbers of a calibration; the steps of a design have the numbers below.
+_CALIBRATION_KEY = 1_000_000
+# Simulations of a batch that go to a thread together: one program for batches of any size, and bounded memory.
+_CHUNK = 2048
+_CHANNELS = ("elongation", "force", "energy")
+
+
+@dataclass(frozen=True, repr=False)
+class Calibration(Tabular):
+    """A model calibrated on a campaign.
+
+    Attributes:
+        built: the study and what was built of it.
+        campaign: the experiments; those of the test split were not fitted.
+        fit: MAP, draws and their convergence.
+    """
+
+    built: Built
+    campaign: Campaign
+    fit: Fit
+
+    @property
+    def map(self) -> dict[str, float]:
+        """θ_MAP by name, SI."""
+        return self.fit.map
+
+    def predict(self, campaign: Campaign) -> Prediction:
+        """Predict the completed experiments of a campaign."""
+        experiments = campaign.completed.experiments
+        return predict(self.fit, self.built.data(campaign, experiments), self.built.taken(experiments))
+
+    @cached_property
+    def train(self) -> Prediction:
+        """Predictions of the experiments that were fitted."""
+        return self.predict(self.campaign.train)
+
+    @cached_property
+    def test(self) -> Prediction | None:
+        """Predictions of the experiments that were held out; None where there are none."""
+        return self.predict(self.campaign.test) if len(self.campaign.test) else None
+
+    def _table(self) -> Table:
+        return self.fit._table()
+
+
+def campaign_of(study: Study) -> Campaign:
+    """The experiments of a study: the campaign it names, or what its virtual laboratory measures at the initial design."""
+    built = Built(study)
+    return built.perform() if built.measured is None else built.measured
+
+
+def calibrate(study: Study, campaign: Campaign | None = None) -> Calibration:
+    """Calibrate the model of a study on the training experiments of a campaign.
+
+    Arguments:
+        study: the study.
+        campaign: measured experiments; by default those of the study (`campaign_of`).
+
+    Raises:
+        UserError: the campaign does not fit the study, has errors in its data, or has nothing to fit.
+    """
+    campaign = campaign_of(study) if campaign is None else campaign
+    built = Built(study, campaign)
+    stop_at_errors(campaign, study.measurements.accepted(campaign))
+    return calibrate_built(built, campaign)
+
+
+def calibrate_built(
+    built: Built,
+    campaign: Campaign,
+    size: int | None = None,
+    start: Array | None = None,
+    watch: Watch | None = None,
+) -> Calibration:
+    """`calibrate`, with what is built already.
+
+    Arguments:
+        built: the study.
+        campaign: the experiments.
+        size: number of rows to pad the data to.
+        start: parameters of the model (SI) to start one of the searches from.
+        watch: follows it.
+    """
+    study = built.study
+    found = fit(
+        built.posterior,
+        built.data(campaign, campaign.train.experiments, size),
+        starts=study.calibration.starts,
+        settings=built.settings,
+        key=jax.random.fold_in(jax.random.key(study.seed), _CALIBRATION_KEY),
+        units=built.units,
+        errors=built.errors,
+        start=start,
+        watch=watch,
+        seconds=study.calibration.seconds,
+    )
+    return Calibration(built, campaign, found)
+
+
+def compare(calibration: Calibration, campaign: Campaign | None = None) -> Comparison:
+    """How far the calibrated model is from the measurements, against the noise.
+
+    Arguments:
+        calibration: the calibrated model.
+        campaign: experiments to compare with; by default those it was calibrated on and their test split.
+    """
+    campaign = calibration.campaign if campaign is None else campaign
+    if campaign is not calibration.campaign:
+        calibration = replace(calibration, campaign=campaign)
+    declared = calibration.fit.posterior.is_declared
+    parameters = len(calibration.fit.posterior.model_names)
+    notes = [*calibration.fit.correlation_notes(), *thinning_notes(calibration.built, campaign)]
+    if calibration.built.component_test and calibration.built.grid is not None and not campaign.has_time:
+        notes.append(
+            "the records have no time: the row number stands for it, which a rate-independent law does not notice"
+        )
+    return comparing.compare(calibration.train, calibration.test, declared, parameters, notes)
+
+
+def locate(
+    calibration: Calibration, campaign: Campaign | None = None, *, split: Literal["train", "test"] = "train"
+) -> Location:
+    """Where the calibrated model fails.
+
+    Arguments:
+        calibration: the calibrated model.
+        campaign: experiments to look at; by default those it was calibrated on.
+        split: of the campaign: the training experiments, as the command line does, or those held out.
+
+    Raises:
+        UserError: the campaign has no experiment of that split.
+    """
+    campaign = calibration.campaign if campaign is None else campaign
+    if campaign is not calibration.campaign:
+        calibration = replace(calibration, campaign=campaign)
+    prediction = calibration.train if split == "train" else calibration.test
+    if prediction is None:
+        raise UserError(f"the campaign {campaign.name!r} has no experiments that were held out (split: test)")
+    return locating.locate(prediction, campaign)
+
+
+def simulate(
+    study: Study,
+    inputs: Mapping[str, Any],
+    parameters: Mapping[str, Any] | None = None,
+    channels: tuple[str, ...] | None = None,
+) -> Response:
+    """Simulate the model of a study under its excitation.
+
+    Arguments:
+        study: the study.
+        inputs: variable inputs by name in their declared units, numbers or arrays of one common length: a batch.
+        parameters: free parameters by name (SI), numbers or arrays; by default the medians of their priors.
+        channels: histories to keep, by default elongation, force and energy of the specimen or of each, as far as the model
+            gives them; none (an empty tuple) for quantities alone, which is faster.
+
+    Returns:
+        The response, with the quantities of Eq. 18 and those that the study names; in a batch every array has a leading axis.
+
+    Raises:
+        UserError: an input or parameter is missing or unknown, lengths differ, or the model gives no such history.
+    """
+    built = Built(study)
+    free, _ = built.parameters
+    given = {**{name: float(prior.quantile(0.5)) for name, prior in free.items()}, **(parameters or {})}
+    for what, names, known in (("input", inputs, built.study.inputs), ("parameter", given, free)):
+        for name in names:
+            if name not in known:
+                raise UserError(f"there is no {what} {name!r}; the study has {', '.join(known) or 'none'}")
+        if missing := [name for name in known if name not in names]:
+            raise UserError(f"{what} {missing[0]!r} is missing; the study has {', '.join(known)}")
+    factors = built.space.factors
+    lanes = (
+        {name: jnp.asarray(value, dtype=float) for name, value in given.items()},
+        {name: jnp.asarray(value, dtype=float) * factors[name] for name, value in inputs.items()},
+    )
+    sizes = {leaf.shape for leaf in jax.tree.leaves(lanes)} - {()}
+    if len(sizes) > 1 or any(len(shape) != 1 for shape in sizes):
+        raise UserError(
+            f"inputs and parameters must be numbers or arrays of one common length, but have the shapes {sizes}"
+        )
+
+    # The study may be of records; what is simulated here has none.
+    parameters, inputs = lanes
+    model, more = built.planned_simulator, further(tuple(study.quantities))
+    if channels is None:
+        channels = tuple(name for name in of_each(model.owners, _CHANNELS) if model.gives(name))
+    if missing := [name for name in channels if not model.gives(name)]:
+        raise UserError(f"channels: the model does not give {missing[0]}")
+    if not sizes:
+        return model.respond(parameters, Conditions(inputs), channels, more)
+    ((size,),) = sizes
+    if size == 0:
+        raise UserError("there is nothing to simulate: inputs and parameters are arrays of length 0")
+    batch = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (size,)), lanes)
+
+    def chunk(begin: int) -> Response:
+        count = min(_CHUNK, size - begin)
+        part = jax.tree.map(lambda x: np.pad(x[begin : begin + count], (0, _CHUNK - count), mode="edge"), batch)
+        found = _simulated(model, channels, more, part, jnp.asarray(count))
+        return jax.tree.map(lambda x: np.asarray(x)[:count], found)
+
+    # The first compiles, the others run on all cores.
+    with ThreadPoolExecutor() as threads:
+        parts = [chunk(0), *threads.map(chunk, range(_CHUNK, size, _CHUNK))]
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)), *parts)
+
+
+@eqx.filter_jit
+def _simulated(
+    model: AbstractModel, channels: tuple[str, ...], quantities: tuple[str, ...], lanes: Any, count: Array
+) -> Response:
+    def one(lane):
+        parameters, inputs = lane
+        return model.respond(parameters, Conditions(inputs), channels, quantities)
+
+    found = tiled_map(jax.vmap(one), lanes, count=count)
+    return found._replace(ok=found.ok.astype(bool))

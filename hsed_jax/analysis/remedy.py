@@ -1,0 +1,234 @@
+"""Learn which physical effect is missing, add it, and see the error fall: the second half of the sentence in Python."""
+
+import os
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from hsed_jax.analysis.calibration import Calibration, calibrate_built, compare
+from hsed_jax.config.schema import Study
+from hsed_jax.criticism.compare import Comparison
+from hsed_jax.criticism.improve import Step, Trail, step_of
+from hsed_jax.design.acquisition import Given
+from hsed_jax.diagnosis import diagnose as diagnosing
+from hsed_jax.diagnosis.findings import Diagnosis
+from hsed_jax.diagnosis.nested import Descent, Target, Task
+from hsed_jax.diagnosis.problem import Problem
+from hsed_jax.errors import UserError
+from hsed_jax.inference.watch import Watch
+from hsed_jax.measurements import Campaign
+from hsed_jax.plain import dump_yaml
+from hsed_jax.study.build import Built
+from hsed_jax.study.candidates import problem_of, with_effects
+from hsed_jax.tables import Table, Tabular
+
+# Candidates of a design among which the one that separates rivals best is looked for: a Sobol' set's beginning fills it.
+_DISCRIMINATED = 512
+# Nats by which the model as it is may miss its best fit before it is calibrated again.
+_APART = 2.0
+
+
+def diagnose(calibration: Calibration, campaign: Campaign | None = None, watch: Watch | None = None) -> Diagnosis:
+    """Which physical effects of the catalogue the calibrated model lacks.
+
+    Arguments:
+        calibration: the calibrated model.
+        campaign: experiments to look at; by default those it was calibrated on.  Only the training split is fitted.
+        watch: follows the search.
+    """
+    campaign = calibration.campaign if campaign is None else campaign
+    watch = watch or Watch()
+    problem = problem_of(calibration.built, campaign, watch=watch, known=calibration.map)
+    return diagnosing.diagnose(problem, watch.report)
+
+
+def discriminate(built: Built, campaign: Campaign) -> Given:
+    """The acquisition that chooses what tells the explanations apart best: the expected log Bayes factor between rivals.
+
+    Arguments:
+        built: the study, with a design.
+        campaign: the experiments so far.
+    """
+    cube = np.asarray(built.design.candidate_set[:_DISCRIMINATED])
+    found = diagnosing.diagnose(problem_of(built, campaign, cube=cube))
+    return Given(jnp.log(jnp.asarray(np.maximum(found.separation, 1e-300))))
+
+
+def verdict_of(built: Built, campaign: Campaign) -> str:
+    """The verdict of a diagnosis of the experiments so far.
+
+    Arguments:
+        built: the study.
+        campaign: the experiments so far.
+    """
+    return diagnosing.diagnose(problem_of(built, campaign)).verdict
+
+
+@dataclass(frozen=True, repr=False)
+class Improvement(Tabular):
+    """A model with effects added, calibrated again.
+
+    Attributes:
+        study: with the effects in its model, ready to run or to improve again.
+        original: the calibrated model that was improved.
+        calibration: of the improved model.
+        before, after: the model as it was and the improved one against the same measurements.
+        trail: the error after each added effect.
+    """
+
+    study: Study
+    original: Calibration
+    calibration: Calibration
+    before: Comparison
+    after: Comparison
+    trail: Trail
+
+    def write(self, path: str | Path) -> None:
+        """Write the improved study as YAML, with comments, its paths relative to the file."""
+        path, pair = Path(path), self.original.built.pair
+        plain = self.study.written()
+        model, experiments = plain["model"], plain["experiments"]
+
+        def beside(name: str) -> str:
+            return os.path.relpath(name, path.parent.absolute())
+
+        if "campaign" in experiments:
+            experiments["campaign"] = beside(experiments["campaign"])
+        for settings in plain.get("excitation", {}).values():
+            if isinstance(settings, dict) and "file" in settings:
+                settings["file"] = beside(settings["file"])
+        for spring in (model["spring"], experiments.get("virtual", {}).get("spring")):
+            if isinstance(spring, dict):
+                spring["file"] = beside(spring["file"])
+        model["own_effects"] = [beside(name) for name in model["own_effects"]]
+        comments = {
+            "study": [
+                f"The study {self.original.built.study.study!r} with {' and '.join(self.trail.steps[-1].effects)} added to its "
+                f"model: {self.trail.sentence}.",
+                f"Run it with:  hsed run {path.name}   (every default is written out)",
+            ],
+            "model": ["{} beside an effect: the priors of the catalogue (hsed effects NAME shows them)"],
+            "experiments": ["relative paths start at the folder of this file"],
+            "scales": [
+                "amplitudes of effects are relative to these, as they were when the effects were added: force "
+                f"[{pair.force_unit}], elongation [{pair.elongation_unit}], rate [{pair.unit('m/s')}], absorbed energy "
+                f"[{pair.energy_unit}]"
+            ],
+        }
+        lines = []
+        for line in dump_yaml(plain, inline_leaves=True).splitlines():
+            about = comments.get(line.partition(":")[0], ())
+            lines += [*(f"# {part}" for text in about for part in textwrap.wrap(text, 120)), line]
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+    def _table(self) -> Table:
+        warning = self.calibration.fit.warning
+        doubts = [f"the draws of the improved model have not converged: {warning}"] if warning else []
+        return replace(
+            self.trail._table(), notes=[self.after.verdict, *self.trail.notes, *self.after.warnings, *doubts]
+        )
+
+
+def improve(
+    calibration: Calibration,
+    campaign: Campaign | None = None,
+    *,
+    effects: Sequence[str],
+    start: Mapping[str, float] | None = None,
+    watch: Watch | None = None,
+) -> Improvement:
+    """Add effects to a calibrated model and calibrate it again, MAP and posterior.
+
+    Every model starts where the one before it ended, too, so that its error does not rise.  Where the model as it is turns out
+    not to have been at its best fit, it is calibrated again from there first.
+
+    Arguments:
+        calibration: the model as it is.
+        campaign: experiments; by default those it was calibrated on.
+        effects: names of effects of the catalogue, in the order to add them.
+        start: parameters of the model with them, by name, SI, to start one of the searches from: `Diagnosis.optimum`, so that
+            what was promised is delivered.
+        watch: follows the fits and the calibration.
+
+    Raises:
+        UserError: no effect is given, or one is unknown, there already, or given twice.
+    """
+    campaign = calibration.campaign if campaign is None else campaign
+    if not effects:
+        raise UserError("there is no effect to add; name at least one (hsed effects lists the catalogue)")
+    study = with_effects(calibration.built, effects)
+    study = study.model_copy(update={"study": f"{study.study.removesuffix('_improved')}_improved"})
+    watch = watch or Watch()
+    watch.report("the model with the effects")
+    problem = problem_of(calibration.built, campaign, effects, watch=watch, known=calibration.map)
+    before = compare(calibration, campaign)
+    target = _target(problem, before)
+    assert problem.start is not None
+    plain = _best(problem, target, problem.law, [], problem.start)
+    notes = []
+    if target.misfit(0, before.train_prediction.predicted) - target.misfit(0, plain.predicted) > _APART:
+        calibration = calibrate_built(calibration.built, campaign, start=_parameters(problem, plain), watch=watch)
+        before = compare(calibration)
+        notes.append("the model as it was had not been calibrated to its best fit, and was calibrated again from there")
+    steps, fit = [step_of([], before, calibration.map)], plain
+    for count, effect in enumerate(effects, start=1):
+        free = np.concatenate([fit.free, problem.effects[effect]])
+        whole = count == len(effects) and start is not None
+        fit = _best(problem, target, free, problem.effects[effect], fit.x, start if whole else None)
+        steps.append(_between(problem, problem.models.theta(fit.x, fit.free), effects[:count]))
+    built = Built(study, calibration.built.campaign)
+    better = calibrate_built(built, campaign, start=_parameters(problem, fit), watch=watch)
+    after = compare(better)
+    steps[-1] = step_of(effects, after, better.map)
+    return Improvement(study, calibration, better, before, after, Trail(steps, after.train.noise_floor, notes))
+
+
+def _target(problem: Problem, before: Comparison) -> Target:
+    """What the calibration fits, as it judges what it leaves."""
+    train, predicted = problem.train, before.train_prediction.predicted
+    errors, judged = np.fmax(train.declared, train.left(predicted)), train.judged(predicted)
+    weights = train.used * judged.worth[train.groups]
+    return Target(train.values, train.sigma(errors, predicted), weights[None], judged.memory)
+
+
+def _best(
+    problem: Problem,
+    target: Target,
+    free: np.ndarray,
+    new: Sequence[int] | np.ndarray,
+    x: np.ndarray,
+    known: Mapping[str, float] | None = None,
+) -> Descent:
+    """The best fit of a model with new parameters: from where the one without them is, from there with these spread over their
+    priors, and from parameters that are known."""
+    models, columns = problem.models, np.asarray(new, dtype=int)
+    tasks = [Task(free, x)]
+    if known is not None:
+        tasks.append(Task(free, models.point({name: value for name, value in known.items() if name in problem.names})))
+    if columns.size:
+        starts = np.tile(x, (8, 1))
+        shares = 0.1 + 0.8 * (np.arange(8)[:, None] * (0.5 + np.sqrt(np.arange(columns.size) + 2.0)) % 1.0)
+        starts[:, columns] = models.box.quantiles(columns, shares)
+        tasks += [Task(free, spread, rivals=0) for spread in starts]
+    return min(models.fit(target, tasks), key=lambda f: f.cost)
+
+
+def _parameters(problem: Problem, fit: Descent) -> Array:
+    """θ of a fit, in the order of the study that has its effects."""
+    return jnp.asarray(problem.models.theta(fit.x, fit.free)[fit.free])
+
+
+def _between(problem: Problem, theta: np.ndarray, effects: Sequence[str]) -> Step:
+    """A step of the trail between the model as it was and the improved one."""
+    columns = [*problem.law, *(k for effect in effects for k in problem.effects[effect])]
+    rows = np.arange(problem.rows)
+    outputs, _ = problem.models.lanes(np.repeat(theta[None], len(rows), axis=0), rows)
+    size = len(problem.train.values)
+    test = None if problem.test is None else problem.test.error(outputs[size:])
+    parameters = {problem.names[k]: float(theta[k]) for k in columns}
+    return Step(list(effects), problem.train.error(outputs[:size]), test, parameters)

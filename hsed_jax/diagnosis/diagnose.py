@@ -1,0 +1,252 @@
+"""Which physical effect is missing, how large it is, how sure that is, and what would tell it from its look-alikes."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from hsed_jax.criticism.compare import discrepancy_p_value, is_material
+from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.diagnosis.evidence import Sampled, gaussian, importance
+from hsed_jax.diagnosis.findings import Candidate, Diagnosis
+from hsed_jax.diagnosis.nested import Descent
+from hsed_jax.diagnosis.problem import Problem
+from hsed_jax.diagnosis.rivals import difference, joined, look_alikes_of, next_experiment, rivals_of, separation
+from hsed_jax.diagnosis.scores import score_p_value
+from hsed_jax.diagnosis.search import Model, Search, Set
+from hsed_jax.inference.correlation import SIGNIFICANT
+from hsed_jax.physics.parameters import parameters_of
+
+# Models with at least this probability have their evidence confirmed by sampling.
+_CLOSE = 0.01
+_MOST_CLOSE = 8
+_DRAWS = 240
+# Draws that must count before a sample is believed.
+_ENOUGH = 30
+# An effect with this probability is likely: where it is not named, it is said why.
+_LIKELY = 0.1
+# Nats between two optima of the model as it is that are worth a word.
+_APART = 2.0
+
+
+_MISSED = (
+    "the calibration did not end at the best fit of the model as it is, which is taken here; calibration.starts says from how "
+    "many points it looks for it"
+)
+
+
+def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None) -> Diagnosis:
+    """Look for missing effects.
+
+    Arguments:
+        problem: the measurements and the large model.
+        report: called with what is being done, for a progress bar.
+    """
+
+    def is_explained(fit: Descent) -> bool:
+        probability = _p_value(problem, fit)
+        if probability is None:
+            return False
+        return probability >= SIGNIFICANT or not is_material(problem.train.error(fit.predicted), problem.train.noise)
+
+    search = Search(
+        problem.models, problem.train, problem.law, problem.effects, is_explained, report, problem.test, problem.start
+    )
+    search.start()
+    p_value = _p_value(problem, search.model(()).fit)
+    search.run()
+    report("probabilities and sizes")
+    models = search.all()
+    best, sampled, models = _confirmed(problem, search, models)
+    search.best = best.effects
+    probabilities = search.probabilities(models)
+    ranking = _ranking(problem, search, models, probabilities, sampled)
+    none = search.model(())
+    rivals = rivals_of(models, best)
+    # A clear winner still has a runner-up to be told from.
+    information = separation(problem, search, [best, *(rivals or [m for m in models if m is not best][:1])])
+    look_alikes = look_alikes_of(problem, search, best, models) if best.effects else []
+    chosen, worth = None, None
+    if not best.effects:
+        verdict = "undecided" if p_value is None else "adequate" if is_explained(none.fit) else "unexplained"
+    elif rivals:
+        verdict = "ambiguous"
+        look_alikes = joined([*look_alikes, *(difference(best.effects, rival.effects) for rival in rivals)])
+        chosen, worth = next_experiment(problem, information)
+    else:
+        verdict = "missing_effects"
+    named = [c.effect for c in ranking if c.effect in best.effects]
+    tests = search.unseen([none.effects, best.effects])
+    theta = problem.models.theta(best.fit.x, best.fit.free)
+    return Diagnosis(
+        verdict=verdict,
+        effects=named,
+        ranking=ranking,
+        look_alikes=look_alikes,
+        next_experiment=chosen,
+        expected_log_bayes_factor=worth,
+        separation=information,
+        p_value=p_value,
+        p_value_after=_p_value(problem, best.fit) if best.effects else p_value,
+        error=(problem.train.error(none.fit.predicted), tests[0]),
+        error_after=(problem.train.error(best.fit.predicted), tests[1]),
+        noise_floor=problem.train.noise,
+        parameters={
+            "before": _law(problem, none.fit, sampled.get(none.effects) or _sample(problem, search, none)),
+            "after": _law(problem, best.fit, sampled[best.effects]),
+        },
+        optimum={problem.names[k]: float(theta[k]) for k in best.fit.free},
+        prediction=_prediction(problem, best.fit, search.target.sigma),
+        scales=problem.scales,
+        notes=[*problem.notes, *([_MISSED] if search.missed > _APART else [])],
+    )
+
+
+# Probabilities and sizes.
+
+
+def _sample(problem: Problem, search: Search, model: Model) -> Sampled:
+    return importance(model.fit, problem.models, search.target, _DRAWS, problem.seed)
+
+
+def _confirmed(problem: Problem, search: Search, models: list[Model]) -> tuple[Model, dict[Set, Sampled], list[Model]]:
+    """The best model after close calls were confirmed by sampling, the samples, and all models with their evidence."""
+    shares = search.probabilities(models)
+    close = [m for m, share in zip(models, shares, strict=True) if share >= _CLOSE][:_MOST_CLOSE]
+    chosen = search.model(search.best)
+    if all(m.effects != chosen.effects for m in close):
+        close.append(chosen)
+    sampled = {m.effects: _sample(problem, search, m) for m in close}
+    confirmed = []
+    for m in models:
+        found = sampled.get(m.effects)
+        if found is not None and found.effective >= _ENOUGH:
+            m = m._replace(
+                log_evidence=found.log_evidence,
+                log_posterior=m.log_posterior - m.log_evidence + found.log_evidence,
+            )
+        confirmed.append(m)
+    confirmed.sort(key=lambda m: -m.log_posterior)
+    # Only an exchange is left to be decided: whether there is one more effect was a matter of odds.
+    same_size = [m for m in confirmed if len(m.effects) == len(chosen.effects) and m.effects in sampled]
+    fit_for_use = [m for m in same_size if m.effects == chosen.effects or not search.harms(m.effects)]
+    return fit_for_use[0], sampled, confirmed
+
+
+def _ranking(
+    problem: Problem, search: Search, models: list[Model], probabilities: np.ndarray, sampled: dict[Set, Sampled]
+) -> list[Candidate]:
+    by_set = {m.effects: m for m in models}
+    best = search.best
+    shown: dict[str, tuple[Model, Model]] = {}
+    for effect in problem.effects:
+        if effect in best:
+            shown[effect] = by_set[best], by_set.get(best - {effect}) or search.model(best - {effect})
+            continue
+        # In place of what the best model has, else (or where that is more probable than the best) beside it.
+        options = [m for m in models if effect in m.effects and m.effects - {effect} in by_set]
+        instead = [m for m in options if len(m.effects) <= max(len(best), 1)] or options
+        beside = by_set.get(best | {effect})
+        if beside is None or beside.log_posterior <= by_set[best].log_posterior:
+            beside = instead[0]
+        shown[effect] = beside, by_set[beside.effects - {effect}]
+    tests = search.unseen([model.effects for model, _ in shown.values()])
+    found = []
+    for (effect, (model, without)), test in zip(shown.items(), tests, strict=True):
+        with_it = [p for m, p in zip(models, probabilities, strict=True) if effect in m.effects]
+        sample = sampled.get(model.effects)
+        score = search.scores[effect]
+        probability = min(float(sum(with_it)), 1.0)
+        is_likely = probability >= _LIKELY or (
+            model.effects > best and model.log_posterior > by_set[best].log_posterior
+        )
+        found.append(
+            Candidate(
+                effect=effect,
+                family=problem.catalogue[effect].family,
+                probability=probability,
+                log_evidence_gain=model.log_evidence - without.log_evidence,
+                score=score,
+                score_p_value=score_p_value(score),
+                estimate=_estimate(problem, effect, model.fit, sample),
+                error_train=problem.train.error(model.fit.predicted),
+                error_test=test,
+                reason=_reason(search, model, by_set[best]) if is_likely and effect not in best else None,
+            )
+        )
+    # Named effects come first, by what the model would lose without them.
+    return sorted(found, key=lambda c: (c.effect not in best, -c.log_evidence_gain if c.effect in best else -c.probability,
+                                        -c.log_evidence_gain))  # fmt: skip
+
+
+def _reason(search: Search, model: Model, best: Model) -> str | None:
+    """Why a model with a likely effect is not the one that is named."""
+    if not model.effects > best.effects:
+        odds = math.exp(min(best.log_posterior - model.log_posterior, 700.0))
+        return f"{' + '.join(sorted(best.effects - model.effects))} in its place is {odds:.2g} times as probable"
+    return search.obstacle(model) or "the search ended before it"
+
+
+def _estimate(problem: Problem, effect: str, fit: Descent, sample: Sampled | None) -> dict[str, dict[str, Any]]:
+    """Mean, sd and quantiles of an effect's parameters, from draws or else from the curvature at the fit."""
+    found: dict[str, dict[str, Any]] = {}
+    for known in parameters_of(problem.catalogue[effect]).values():
+        column = problem.names.index(f"{effect}.{known.name}")
+        numbers = _moments(problem, fit, sample, column)
+        found[known.name] = numbers | {"unit": problem.pair.unit(known.unit)}
+        if known.physical is not None:
+            factor = known.physical.factor(problem.scales)
+            unit = problem.pair.unit(known.physical.unit)
+            found[known.physical.name] = {k: v * factor for k, v in numbers.items()} | {"unit": unit}
+    return found
+
+
+def _moments(problem: Problem, fit: Descent, sample: Sampled | None, column: int) -> dict[str, float]:
+    """Mean, sd, 5 % and 95 % quantile of a parameter."""
+    if sample is not None and sample.effective >= _ENOUGH:
+        return sample.moments(column)
+    mean, sd = float(problem.models.theta(fit.x, fit.free)[column]), _deviation(problem, fit, column)
+    box = problem.models.box
+    low, high = (float(box.theta(side)[column]) for side in (box.low, box.high))
+    q05, q95 = np.clip([mean - 1.645 * sd, mean + 1.645 * sd], low, high)
+    return {"mean": mean, "sd": sd, "q05": float(q05), "q95": float(q95)}
+
+
+def _deviation(problem: Problem, fit: Descent, column: int) -> float:
+    """Sd of a parameter by linear propagation of the curvature, no wider than its prior."""
+    _, covariance = gaussian(fit)
+    place = int(np.flatnonzero(fit.free == column)[0])
+    step = min(math.sqrt(covariance[place, place]), 1.0)
+    moved = fit.x.copy()
+    moved[column] += step
+    box = problem.models.box
+    return float(abs(box.theta(moved)[column] - box.theta(fit.x)[column]))
+
+
+def _law(problem: Problem, fit: Descent, sample: Sampled) -> dict[str, dict[str, float]]:
+    return {problem.names[k]: _moments(problem, fit, sample, int(k)) for k in problem.law}
+
+
+def _prediction(problem: Problem, fit: Descent, sigma: np.ndarray) -> Prediction:
+    train = problem.train
+    return Prediction(
+        problem.outputs,
+        train.groups,
+        problem.experiments,
+        train.values,
+        train.used,
+        fit.predicted,
+        fit.predicted,
+        sigma,
+        sigma,
+        np.ones(len(train.values), dtype=bool),
+    )
+
+
+def _p_value(problem: Problem, fit: Descent) -> float | None:
+    """Probability of the residual from the noise alone: the declared one, or else the residual's own size."""
+    train = problem.train
+    is_declared = ~np.isnan(train.declared)
+    sigma = train.sigma(np.where(is_declared, train.declared, 1.0), fit.predicted)
+    return discrepancy_p_value(_prediction(problem, fit, sigma), is_declared, len(fit.free))

@@ -1,0 +1,171 @@
+r"""The evidence of a fit, $Z = \int e^{-\varphi(x)}\,dx$ over the box: by Laplace's method, and by importance sampling.
+
+Laplace's method expands φ to second order at the end of the fit and integrates the Gaussian over the box, which matters where an
+amplitude rests on its bound: half of the Gaussian, or its tail, lies beyond.  Importance sampling (Student's t around the
+Gaussian, learning from its own draws) has no such assumption and gives the posterior's moments as well.
+
+Source: Tierney & Kadane 1986; Geweke 1989; Cappé, Guillin, Marin & Robert 2004 (population Monte Carlo).
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.special import log_ndtr, logsumexp
+from scipy.stats import multivariate_t
+
+from hsed_jax.diagnosis.nested import Descent, NestedModels, Target
+
+_FLOOR = 1e-6
+_DEGREES = 5
+_MOST_ROUNDS = 5
+
+
+class Sampled(NamedTuple):
+    """A weighted sample of one posterior.
+
+    Attributes:
+        log_evidence: log Z.
+        effective: effective number of draws.
+        thetas: draws, SI, (S, P).
+        weights: of the draws, summing to one, (S,).
+    """
+
+    log_evidence: float
+    effective: float
+    thetas: np.ndarray
+    weights: np.ndarray
+
+    def moments(self, column: int) -> dict[str, float]:
+        """Mean, sd, 5 % and 95 % quantile of one parameter."""
+        values = self.thetas[:, column]
+        mean = float(self.weights @ values)
+        order = np.argsort(values)
+        below = np.cumsum(self.weights[order]) - 0.5 * self.weights[order]
+        q05, q95 = np.interp([0.05, 0.95], below, values[order])
+        return {
+            "mean": mean,
+            "sd": float(np.sqrt(self.weights @ (values - mean) ** 2)),
+            "q05": float(q05),
+            "q95": float(q95),
+        }
+
+
+def laplace(fit: Descent, models: NestedModels) -> float:
+    """log Z of a fit; −∞ where its simulation diverged.
+
+    A coordinate that the slope of φ holds at its bound contributes the integral of its own tail, the others their Gaussian.
+    """
+    if not np.isfinite(fit.cost):
+        return -np.inf
+    low, high, x = models.box.low[fit.free], models.box.high[fit.free], fit.x[fit.free]
+    hessian = fit.hessian + _FLOOR * np.eye(len(x))
+    is_held = ((x <= low) & (fit.gradient > 0)) | ((x >= high) & (fit.gradient < 0))
+    loose, held = np.flatnonzero(~is_held), np.flatnonzero(is_held)
+    log_z = -fit.cost
+    if loose.size:
+        covariance = np.linalg.inv(hessian[np.ix_(loose, loose)])
+        slope = fit.gradient[loose]
+        center, deviation = x[loose] - covariance @ slope, np.sqrt(np.diag(covariance))
+        inside = _log_interval((low[loose] - center) / deviation, (high[loose] - center) / deviation)
+        log_z += 0.5 * float(slope @ covariance @ slope) + float(inside.sum())
+        log_z += 0.5 * float(np.linalg.slogdet(2 * np.pi * covariance)[1])
+        across = hessian[np.ix_(held, loose)]
+        stiffness = np.diag(hessian[np.ix_(held, held)] - across @ covariance @ across.T)
+        slopes = np.abs(fit.gradient[held] - across @ covariance @ slope)
+    else:
+        stiffness, slopes = np.diag(hessian)[held], np.abs(fit.gradient[held])
+    # ∫ exp(−g d − h d²/2) over d > 0, up to the other bound.
+    stiffness = np.maximum(stiffness, _FLOOR)
+    deviation, width = 1 / np.sqrt(stiffness), (high - low)[held]
+    tail = _log_interval(slopes * deviation, slopes * deviation + width / deviation)
+    log_z += float(np.sum(0.5 * (slopes * deviation) ** 2 + 0.5 * np.log(2 * np.pi * deviation**2) + tail))
+    return log_z
+
+
+def importance(fit: Descent, models: NestedModels, target: Target, draws: int, seed: int) -> Sampled:
+    """log Z and a weighted sample of a fit's posterior.
+
+    The proposal learns from its own draws, with their weights flattened as far as it takes for enough of them to count.
+
+    Arguments:
+        fit: where it is.
+        models: of the fit.
+        target: what was fitted.
+        draws: in each round, besides some for every parameter.
+        seed: of the random numbers.
+    """
+    random = np.random.default_rng(seed)
+    size = len(fit.free)
+    center, covariance = gaussian(fit)
+    low, high = models.box.low[fit.free], models.box.high[fit.free]
+    # A coordinate nobody holds is spread over its box, and no further.
+    width = np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (high - low), 10.0)
+    shrink = np.minimum(1.0, width / np.sqrt(np.diag(covariance)))
+    covariance, center = covariance * np.outer(shrink, shrink), np.clip(center, low, high)
+    enough = 4 * size + 20
+    points, log_weight = np.empty((0, size)), np.empty(0)
+    for number in range(_MOST_ROUNDS):
+        shape: Any = covariance
+        proposal = multivariate_t(center, shape, df=_DEGREES, allow_singular=True)
+        drawn: Any = proposal.rvs(draws + 40 * size, random_state=random)
+        points = np.asarray(drawn).reshape(-1, size)
+        inside = np.all((points >= low) & (points <= high), axis=1)
+        log_weight = np.full(len(points), -np.inf)
+        if inside.any():
+            density = np.atleast_1d(proposal.logpdf(points[inside]))
+            log_weight[inside] = -_costs(fit, models, target, points[inside]) - density
+        if not np.isfinite(log_weight).any():
+            return Sampled(-np.inf, 0.0, models.theta(fit.x, fit.free)[None], np.ones(1))
+        flatness, shares = _flattened(log_weight, enough)
+        if number > 0 and flatness == 1.0 and 1 / np.sum(shares**2) > 3 * enough:
+            break
+        if number < _MOST_ROUNDS - 1:
+            center = shares @ points
+            spread = np.sqrt(shares)[:, None] * (points - center)
+            covariance = 1.1 * (spread.T @ spread) + 1e-14 * np.eye(size)
+    total = float(np.asarray(logsumexp(log_weight)))
+    weights = np.exp(log_weight - total)
+    thetas = np.stack([models.theta(_at(fit, point), fit.free) for point in points])
+    return Sampled(total - float(np.log(len(points))), float(1 / np.sum(weights**2)), thetas, weights)
+
+
+def _flattened(log_weight: np.ndarray, enough: float) -> tuple[float, np.ndarray]:
+    """The largest power up to one of the weights with which enough draws count, and the shares with it."""
+    power = 1.0
+    while True:
+        shares = np.exp(power * (log_weight - log_weight.max()))
+        shares /= shares.sum()
+        if 1 / np.sum(shares**2) >= enough or power < 1e-6:
+            return power, shares
+        power *= 0.7
+
+
+def gaussian(fit: Descent) -> tuple[np.ndarray, np.ndarray]:
+    """Centre and covariance of exp(−φ) to second order."""
+    covariance = np.linalg.inv(fit.hessian + _FLOOR * np.eye(len(fit.free)))
+    covariance = 0.5 * (covariance + covariance.T)
+    return fit.x[fit.free] - covariance @ fit.gradient, covariance
+
+
+def _costs(fit: Descent, models: NestedModels, target: Target, points: np.ndarray) -> np.ndarray:
+    """φ at several points of the free coordinates."""
+    full = [_at(fit, point) for point in points]
+    prior = models.box.log_density(np.stack(full), fit.free).sum(axis=1)
+    outputs, ok = models.predict([(x, fit.free) for x in full], target.rows(fit.use))
+    costs = target.misfit(fit.use, outputs) - prior
+    return np.where(ok.all(axis=1) & np.isfinite(costs), costs, np.inf)
+
+
+def _at(fit: Descent, point: np.ndarray) -> np.ndarray:
+    x = fit.x.copy()
+    x[fit.free] = point
+    return x
+
+
+def _log_interval(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """log(Φ(high) − Φ(low)), also far in a tail."""
+    # By symmetry the interval is put into the lower tail, where the logarithm of Φ is accurate.
+    flip = low > 0
+    a, b = np.where(flip, -high, low), np.where(flip, -low, high)
+    upper, lower = log_ndtr(b), log_ndtr(a)
+    return upper + np.log1p(-np.exp(np.minimum(lower - upper, -1e-16)))

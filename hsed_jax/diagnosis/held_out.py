@@ -1,0 +1,66 @@
+"""Errors on what was not fitted: experiments left out in turn, and of a single one what comes later."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool
+
+from hsed_jax.diagnosis.nested import Descent, NestedModels, Target, Task
+
+_FOLDS = 6
+_BLOCKS = 4
+
+
+class Folds(NamedTuple):
+    """What to fit and what to predict from it, (F, n, J) each; the first fold is all the data and nothing left out."""
+
+    fitted: Bool[np.ndarray, "F n J"]
+    left_out: Bool[np.ndarray, "F n J"]
+
+
+def folds_of(used: Bool[np.ndarray, "n J"], groups: np.ndarray) -> Folds:
+    """Several experiments are left out in turn.
+
+    Of a single one the past predicts the future: the blocks of time before each block are fitted, since a specimen that has
+    been damaged is another one.
+    """
+    n = len(used)
+    if n > 1:
+        fold = np.broadcast_to((np.arange(n) % min(n, _FOLDS))[:, None], used.shape)
+        fitted = [used & (fold != k) for k in range(int(fold.max()) + 1)]
+        left_out = [used & (fold == k) for k in range(int(fold.max()) + 1)]
+    else:
+        block = np.zeros(used.shape, dtype=int)
+        for own in (groups == g for g in np.unique(groups)):
+            order = np.cumsum(used[0, own]) - 1
+            block[0, own] = np.clip(order * _BLOCKS // max(int(used[0, own].sum()), 1), 0, _BLOCKS - 1)
+        fitted = [used & (block < k) for k in range(1, _BLOCKS)]
+        left_out = [used & (block == k) for k in range(1, _BLOCKS)]
+    return Folds(np.stack([used, *fitted]), np.stack([np.zeros_like(used), *left_out]))
+
+
+def left_out_predictions(
+    models: NestedModels, target: Target, folds: Folds, fits: Sequence[Descent]
+) -> list[np.ndarray | None]:
+    """Of each model what it predicts of every fold from the others, (n, J); None where a simulation failed.
+
+    Arguments:
+        models: of the fits.
+        target: with a use of the data for each fold.
+        folds: what each fold fits and leaves out.
+        fits: of the models to all the data, where those to the folds start.
+    """
+    count = len(folds.fitted) - 1
+    tasks = [Task(fit.free, fit.x, use) for fit in fits for use in range(1, count + 1)]
+    ends = models.fit(target, tasks)
+    outputs, ok = models.predict([(f.x, f.free) for f in ends], np.arange(len(target.values)))
+    found: list[np.ndarray | None] = []
+    for number in range(len(fits)):
+        predicted, is_whole = np.zeros_like(target.values), True
+        for fold in range(count):
+            out = folds.left_out[fold + 1]
+            predicted = np.where(out, outputs[number * count + fold], predicted)
+            is_whole = is_whole and bool(np.all(ok[number * count + fold][out.any(axis=1)] > 0))
+        found.append(predicted if is_whole else None)
+    return found

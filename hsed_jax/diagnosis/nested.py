@@ -1,0 +1,307 @@
+r"""Fits of many nested models at once: bounded Levenberg–Marquardt whose simulations are lanes of one program.
+
+All models are the same large one, with all but a few parameters held at their neutral values.  Hence one compiled program
+serves every candidate, every start and every subset of the experiments; derivatives are differences between lanes, which cost
+one simulation each and also see an effect that has no derivative at its neutral value (a gap, a stop).
+
+$$\varphi(x) = \tfrac12\sum_{ij} w_{ij}\Big(\frac{y_{ij}-f_{ij}(\theta(x))}{\sigma_{ij}}\Big)^2 - \sum_k\log p(x_k),
+  \qquad x_k\in[l_k,u_k]$$
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from hsed_jax.diagnosis.box import Box
+from hsed_jax.diagnosis.lanes import Lanes
+from hsed_jax.inference.likelihood import whitened
+from hsed_jax.inference.watch import Watch, fingerprint
+
+# Of a difference, in coordinates of order one: far above the rounding of a simulation, far below a prior's width.
+_DIFFERENCE = 1e-4
+# A fit ends when a step gains less than this many nats, or after so many steps.
+_GAIN = 0.02
+_MOST_STEPS = 30
+_MOST_TRIALS = 6
+# Of several starts so many go on after so many steps.
+_RACE = {3: 2, 7: 1}
+# Curvature of a coordinate that neither data nor prior hold: its box does.
+_FLAT = 1e-6
+# Outputs that are held at once.
+_NUMBERS = 2**24
+
+
+class Target(NamedTuple):
+    """What is fitted: measured values and their errors, SI, and the weights of several uses of the same experiments.
+
+    Attributes:
+        values, sigma: (n, J).
+        weights: (M, n, J); a task says which of the M it fits.
+        memory: correlation of the noise with that of the sample before, (n, J).
+    """
+
+    values: Float[np.ndarray, "n J"]
+    sigma: Float[np.ndarray, "n J"]
+    weights: Float[np.ndarray, "M n J"]
+    memory: Float[np.ndarray, "n J"]
+
+    def rows(self, use: int) -> Int[np.ndarray, " r"]:
+        """The experiments that a use has weights for."""
+        return np.flatnonzero(self.weights[use].any(axis=1))
+
+    def misfit(self, use: int, outputs: Float[np.ndarray, "... r J"]) -> Float[np.ndarray, "..."]:
+        """Half the weighted sum of squares of outputs of those experiments, SI."""
+        rows = self.rows(use)
+        residual = self.standardised(use, rows, outputs - self.values[rows])
+        return np.asarray(0.5 * np.sum(residual**2, axis=(-2, -1)))
+
+    def standardised(
+        self, use: int, rows: Int[np.ndarray, " r"], difference: Float[np.ndarray, "... r J"]
+    ) -> Float[np.ndarray, "... r J"]:
+        """√w times what is new in differences of outputs, SI, in units of their errors."""
+        used = self.weights[use][rows]
+        return np.sqrt(used) * whitened((used > 0) * difference / self.sigma[rows], self.memory[rows])
+
+
+class Task(NamedTuple):
+    """One fit to make.
+
+    Attributes:
+        free: the free coordinates.
+        start: where to start.
+        use: which of the target's weights to fit.
+        rivals: tasks of one number, if not negative, are starts of one fit: those that fall behind are given up.
+    """
+
+    free: Int[np.ndarray, " p"]
+    start: Float[np.ndarray, " P"]
+    use: int = 0
+    rivals: int = -1
+
+
+@dataclass
+class Descent:
+    """A fit, while it is made and afterwards.
+
+    Attributes:
+        free: free coordinates.
+        x: where it is, (P,).
+        cost: φ there; infinite where the simulation diverged.
+        predicted: outputs of all experiments of the target, SI, (n, J); zero where the use has no weight.
+        gradient, hessian: of φ in the free coordinates (Gauss–Newton), (p,) and (p, p).
+    """
+
+    free: Int[np.ndarray, " p"]
+    x: Float[np.ndarray, " P"]
+    use: int
+    cost: float = np.inf
+    predicted: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    gradient: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    hessian: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    damping: float = 1e-2
+    done: bool = False
+    fresh: bool = False
+
+
+class NestedModels:
+    """A large model whose parameters are mostly held.
+
+    Arguments:
+        lanes: its predictions.
+        box: coordinates of its parameters, in the order of the lanes'.
+        neutral: θ at which every effect is absent; law parameters at any value, (P,).
+        watch: hears how many fits have ended, and keeps the ends.
+    """
+
+    def __init__(self, lanes: Lanes, box: Box, neutral: Float[np.ndarray, " P"], watch: Watch | None = None):
+        self.lanes, self.box, self._watch = lanes, box, watch or Watch()
+        # Held parameters take their neutral values themselves: to the last bit, an effect that is off is absent.
+        self._neutral = neutral
+        self.neutral = box.x(neutral)
+
+    def predict(
+        self, points: Sequence[tuple[np.ndarray, np.ndarray]], rows: Int[np.ndarray, " r"]
+    ) -> tuple[Float[np.ndarray, "B r J"], Float[np.ndarray, "B r"]]:
+        """Outputs at several points (x, free coordinates) for the experiments in `rows`, and whether they converged."""
+        outputs, ok = self._run([(x, free, rows) for x, free in points])
+        return np.stack(outputs), np.stack(ok)
+
+    def point(self, known: Mapping[str, float]) -> Float[np.ndarray, " P"]:
+        """x where some parameters, by name, SI, are known and the others neutral, (P,)."""
+        theta = self._neutral.copy()
+        for name, value in known.items():
+            theta[self.box.names.index(name)] = value
+        return np.clip(self.box.x(theta), self.box.low, self.box.high)
+
+    def theta(self, x: Float[np.ndarray, " P"], free: Int[np.ndarray, " p"]) -> Float[np.ndarray, " P"]:
+        """θ at a point: free coordinates as they are, the others neutral."""
+        theta = self._neutral.copy()
+        theta[free] = self.box.theta(x)[free]
+        return theta
+
+    def fit(self, target: Target, tasks: Sequence[Task]) -> list[Descent]:
+        """Make fits, all side by side; those that were made and kept before are not made again.
+
+        Arguments:
+            target: what is fitted.
+            tasks: the fits to make.
+
+        Returns:
+            The ends, in the order of the tasks.
+        """
+        name = f"fits-{fingerprint(self._neutral, target, list(tasks))}"
+        if (kept := self._watch.recall(name)) is not None:
+            return self._again(target, tasks, kept)
+        fits = self._descended(target, tasks)
+        self._watch.keep(name, [np.asarray(x) for f in fits for x in (f.x, f.cost, f.gradient, f.hessian)])
+        return fits
+
+    def _again(self, target: Target, tasks: Sequence[Task], kept: Sequence[np.ndarray]) -> list[Descent]:
+        """Fits from what was kept of their ends; their predictions are made again, which is little beside a fit."""
+        fits = [Descent(task.free, x, task.use) for task, x in zip(tasks, kept[::4], strict=True)]
+        _, tables = self._costs(target, [(f, f.x) for f in fits])
+        for number, (one, predicted) in enumerate(zip(fits, tables, strict=True)):
+            _, cost, one.gradient, one.hessian = kept[4 * number : 4 * number + 4]
+            one.cost, one.predicted = float(cost), predicted
+        return fits
+
+    def _descended(self, target: Target, tasks: Sequence[Task]) -> list[Descent]:
+        fits = [Descent(t.free, np.clip(t.start, self.box.low, self.box.high), t.use) for t in tasks]
+        for one, cost, predicted in zip(fits, *self._costs(target, [(f, f.x) for f in fits]), strict=True):
+            one.cost, one.predicted = cost, predicted
+            one.done = not np.isfinite(cost)
+        for number in range(_MOST_STEPS):
+            for stage, left in _RACE.items():
+                if number == stage:
+                    _give_up(fits, tasks, left)
+            active = [f for f in fits if not f.done]
+            self._watch.count(len(fits) - len(active), len(fits))
+            if not active:
+                break
+            self._linearise(target, active)
+            self._advance(target, active)
+        _give_up(fits, tasks, 1)
+        self._linearise(target, [f for f in fits if np.isfinite(f.cost) and not f.fresh])
+        return fits
+
+    def standardised(self, target: Target, fit: Descent) -> Float[np.ndarray, "n J"]:
+        """√w (f − y)/σ of a fit."""
+        return target.standardised(fit.use, np.arange(len(target.values)), fit.predicted - target.values)
+
+    def _advance(self, target: Target, active: list[Descent]) -> None:
+        """Move each fit by one accepted step, or end it."""
+        pending = active
+        for _ in range(_MOST_TRIALS):
+            trials = [(f, self._step(f)) for f in pending]
+            rest = []
+            for (one, x), cost, predicted in zip(trials, *self._costs(target, trials), strict=True):
+                gain = one.cost - cost
+                if gain > 0:
+                    one.x, one.cost, one.predicted, one.fresh = x, cost, predicted, False
+                    one.damping = max(one.damping / 5, 1e-9)
+                    one.done = gain < _GAIN
+                else:
+                    one.damping = max(one.damping * 8, 1e-3)
+                    # Not even the model of the cost expects more than this.
+                    one.done = np.isfinite(cost) and -gain < 1e-3 * _GAIN
+                    rest.append(one)
+            pending = [f for f in rest if not f.done]
+            if not pending:
+                return
+        for one in pending:
+            one.done = True
+
+    def _step(self, fit: Descent) -> Float[np.ndarray, " P"]:
+        """The damped Gauss–Newton step, held by the bounds it would leave through."""
+        low, high, x = self.box.low[fit.free], self.box.high[fit.free], fit.x[fit.free]
+        held = ((x <= low) & (fit.gradient > 0)) | ((x >= high) & (fit.gradient < 0))
+        moved = x.copy()
+        for _ in range(2):
+            inside = np.flatnonzero(~held)
+            if not inside.size:
+                break
+            hessian = fit.hessian[np.ix_(inside, inside)]
+            damped = hessian + np.diag(fit.damping * np.diag(hessian) + _FLAT)
+            step = np.linalg.solve(damped, -fit.gradient[inside])
+            moved = x.copy()
+            moved[inside] = x[inside] + np.clip(step, -3.0, 3.0)
+            beyond = (moved < low) | (moved > high)
+            # What runs into its bound stays on it, and the others step again knowing so.
+            if not beyond.any():
+                break
+            x = np.where(beyond, np.clip(moved, low, high), x)
+            held = held | beyond
+        full = fit.x.copy()
+        full[fit.free] = np.clip(moved, low, high)
+        return full
+
+    def _costs(
+        self, target: Target, trials: Sequence[tuple[Descent, np.ndarray]]
+    ) -> tuple[list[float], list[np.ndarray]]:
+        """φ and predictions at trial points."""
+        outputs, ok = self._run([(x, f.free, target.rows(f.use)) for f, x in trials])
+        costs, tables = [], []
+        for (one, x), rows_outputs, rows_ok in zip(trials, outputs, ok, strict=True):
+            predicted = np.zeros_like(target.values)
+            predicted[target.rows(one.use)] = rows_outputs
+            misfit = float(target.misfit(one.use, rows_outputs))
+            prior = float(self.box.log_density(x[None], one.free).sum())
+            cost = misfit - prior if rows_ok.all() else np.inf
+            costs.append(cost if np.isfinite(cost) else np.inf)
+            tables.append(predicted)
+        return costs, tables
+
+    def _linearise(self, target: Target, fits: list[Descent]) -> None:
+        """Gradients and Hessians of fits, some at a time: memory is that of a batch and not of all of them."""
+        batch = max(1, _NUMBERS // (target.values.size * max((len(f.free) for f in fits), default=1)))
+        for start in range(0, len(fits), batch):
+            self._linearise_batch(target, fits[start : start + batch])
+
+    def _linearise_batch(self, target: Target, fits: list[Descent]) -> None:
+        """Gradient and Gauss–Newton Hessian by forward differences, away from the nearer bound."""
+        requests, sizes = [], []
+        for one in fits:
+            rows = target.rows(one.use)
+            signs = np.where(one.x[one.free] + _DIFFERENCE > self.box.high[one.free], -1.0, 1.0) * _DIFFERENCE
+            sizes.append(signs)
+            for k, size in zip(one.free, signs, strict=True):
+                x = one.x.copy()
+                x[k] += size
+                requests.append((x, one.free, rows))
+        outputs, ok = self._run(requests)
+        place = 0
+        for one, steps in zip(fits, sizes, strict=True):
+            rows = target.rows(one.use)
+            residual = self.standardised(target, one)[rows].ravel()
+            jacobian = np.empty((len(one.free), residual.size))
+            for i, size in enumerate(steps):
+                difference = np.where(ok[place][:, None] > 0, outputs[place] - one.predicted[rows], 0.0)
+                jacobian[i] = target.standardised(one.use, rows, difference).ravel() / size
+                place += 1
+            terms = self.box.terms(one.x, one.free)
+            one.gradient = jacobian @ residual - terms.slope
+            one.hessian = jacobian @ jacobian.T + np.diag(terms.curvature)
+            one.fresh = True
+
+    def _run(self, requests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> tuple[list, list]:
+        """Outputs (r, J) and flags (r,) of each request: a point, its free coordinates, and rows."""
+        if not requests:
+            return [], []
+        thetas = [np.repeat(self.theta(x, free)[None], len(rows), axis=0) for x, free, rows in requests]
+        outputs, ok = self.lanes(np.concatenate(thetas), np.concatenate([rows for _, _, rows in requests]))
+        ends = np.cumsum([len(rows) for _, _, rows in requests])[:-1]
+        return np.split(outputs, ends), np.split(ok, ends)
+
+
+def _give_up(fits: Sequence[Descent], tasks: Sequence[Task], left: int) -> None:
+    """Of the starts of each fit, let only the lowest ones go on."""
+    groups: dict[int, list[Descent]] = {}
+    for one, task in zip(fits, tasks, strict=True):
+        if task.rivals >= 0:
+            groups.setdefault(task.rivals, []).append(one)
+    for group in groups.values():
+        for one in sorted(group, key=lambda f: f.cost)[left:]:
+            one.done, one.cost = True, np.inf

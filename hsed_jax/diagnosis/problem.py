@@ -1,0 +1,61 @@
+"""What a diagnosis works on: the measurements, and the model with every candidate effect in it."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from hsed_jax.diagnosis.measured import Measured
+from hsed_jax.diagnosis.nested import NestedModels
+from hsed_jax.measurements import Experiment
+from hsed_jax.physics.effects import Catalogue
+from hsed_jax.physics.pairs import ELONGATION_AND_FORCE, Pair
+from hsed_jax.physics.scales import Scales
+
+
+class Problem(NamedTuple):
+    """What a diagnosis works on.
+
+    Attributes:
+        models: the model with every candidate effect in it.
+        names, units: of its parameters.
+        catalogue: the candidates.
+        law: indices of the parameters that are free without any candidate.
+        effects: indices of the parameters of each candidate.
+        scales: characteristic values.
+        train, test: measured experiments; the first rows of the lanes' conditions, in this order.
+        experiments: the training experiments.
+        outputs: names of the outputs.
+        candidates: inputs of experiments that could be made, in declared units; the rows after those measured.
+        seed: of random numbers.
+        start: the model as it is, as a calibration left it, (P,); None where there was none.
+        notes: what a reader should know of the candidates, in sentences.
+        pair: that the specimen is measured in.
+    """
+
+    models: NestedModels
+    names: tuple[str, ...]
+    units: Mapping[str, str]
+    catalogue: Catalogue
+    law: np.ndarray
+    effects: Mapping[str, np.ndarray]
+    scales: Scales
+    train: Measured
+    test: Measured | None
+    experiments: tuple[Experiment, ...]
+    outputs: tuple[str, ...]
+    candidates: Sequence[dict[str, float]]
+    seed: int
+    start: np.ndarray | None = None
+    notes: Sequence[str] = ()
+    pair: Pair = ELONGATION_AND_FORCE
+
+    @property
+    def rows(self) -> int:
+        """How many experiments were measured."""
+        return len(self.train.values) + (0 if self.test is None else len(self.test.values))
+
+    def sigma(self, errors: Float[np.ndarray, " G"], predicted: Float[np.ndarray, "r J"]) -> Float[np.ndarray, "r J"]:
+        """Errors of experiments that were not made, from predictions: relative ones need a magnitude."""
+        return errors[self.train.groups] * self.train.expected_scales(predicted, np.ones(predicted.shape))

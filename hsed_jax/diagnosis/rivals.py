@@ -1,0 +1,154 @@
+"""Explanations that are as good: which effects stand for one another, and which experiment would tell them apart."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from hsed_jax.diagnosis.evidence import gaussian
+from hsed_jax.diagnosis.problem import Problem
+from hsed_jax.diagnosis.search import Model, Search, Set
+
+# Rivals whose posterior odds against the best are at least this are as good.
+_AS_GOOD = 1 / 3
+# A rival mends the model, too, if it gains at least this share of what the best one gains.
+_MENDS = 0.5
+# A model whose posterior odds against the best are less than this is excluded.
+_EXCLUDED = 0.01
+# Sd of a parameter that neither data nor bounds hold, in coordinates of order one.
+_WIDEST = 10.0
+# Expected log Bayes factor that makes an experiment worth proposing.
+_WORTHWHILE = 1.0
+
+
+def separation(problem: Problem, search: Search, rivals: Sequence[Model]) -> Float[np.ndarray, " c"]:
+    r"""Expected log Bayes factor between rivals of each candidate experiment [nats]; zero where a simulation diverges.
+
+    Each rival predicts an experiment as a Gaussian, $N(f, J C J^\top + \Sigma)$: what its parameters do not know yet they can
+    still learn, and a difference that a refit would absorb tells nothing.  Between two Gaussians the expectation is the
+    divergence of Kullback & Leibler (1951) from the one that is true (Box & Hill 1967), averaged over the pairs of rivals and
+    over which is true by their probabilities.
+    """
+    rows = problem.rows + np.arange(len(problem.candidates))
+    information = np.zeros(len(rows))
+    if len(rivals) < 2 or not rows.size:
+        return information
+    means, spreads, ok = zip(*(_predictive(problem, m, rows) for m in rivals), strict=True)
+    root = np.sqrt(search.worth[problem.train.groups]) / problem.sigma(search.errors, means[0])
+    shares = search.probabilities(rivals)
+    for i in range(len(rivals)):
+        for j in range(i):
+            apart = root * (means[i] - means[j])
+            one, other = root[..., None] * spreads[i], root[..., None] * spreads[j]
+            told = shares[i] * _divergence(apart, one, other) + shares[j] * _divergence(apart, other, one)
+            told *= shares[i] * shares[j] / (shares[i] + shares[j])
+            information += np.where((ok[i] > 0) & (ok[j] > 0), told, 0.0)
+    return information / max(float(1 - shares @ shares) / 2, 1e-12)
+
+
+def _predictive(problem: Problem, model: Model, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What a model predicts (c, J), J L with L Lᵀ the covariance of its parameters (c, J, p), and whether it converged (c,)."""
+    fit, box = model.fit, problem.models.box
+    _, covariance = gaussian(fit)
+    low, high = box.low[fit.free], box.high[fit.free]
+    deviation = np.sqrt(np.diag(covariance))
+    # A parameter nobody holds is spread over its box, and no further.
+    shrink = np.minimum(1.0, np.where(np.isfinite(high - low), 0.5 * (high - low), _WIDEST) / deviation)
+    factor = shrink[:, None] * np.linalg.cholesky(covariance + 1e-12 * np.diag(deviation**2))
+    steps = 0.1 * np.minimum(shrink * deviation, 1.0)
+    steps = np.where(fit.x[fit.free] + steps > high, -steps, steps)
+    points = [(fit.x, fit.free)]
+    for k, step in zip(fit.free, steps, strict=True):
+        x = fit.x.copy()
+        x[k] += step
+        points.append((x, fit.free))
+    outputs, ok = problem.models.predict(points, rows)
+    slopes = (outputs[1:] - outputs[0]) * ok[1:, :, None] / steps[:, None, None]
+    return outputs[0], np.einsum("pcj,pq->cjq", slopes, factor), ok[0]
+
+
+def _divergence(apart: np.ndarray, true: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """From N(δ, I + T Tᵀ) to N(0, I + O Oᵀ) [nats], (c,): they differ in the few directions of δ (c, J), T and O (c, J, p)."""
+    directions = np.linalg.qr(np.concatenate([true, other, apart[..., None]], axis=2), mode="r")
+    t, o, delta = np.split(directions, [true.shape[2], true.shape[2] + other.shape[2]], axis=2)
+    size = directions.shape[1]
+    of_true, of_other = (np.eye(size) + part @ np.swapaxes(part, 1, 2) for part in (t, o))
+    solved = np.linalg.solve(of_other, np.concatenate([of_true, delta], axis=2))
+    traces = np.trace(solved[..., :-1], axis1=1, axis2=2) - size
+    squares = np.einsum("cr,cr->c", delta[..., 0], solved[..., -1])
+    return 0.5 * (traces + squares + np.linalg.slogdet(of_other)[1] - np.linalg.slogdet(of_true)[1])
+
+
+def next_experiment(
+    problem: Problem, information: Float[np.ndarray, " c"]
+) -> tuple[dict[str, float] | None, float | None]:
+    """The candidate that separates rivals best and what it is expected to tell [nats]; None where none would tell."""
+    if not information.size or information.max() < _WORTHWHILE:
+        return None, None
+    best = int(np.argmax(information))
+    return dict(problem.candidates[best]), float(information[best])
+
+
+def rivals_of(models: Sequence[Model], best: Model) -> list[Model]:
+    """Models as probable as the best that name something else (and not only something more)."""
+    return [
+        m
+        for m in models
+        if m.effects != best.effects
+        and not m.effects > best.effects
+        and m.log_posterior - best.log_posterior >= math.log(_AS_GOOD)
+    ]
+
+
+def look_alikes_of(problem: Problem, search: Search, best: Model, models: Sequence[Model]) -> list[list[str]]:
+    """For each named effect, those that could stand in its place: with predictions that differ by less than the noise, and not
+    excluded by the evidence, for which many samples tell what no single one does."""
+    rows = np.arange(problem.rows + len(problem.candidates))
+    exchanged = [
+        m
+        for m in models
+        if len(m.effects) == len(best.effects)
+        and m.effects != best.effects
+        and m.log_posterior - best.log_posterior >= math.log(_EXCLUDED)
+    ]
+    groups = []
+    for effect in sorted(best.effects):
+        without = search.model(best.effects - {effect})
+        gain = best.log_evidence - without.log_evidence
+        others = [
+            m
+            for m in exchanged
+            if m.effects > without.effects and m.log_evidence - without.log_evidence >= _MENDS * gain
+        ]
+        if not others:
+            continue
+        outputs, ok = problem.models.predict([(m.fit.x, m.fit.free) for m in (best, *others)], rows)
+        sigma = problem.sigma(search.errors, outputs[0])
+        alike = []
+        for m, predicted, converged in zip(others, outputs[1:], ok[1:], strict=True):
+            apart = ((predicted - outputs[0]) / sigma) ** 2
+            by_output = np.stack(
+                [apart[:, problem.train.groups == g].mean(axis=1) for g in np.unique(problem.train.groups)]
+            )
+            both = (converged > 0) & (ok[0] > 0)
+            if both.any() and np.all(by_output[:, both] < 1):
+                alike.append(next(iter(m.effects - without.effects)))
+        if alike:
+            groups.append([effect, *alike])
+    return groups
+
+
+def difference(best: Set, rival: Set) -> list[str]:
+    """What two sets do not share: the effects that stand for one another."""
+    return [*sorted(best - rival), *sorted(rival - best)] or sorted(best)
+
+
+def joined(groups: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Groups that share a member, as one."""
+    joined: list[list[str]] = []
+    for group in groups:
+        touching = [known for known in joined if set(known) & set(group)]
+        joined = [known for known in joined if known not in touching]
+        joined.append(list(dict.fromkeys([e for known in touching for e in known] + list(group))))
+    return joined

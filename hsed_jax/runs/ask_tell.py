@@ -1,0 +1,259 @@
+"""Asking and telling: a design whose experiments are performed by people or by a controller, over days.
+
+The run folder is held only between opening and closing, so that a laptop may sleep between two tests.
+"""
+
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from shlex import quote
+from typing import get_args
+
+import numpy as np
+
+from hsed_jax.runs.conduct import Asked, Conduct
+from hsed_jax.study.build import Built
+from hsed_jax.config.load import load_study
+from hsed_jax.config.schema import Study
+from hsed_jax.errors import UserError
+from hsed_jax.laboratories.base import ExperimentFailed
+from hsed_jax.measurements import Campaign, Experiment, parse_unit
+from hsed_jax.measurements.experiment import Status
+from hsed_jax.runs.requests import Columns, Expected, Requests
+from hsed_jax.runs.folder import RunFolder, laboratory_folder
+from hsed_jax.tables import Table, Tabular
+
+
+class AskTell(Tabular):
+    """A design in a run folder that one asks and tells; a context manager, since it holds the folder.
+
+    Arguments:
+        study: with the step `design`; None: that of the run in the folder.
+        output: the run folder; by default `runs/<study>`. A run that is there is gone on with.
+
+    Raises:
+        UserError: the study or the folder is wrong, or another process has the folder.
+    """
+
+    def __init__(self, study: Study | None = None, output: str | Path | None = None):
+        if study is None:
+            if output is None:
+                raise UserError("give a study, or the folder of a run")
+            study = load_study(Path(output) / "study.yaml")
+        if "design" not in study.steps:
+            raise UserError(f"steps: they are {', '.join(study.steps)}; only a design is asked and told")
+        self.path = Path(output) if output is not None else Path("runs") / study.study
+        self.built = Built(study, workspace=laboratory_folder(self.path))
+        self.built.check(performs=False)
+        self._store = RunFolder(self.path, study.written(), resume=self.path.exists())
+        try:
+            self.conduct = Conduct(self.built, self._store)
+            self._requests = Requests(self.conduct)
+        except BaseException:
+            self._store.close()
+            raise
+
+    def __enter__(self) -> "AskTell":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let another process have the folder."""
+        self._store.close()
+
+    @property
+    def campaign(self) -> Campaign:
+        """The experiments so far."""
+        return self.conduct.campaign
+
+    @property
+    def stop_reason(self) -> str | None:
+        """Why no further experiment is to be asked; None while one is."""
+        return self.conduct.stop_reason
+
+    def ask(self, count: int = 1) -> list[Asked]:
+        """Have this many experiments out, asking new ones where fewer are.
+
+        Saying it again changes nothing until something is told.
+
+        Arguments:
+            count: how many are to be performed before something is told.
+
+        Returns:
+            All that are out; fewer than `count` where the design is complete.
+
+        Raises:
+            UserError: the design cannot go on, see `Conduct.ask`.
+        """
+        if count < 1:
+            raise UserError(f"{count} experiments cannot be asked; ask at least 1")
+        while len(self.conduct.pending) < count:
+            self.conduct.choose()
+            if self.conduct.stop_reason is not None:
+                break
+            self.conduct.ask()
+        out = [self.conduct.request(id) for id in self.conduct.pending]
+        for asked in out:
+            self._requests.write(asked)
+        return out
+
+    def ask_again(self, id: str) -> Asked:
+        """Ask an experiment that failed once more.
+
+        Raises:
+            UserError: there is no such experiment, or it did not fail.
+        """
+        asked = self.conduct.ask_again(id)
+        self._requests.write(asked)
+        return asked
+
+    def tell(
+        self,
+        id: str,
+        *,
+        record: str | Path | Columns | None = None,
+        quantities: Mapping[str, float] | None = None,
+        inputs: Mapping[str, float] | None = None,
+    ) -> None:
+        """Take what was measured in an experiment.
+
+        Arguments:
+            id: of the experiment; one that was not asked needs `inputs` and is welcome.
+            record: a file, or a table of columns, as `experiments` declares channels; by default what lies in the folder.
+            quantities: numbers in their declared units; by default what lies in the folder.
+            inputs: as tested, in their declared units, where they differ from those that were asked.
+
+        Raises:
+            UserError: nothing was measured, it is not what the study declares, or the experiment is settled already.
+        """
+        self.conduct.settling(id, inputs)
+        self.conduct.tell(id, self._requests.measured(id, record, quantities, inputs), inputs)
+
+    def failed(
+        self,
+        id: str,
+        reason: str,
+        *,
+        record: str | Path | Columns | None = None,
+        inputs: Mapping[str, float] | None = None,
+    ) -> None:
+        """Say that an experiment failed and may be asked again; a record until then is kept, and not fitted.
+
+        Raises:
+            UserError: the record cannot be read, or the experiment is unknown or settled already.
+        """
+        self._give_up(id, reason, record, inputs, abandon=False)
+
+    def abandoned(
+        self,
+        id: str,
+        reason: str,
+        *,
+        record: str | Path | Columns | None = None,
+        inputs: Mapping[str, float] | None = None,
+    ) -> None:
+        """Say that an experiment is never to be asked again; a record until then is kept, and not fitted.
+
+        Raises:
+            UserError: the record cannot be read, or the experiment is unknown or settled already.
+        """
+        self._give_up(id, reason, record, inputs, abandon=True)
+
+    def take(self, campaign: Campaign) -> list[str]:
+        """Take earlier experiments: completed, failed and abandoned ones, none of them twice.
+
+        Returns:
+            The ids that were taken.
+
+        Raises:
+            UserError: an experiment does not fit the study; those before it were taken.
+        """
+        factors, taken = self.built.space.factors, []
+        for experiment in campaign:
+            id = experiment.id
+            if experiment.status == "pending" or (
+                id in self.campaign and self.campaign[id].status == experiment.status
+            ):
+                continue
+            if experiment.inputs.keys() != factors.keys():
+                raise UserError(
+                    f"{campaign.source or campaign.name}: experiment {id} has the inputs "
+                    f"{', '.join(experiment.inputs) or 'none'}; the study has {', '.join(factors)}"
+                )
+            inputs = {name: value / factors[name] for name, value in experiment.inputs.items()}
+            if experiment.status == "completed":
+                quantities = self._in_units(experiment.quantities) if self.built.sensors.quantities else None
+                self.tell(id, record=self._columns(experiment), quantities=quantities, inputs=inputs)
+            else:
+                abandon = experiment.status == "abandoned"
+                self.conduct.give_up(id, experiment.reason or "no reason given", abandon=abandon, inputs=inputs)
+            taken.append(id)
+        return taken
+
+    def folder(self, id: str) -> Path:
+        """Where the request of an experiment lies and its measurements are left."""
+        return self._requests.folder(id)
+
+    def told(self, asked: Asked) -> str:
+        """A request in a few lines."""
+        units, folder = self.built.space.units, self.folder(asked.id)
+        again = "" if asked.attempt == 1 else f", attempt {asked.attempt}"
+        lines = [f"{asked.id}{again}: {', '.join(f'{n} {v:.4g} {units[n]}' for n, v in asked.inputs.items())}"]
+        for name, (low, middle, high) in self.expected(asked).quantities.items():
+            unit = self.built.pair.output(name).unit
+            lines.append(f"  {name} expected {middle:.4g} {unit} ({low:.4g} to {high:.4g})")
+        if (limits := self.built.study.design.limits) is not None:
+            most = limits.model_dump(exclude_none=True, exclude={"probability"})
+            lines.append(f"  limits: {', '.join(f'{name} {value:g}' for name, value in most.items())} (SI)")
+        assert self.built.excitation is not None
+        files = ", ".join(["request.json", *self.built.excitation.constructor.kind.files, "expected.csv"])
+        return "\n".join(
+            [*lines, f"  request in {folder}: {files}", f"  then: hsed tell {quote(str(self.path))} {quote(asked.id)}"]
+        )
+
+    def expected(self, asked: Asked) -> Expected:
+        """What the model expects of an experiment, as its parameters are known now."""
+        return self._requests.expected(asked)
+
+    def _give_up(
+        self,
+        id: str,
+        reason: str,
+        record: str | Path | Columns | None,
+        inputs: Mapping[str, float] | None,
+        *,
+        abandon: bool,
+    ) -> None:
+        if not reason.strip():
+            raise UserError(f"experiment {id}: say why")
+        self.conduct.settling(id, inputs)
+        try:
+            kept = None if record is None else self._requests.record(id, record, inputs, partial=True)
+        except ExperimentFailed as failure:
+            raise UserError(str(failure)) from None
+        self.conduct.give_up(id, reason, abandon=abandon, record=kept, inputs=inputs)
+
+    def _in_units(self, quantities: Mapping[str, float]) -> dict[str, float]:
+        declared = self.built.sensors.quantities
+        return {n: float(parse_unit(declared[n].unit).from_si(v)) for n, v in quantities.items() if n in declared}
+
+    def _columns(self, experiment: Experiment) -> dict[str, np.ndarray] | None:
+        """The record of an experiment from elsewhere, in the columns and units of this study."""
+        sensors, record = self.built.sensors, experiment.record
+        if record is None or not sensors.channels:
+            return None
+        known = {"time": record.time, **record.channels}
+        return {c.column: parse_unit(c.unit).from_si(known[n]) for n, c in sensors.channels.items() if n in known}
+
+    def _table(self) -> Table:
+        space, rows = self.built.space, []
+        for experiment in self.campaign:
+            inputs = [f"{experiment.inputs[name] / space.factors[name]:.4g}" for name in space.names]
+            rows.append([experiment.id, *inputs, experiment.status, experiment.reason or ""])
+        found = Counter(experiment.status for experiment in self.campaign)
+        counts = [f"{found[s]} {s}" for s in get_args(Status) if s in found] or ["no experiments yet"]
+        why = f"; the design is complete: {self.stop_reason}" if self.stop_reason else ""
+        heads = ["experiment", *(f"{name} [{space.units[name]}]" for name in space.names), "status", "reason"]
+        return Table(f"{self.path}: {', '.join(counts)}{why}", heads, rows)

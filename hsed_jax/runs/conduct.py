@@ -1,0 +1,346 @@
+"""Conducting a design: what is asked, what is told, and the journal that holds both.
+
+The run's loop, `hsed ask` and `hsed tell` are three callers of one object.  Every event is on the disk before anything relies on
+it, and replaying the journal gives the same state to the last bit, in one process or in many.
+"""
+
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from hsed_jax.study.build import Built
+from hsed_jax.design.sequential import DesignState
+from hsed_jax.design.stopping import StopRules, stop_reason
+from hsed_jax.errors import UserError
+from hsed_jax.inference.fit import summarise
+from hsed_jax.laboratories.base import Measured, experiment_id
+from hsed_jax.measurements import Campaign, Experiment, Record, read_campaign, write_campaign, write_experiment
+from hsed_jax.analysis.remedy import discriminate, verdict_of
+from hsed_jax.runs.folder import RunFolder
+
+_DRAWS = 64
+"""Draws of the parameters that are kept with each step; enough for bands."""
+_STEP = ("cube", "max_expected_improvement", "acquisition", "map", "posterior", "draws", "divergences", "log_evidence",
+         "discrepancy", "kriging", "state")  # fmt: skip
+"""What further steps and the results rely on in a step of the journal."""
+
+
+class Asked(NamedTuple):
+    """An experiment that is to be performed.
+
+    Attributes:
+        id, number: of the experiment; the number counts from 0.
+        inputs: in declared units.
+        si: the same in SI.
+        attempt: at it, from 1.
+        draws: parameters of the model as they are known now, SI, (n, p): what is expected of the experiment.
+    """
+
+    id: str
+    number: int
+    attempt: int
+    inputs: dict[str, float]
+    si: dict[str, float]
+    draws: np.ndarray
+
+
+class Conduct:
+    """A design as it is being conducted.
+
+    Arguments:
+        built: the study.
+        store: the run folder; what its journal holds is taken up.
+
+    Attributes:
+        state: of the design.
+        campaign: the experiments, pending ones included.
+        steps: what each step of the design found, as in the journal.
+    """
+
+    def __init__(self, built: Built, store: RunFolder):
+        self.built, self.store, self.design = built, store, built.design
+        self.state: DesignState = self.design.init()
+        self.campaign = built.empty_campaign()
+        self.steps: list[dict[str, Any]] = []
+        self._rows: dict[str, int] = {}
+        self._attempts: Counter[str] = Counter()
+        self._initial = self.design.space.initial_design(built.study.design.initial)
+        self._chosen: np.ndarray | None = None
+        self._replay()
+
+    @property
+    def pending(self) -> list[str]:
+        """Experiments that were asked and of which nothing was told yet."""
+        return [e.id for e in self.campaign if e.status == "pending"]
+
+    @property
+    def stop_reason(self) -> str | None:
+        """Why no further experiment is to be asked: `iterations` or the name of a stop rule; None while one is."""
+        if not self._asked_initial:
+            return None
+        if self._chosen is None and len(self.steps) >= self.built.study.design.iterations:
+            return "iterations"
+        return stop_reason(StopRules(**self.built.study.design.stop.model_dump()), self.steps)
+
+    @property
+    def _asked_initial(self) -> bool:
+        return len(self._rows) >= len(self._initial)
+
+    def ask(self) -> Asked:
+        """The next experiment: of the initial design, or chosen by a step of the design.
+
+        Raises:
+            UserError: the design cannot go on: too few experiments gave something to use, or no candidate is left.
+        """
+        number = len(self._rows)
+        if number < len(self._initial):
+            cube = self._initial[number]
+        else:
+            cube = self._step() if self._chosen is None else self._chosen
+        name = experiment_id(number)
+        while name in self._rows:
+            name = f"{name}x"
+        self.store.record("asked", **self._about(name, cube))
+        self._expect(name, cube)
+        return self.request(name)
+
+    def ask_again(self, id: str) -> Asked:
+        """Ask an experiment that failed once more.
+
+        Raises:
+            UserError: there is no such experiment, or it did not fail.
+        """
+        if self._known(id).status != "failed":
+            raise UserError(f"experiment {id} is {self._known(id).status}; only one that failed is asked again")
+        cube = self.state.cube[self._rows[id]]
+        self.store.record("asked", **self._about(id, cube))
+        self._expect(id, cube)
+        return self.request(id)
+
+    def request(self, id: str) -> Asked:
+        """An experiment as it is to be performed.
+
+        Raises:
+            UserError: there is no such experiment.
+        """
+        self._known(id)
+        row = self._rows[id]
+        inputs = self._about(id, self.state.cube[row])["inputs"]
+        return Asked(id, row, self._attempts[id], inputs, self._si(inputs), self._draws())
+
+    def tell(self, id: str, measured: Measured, inputs: Mapping[str, float] | None = None) -> None:
+        """Take what was measured.
+
+        Arguments:
+            id: of the experiment; one that was not asked needs `inputs` and is welcome.
+            measured: what the laboratory hands over.
+            inputs: as tested, in declared units, where they differ from those that were asked.
+
+        Raises:
+            UserError: the experiment is unknown, completed or abandoned already, or what is told does not fit the study.
+        """
+        about = self.settling(id, inputs)
+        experiment = Experiment(id, self._si(about["inputs"]), record=measured.record, quantities=measured.quantities)
+        self._take(about, experiment)
+        # The record is on the disk before the journal says that it is.
+        write_experiment(self.campaign, id, self.store.campaign)
+        self.store.record("performed", **about, quantities=measured.quantities)
+
+    def give_up(
+        self,
+        id: str,
+        reason: str,
+        *,
+        abandon: bool = False,
+        record: Record | None = None,
+        inputs: Mapping[str, float] | None = None,
+    ) -> None:
+        """Say that an experiment failed (it may be asked again), or that it is abandoned (it never is).
+
+        Arguments:
+            id: of the experiment.
+            reason: why.
+            abandon: never to be asked again.
+            record: what was measured until then; kept, and not fitted.
+            inputs: as tested, in declared units, where they differ from those that were asked.
+
+        Raises:
+            UserError: the experiment is unknown, or completed or abandoned already.
+        """
+        about, status = self.settling(id, inputs), "abandoned" if abandon else "failed"
+        self._take(about, Experiment(id, self._si(about["inputs"]), record=record, status=status, reason=reason))
+        write_experiment(self.campaign, id, self.store.campaign)
+        self.store.record(status, **about, reason=reason)
+
+    # One step of the design.
+
+    def _step(self) -> np.ndarray:
+        study, number = self.built.study, len(self.steps)
+        begin = time.perf_counter()
+        by = discriminate(self.built, self.campaign) if study.design.acquisition == "discriminate" else None
+        key = jax.random.fold_in(jax.random.key(study.seed), number)
+        chosen, self.state, info = self.design.ask(self.state, key, by)
+        names = self.built.posterior.names
+        draws = np.asarray(info.chains.theta).reshape(-1, len(names))
+        step = {
+            "number": number,
+            "cube": chosen.tolist(),
+            "max_expected_improvement": info.expected_improvement,
+            "acquisition": info.value,
+            "map": dict(zip(names, np.asarray(info.maximum.theta).tolist(), strict=True)),
+            "posterior": summarise(names, info.chains, info.convergence),
+            "draws": draws[:: max(1, len(draws) // _DRAWS)][:_DRAWS].tolist(),
+            "divergences": info.convergence.divergences,
+            "sampler": info.chains.sampler,
+            "emulator_error": info.chains.emulator_error,
+            "log_evidence": float(info.maximum.log_evidence),
+            "discrepancy": info.discrepancy.tolist(),
+            "kriging": {
+                "lengths": np.asarray(info.kriging.lengths).tolist(),
+                "nugget": float(info.kriging.nugget),
+                "process_variance": float(info.kriging.process_variance),
+            },
+            "state": {"theta": np.asarray(info.maximum.u).tolist(), "step_size": self.state.step_size},
+            "seconds": time.perf_counter() - begin,
+        }
+        if study.design.stop.verdict:
+            step["verdict"] = verdict_of(self.built, self.campaign)
+        self.store.record("step", **step)
+        self.steps.append(step)
+        self._chosen = chosen
+        return chosen
+
+    def choose(self) -> None:
+        """Make the step of the design that chooses the next experiment, where one is due and not made yet."""
+        if self._asked_initial and self._chosen is None and self.stop_reason is None:
+            self._step()
+
+    def _draws(self) -> np.ndarray:
+        """Parameters as they are known: of the posterior of the last step, else of the prior."""
+        if self.steps:
+            return np.asarray(self.steps[-1]["draws"])[:, : len(self.built.posterior.model_names)]
+        priors = self.built.parameters[0].values()
+        keys = jax.random.split(jax.random.key(self.built.study.seed), len(priors))
+        return np.stack(
+            [np.asarray(p.distribution.sample(k, (_DRAWS,))) for p, k in zip(priors, keys, strict=True)], axis=1
+        )
+
+    # What is known of the experiments.
+
+    def _about(self, name: str, cube: Sequence[float] | np.ndarray) -> dict[str, Any]:
+        space = self.design.space
+        inputs = dict(zip(space.names, space.declared(np.asarray(cube)[None])[0].tolist(), strict=True))
+        return {"experiment": name, "inputs": inputs, "cube": np.asarray(cube).tolist()}
+
+    def settling(self, id: str, inputs: Mapping[str, float] | None) -> dict[str, Any]:
+        """Name, inputs and point of the cube of an experiment of which something is told: as asked, or as tested.
+
+        Raises:
+            UserError: nothing may be told of it, or its inputs are not those of the study.
+        """
+        space = self.design.space
+        if id in self._rows and self._known(id).status not in ("pending", "failed"):
+            raise UserError(f"experiment {id} is {self._known(id).status} already")
+        if inputs is None:
+            if id not in self._rows:
+                raise UserError(
+                    f"experiment {id!r} was not asked; give its inputs ({', '.join(space.names)}), or name one of: "
+                    f"{', '.join(self.pending) or 'none is pending'}"
+                )
+            return self._about(id, self.state.cube[self._rows[id]])
+        if inputs.keys() != set(space.names):
+            raise UserError(f"experiment {id}: its inputs are {', '.join(space.names)}; given are {', '.join(inputs)}")
+        declared = [float(inputs[name]) for name in space.names]
+        cube = space.cube(np.asarray([declared]))[0]
+        if not (np.isfinite(cube).all() and np.all((cube > 0) & (cube < 1))):
+            ranges = "; ".join(
+                f"{n} from {low:g} to {high:g}" for n, (low, high) in zip(space.names, space.bounds(), strict=True)
+            )
+            raise UserError(f"experiment {id}: the inputs {declared} lie outside those of the study ({ranges})")
+        return {"experiment": id, "inputs": dict(zip(space.names, declared, strict=True)), "cube": cube.tolist()}
+
+    def _known(self, id: str) -> Experiment:
+        if id not in self._rows:
+            raise UserError(f"there is no experiment {id!r}; there are {', '.join(self._rows) or 'none'}")
+        return self.campaign[id]
+
+    def _si(self, inputs: Mapping[str, float]) -> dict[str, float]:
+        return {name: value * self.design.space.factors[name] for name, value in inputs.items()}
+
+    def _expect(self, name: str, cube: Sequence[float] | np.ndarray) -> None:
+        """Count an experiment as asked."""
+        about = self._about(name, cube)
+        self._take(about, Experiment(name, self._si(about["inputs"]), status="pending"))
+        self._attempts[name] += 1
+        self._chosen = None
+
+    def _take(self, about: Mapping[str, Any], experiment: Experiment) -> None:
+        known = experiment.id in self._rows
+        self.campaign = self.campaign.update(experiment) if known else self.campaign.add(experiment)
+        outputs = np.full(self.built.observation.groups.size, np.nan)
+        if experiment.status == "completed":
+            # As the campaign holds it: what is read back from its files is the same to the last bit.
+            outputs = self.built.observation.measured(self.campaign[experiment.id])
+            if not np.isfinite(outputs).any():
+                raise UserError(f"experiment {experiment.id}: nothing that the study observes was measured")
+        row = self._rows.setdefault(experiment.id, len(self._rows))
+        if row >= len(self.state.cube):
+            self.design, self.state = self.design.larger(self.state)
+        self.state = self.design.tell(self.state, about["cube"], outputs.tolist(), experiment.status, row)
+
+    def _replay(self) -> None:
+        """Go through the journal.
+
+        Raises:
+            UserError: it is damaged, or has lost experiments that would be performed once more.
+        """
+        events = self.store.events()
+        is_kept = (self.store.campaign / "campaign.yaml").exists()
+        if is_kept and not events:
+            raise self.store.damaged("it is empty or gone, and the experiments of the run would be performed again")
+        performed = {event.get("experiment") for event in events if event["event"] == "performed"}
+        records = read_campaign(self.store.campaign) if is_kept and performed else None
+        # A kill loses the line of one experiment at most; it is performed once more.
+        lost = [] if records is None else [e.id for e in records if e.status == "completed" and e.id not in performed]
+        if len(lost) > 1:
+            raise self.store.damaged(f"it does not know {', '.join(lost)}, which would be performed again")
+        for number, event in enumerate(events, start=1):
+            try:
+                self._take_up(event, records)
+            except (KeyError, TypeError, ValueError, IndexError) as error:
+                raise self.store.damaged(f"line {number} is no whole event ({type(error).__name__}: {error})") from None
+        if len(self.campaign):
+            write_campaign(self.campaign, self.store.campaign)
+
+    def _take_up(self, event: dict[str, Any], records: Campaign | None) -> None:
+        """Take one event of the journal."""
+        kind = event["event"]
+        if kind == "step":
+            for key in _STEP:
+                _ = event[key]
+            carried = event["state"]
+            self.steps.append({k: v for k, v in event.items() if k != "event"})
+            self.state = replace(self.state, theta=np.asarray(carried["theta"]), step_size=carried["step_size"])
+            self._chosen = np.asarray(event["cube"])
+        elif kind == "asked":
+            self._expect(event["experiment"], event["cube"])
+        elif kind in ("performed", "failed", "abandoned"):
+            name = event["experiment"]
+            self._take(
+                event,
+                Experiment(
+                    name,
+                    self._si(event["inputs"]),
+                    record=records[name].record if records is not None and name in records else None,
+                    quantities=event.get("quantities", {}),
+                    status="completed" if kind == "performed" else kind,
+                    reason=event.get("reason"),
+                ),
+            )
+        else:
+            raise ValueError("there is no such event")

@@ -1,0 +1,327 @@
+"""The run folder: the only module that knows its layout.
+
+The journal is append-only and on the disk before anything relies on it, so that a run killed at any moment loses nothing that
+was measured.  Everything else in the folder can be made again from it.
+"""
+
+import fcntl
+import json
+import math
+import os
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from hsed_jax.drafts import write_whole
+from hsed_jax.errors import UserError
+from hsed_jax.measurements import read_campaign
+from hsed_jax.plain import dump_yaml, parse_yaml
+from hsed_jax.runs.provenance import begin_session, end_session, read_provenance
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from hsed_jax.reporting.finished import FinishedRun
+
+
+class RunFolder:
+    """A run folder that this process owns.
+
+    Arguments:
+        path: of the folder.
+        study: the study with every default written out.
+        resume: go on with what is there.
+        force: throw away what is there.
+
+    Raises:
+        UserError: the folder exists and neither was said, or it belongs to another study or another running process.
+    """
+
+    def __init__(self, path: str | Path, study: Mapping[str, Any], *, resume: bool = False, force: bool = False):
+        self.path = Path(path)
+        occupied = self.path.exists() and (not self.path.is_dir() or any(map(_is_content, self.path.iterdir())))
+        if occupied and not (self.path / "journal.jsonl").exists():
+            if not (self.path / "study.yaml").exists():
+                raise UserError(f"{self.path} exists and is no run folder; choose another --output")
+        elif resume and not self.path.exists():
+            raise UserError(f"{self.path}: there is no run to resume; leave out --resume to start one")
+        if occupied and not (resume or force):
+            raise UserError(f"{self.path} holds a run already; say --resume to go on with it or --force to replace it")
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            self._lock = self._locked()
+        except OSError as error:
+            raise UserError(f"{self.path} cannot be written to ({error.strerror}); choose another --output") from None
+        try:
+            if occupied and force:
+                self._clear()
+            written = self.path / "study.yaml"
+            if resume and written.exists():
+                self._agree(_mapping(written), dict(study))
+            else:
+                write_whole(written, dump_yaml(dict(study)))
+            begin_session(self._provenance, study.get("seed"))
+        except BaseException:
+            # An exception that a notebook keeps would keep the lock, too.
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Let another process have the folder."""
+        self._lock.close()
+
+    def record(self, event: str, **content: Any) -> None:
+        """Append an event to the journal and see it onto the disk; a number that is not finite is written as null."""
+        line = json.dumps(_with_null({"event": event, **content}), allow_nan=False)
+        with self._journal.open("a", encoding="utf-8") as journal:
+            journal.write(line + "\n")
+            journal.flush()
+            os.fsync(journal.fileno())
+
+    def events(self) -> list[dict[str, Any]]:
+        """All events so far, null read as NaN; a last line that a kill cut short is dropped from the file, too.
+
+        Raises:
+            UserError: the journal is damaged.
+        """
+        if not self._journal.exists():
+            return []
+        try:
+            whole, _, rest = self._journal.read_bytes().rpartition(b"\n")
+        except OSError as error:
+            raise self.damaged(f"it cannot be read ({error.strerror})") from None
+        events = [self._event(number, line) for number, line in enumerate(whole.split(b"\n"), start=1) if line]
+        if rest:
+            write_whole(self._journal, whole.decode() + "\n" if whole else "")
+        return events
+
+    def _event(self, number: int, line: bytes) -> dict[str, Any]:
+        try:
+            event = _with_nan(json.loads(line.decode()))
+        except (ValueError, RecursionError):
+            raise self.damaged(f"line {number} is no event") from None
+        if not (isinstance(event, dict) and isinstance(event.get("event"), str)):
+            raise self.damaged(f"line {number} is no event")
+        return event
+
+    def damaged(self, how: str) -> UserError:
+        """What to say of a journal that cannot be gone on from, and what can be done."""
+        return UserError(
+            f"{self._journal}: {how}; restore it from a copy, or begin another run and let it take the experiments: "
+            f"hsed tell STUDY.yaml --output DIR --campaign {self.campaign}"
+        )
+
+    def keep(self, name: str, arrays: Sequence[np.ndarray]) -> None:
+        """Keep what a calculation has reached, in place of what it kept before."""
+        self._reached.mkdir(exist_ok=True)
+        unfinished = self._reached / f"{name}.part"
+        with unfinished.open("wb") as file:
+            np.savez(file, *arrays)
+        unfinished.replace(self._reached / f"{name}.npz")
+
+    def recall(self, name: str) -> list[np.ndarray] | None:
+        """What a calculation has kept; None where that was nothing, or cannot be read any more."""
+        path = self._reached / f"{name}.npz"
+        try:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
+                return list(kept.values())
+        except (OSError, ValueError, EOFError, BadZipFile):
+            return None
+
+    def write_summary(self, summary: Mapping[str, Any]) -> None:
+        """Write `summary.json`: numbers are numbers, what is not finite is left out."""
+        text = json.dumps(_finite(summary), indent=2, ensure_ascii=False, allow_nan=False)
+        write_whole(self.path / "summary.json", text + "\n")
+
+    def write_results(self, tree: "xr.DataTree") -> None:
+        """Write `results.nc`."""
+        unfinished = self.path / "results.nc.part"
+        tree.to_netcdf(unfinished, engine="h5netcdf")
+        unfinished.replace(self.path / "results.nc")
+
+    def write_report(self, page: str) -> None:
+        """Write `report.html`."""
+        write_whole(self.path / "report.html", page)
+
+    @property
+    def campaign(self) -> Path:
+        """Folder of the experiments."""
+        return self.path / "campaign"
+
+    @property
+    def laboratory(self) -> Path:
+        """Folder of the folders in which experiments are requested and answered."""
+        return laboratory_folder(self.path)
+
+    @property
+    def figures(self) -> Path:
+        """Folder of the figures."""
+        return self.path / "figures"
+
+    @property
+    def improved(self) -> Path:
+        """The study with the missing effects added."""
+        return self.path / "improved.yaml"
+
+    def finish(self) -> None:
+        """Note when the run ended; what its calculations had reached is in its results now."""
+        shutil.rmtree(self._reached, ignore_errors=True)
+        end_session(self._provenance)
+
+    @property
+    def _provenance(self) -> Path:
+        return self.path / "provenance.json"
+
+    @property
+    def _reached(self) -> Path:
+        return self.path / "reached"
+
+    @property
+    def _journal(self) -> Path:
+        return self.path / "journal.jsonl"
+
+    def _locked(self):
+        lock = (self.path / ".lock").open("w")
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.close()
+            raise UserError(
+                f"{self.path} is in use by another running process; wait for it or choose another --output"
+            ) from None
+        return lock
+
+    def _clear(self) -> None:
+        for item in self.path.iterdir():
+            if item.name == ".lock":
+                continue
+            shutil.rmtree(item) if item.is_dir() and not item.is_symlink() else item.unlink()
+
+    def _agree(self, before: Any, now: Any, path: str = "") -> None:
+        """Refuse to mix two studies in one folder; name the first key that differs."""
+        if isinstance(before, dict) and isinstance(now, dict):
+            for key in {**before, **now}:
+                self._agree(before.get(key), now.get(key), f"{path}.{key}".lstrip("."))
+        elif before != now:
+            raise UserError(
+                f"{self.path} holds a run of another study: {path} was {before!r} and is now {now!r}; "
+                "resume with the study it was started with, or choose another --output"
+            )
+
+
+def laboratory_folder(path: str | Path) -> Path:
+    """The folder of a run in which its laboratory works; known before there is a run."""
+    return Path(path) / "laboratory"
+
+
+def read_run(path: str | Path) -> "FinishedRun":
+    """Read back what a run folder holds.
+
+    Raises:
+        UserError: there is no run, it has come to nothing yet, or a file is damaged.
+    """
+    import xarray as xr
+
+    from hsed_jax.reporting.finished import FinishedRun
+
+    folder = Path(path)
+    if not (folder / "study.yaml").is_file():
+        raise UserError(f"{folder} is no run folder; a run is made by: hsed run STUDY.yaml --output {folder}")
+    if not (folder / "summary.json").is_file():
+        raise UserError(
+            f"{folder}: the run has no results yet; go on with it: hsed run STUDY.yaml --output {folder} --resume"
+        )
+    results = folder / "results.nc"
+    try:
+        tree = xr.load_datatree(results, engine="h5netcdf") if results.is_file() else None
+    except (OSError, ValueError, KeyError) as error:
+        raise UserError(f"{results}: this is no file of results ({error})") from None
+    return FinishedRun(
+        folder,
+        _mapping(folder / "study.yaml", "study", "model", "steps"),
+        _mapping(folder / "summary.json", "study", "status"),
+        read_provenance(folder / "provenance.json").model_dump(exclude_unset=True),
+        read_campaign(folder / "campaign"),
+        tree,
+        {path.stem: _text(path) for path in sorted((folder / "figures").glob("*.svg"))},
+    )
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"{path}: cannot be read as text ({error})") from None
+
+
+def _mapping(path: Path, *keys: str) -> dict[str, Any]:
+    """A mapping in YAML or JSON that has these keys.
+
+    Raises:
+        UserError: it is something else.
+    """
+    text = _text(path)
+    try:
+        content = json.loads(text) if path.suffix == ".json" else parse_yaml(text, str(path))
+    except (ValueError, RecursionError, UserError):
+        content = None
+    if not isinstance(content, dict) or any(key not in content for key in keys):
+        raise UserError(
+            f"{path}: it is damaged: a mapping of {', '.join(keys) or 'keys'} is wanted; restore it from a copy"
+        )
+    return content
+
+
+def write_page(page: str, path: str | Path) -> None:
+    """Write a page of several runs; replaces only a page of ours.
+
+    Raises:
+        UserError: the file is something else, or cannot be written.
+    """
+    from hsed_jax.reporting.page import GENERATOR
+
+    path = Path(path)
+    if path.exists() and (
+        not path.is_file() or GENERATOR not in path.read_text(encoding="utf-8", errors="replace")[:2000]
+    ):
+        raise UserError(f"{path} exists and is no report; choose another --output")
+    try:
+        write_whole(path, page)
+    except OSError as error:
+        raise UserError(f"{path} cannot be written ({error.strerror}); choose another --output") from None
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        kept = {str(key): _finite(item) for key, item in value.items()}
+        return {key: item for key, item in kept.items() if item is not None}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _with_null(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _with_null(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_with_null(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _with_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _with_nan(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_with_nan(item) for item in value]
+    return math.nan if value is None else value
+
+
+def _is_content(path: Path) -> bool:
+    """Whether a file of a run folder holds anything: a run killed in its first moments leaves a lock and a draft."""
+    return path.name != ".lock" and path.suffix != ".part"

@@ -1,0 +1,69 @@
+"""The progress of a step on the terminal, and what it keeps in the run folder."""
+
+import sys
+import threading
+from collections.abc import Sequence
+from types import TracebackType
+
+import numpy as np
+from tqdm import tqdm
+
+from hsed_jax.inference.watch import Watch
+from hsed_jax.runs.folder import RunFolder
+
+_PLAIN = "{desc} [{elapsed}]"
+_COUNTED = "{desc}: {percentage:3.0f}% |{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}]"
+
+
+class Progress(Watch):
+    """Follows a step of a run.
+
+    Arguments:
+        step: its name.
+        show: on the standard error; where that is no terminal, now and then.
+        store: the run folder; without one nothing is kept.
+    """
+
+    def __init__(self, step: str, show: bool, store: RunFolder | None = None):
+        self._step, self._store = step, store
+        is_seen = sys.stderr.isatty()
+        self._bar = tqdm(desc=step, bar_format=_PLAIN, disable=not show, mininterval=0.1 if is_seen else 10.0)
+        self._ended = threading.Event()
+        if show and is_seen:
+            # A clock that runs while one compiled call does.
+            threading.Thread(target=self._tick, daemon=True).start()
+
+    def __enter__(self) -> "Progress":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None):
+        self._ended.set()
+        self._bar.close()
+
+    def report(self, what: str) -> None:
+        """Show what is being done."""
+        if not self._bar.disable:
+            self._bar.bar_format = _PLAIN
+            self._bar.set_description_str(f"{self._step}: {what}")
+
+    def count(self, done: int, total: int) -> None:
+        """Show how much of it is done, and the time it is likely to take yet."""
+        if self._bar.disable:
+            return
+        if self._bar.bar_format == _PLAIN or total != self._bar.total or done < self._bar.n:
+            self._bar.bar_format = _COUNTED
+            self._bar.reset(total)
+        self._bar.update(done - self._bar.n)
+
+    def keep(self, name: str, arrays: Sequence[np.ndarray]) -> None:
+        """Keep what was reached in the run folder."""
+        if self._store is not None:
+            self._store.keep(name, arrays)
+
+    def recall(self, name: str) -> list[np.ndarray] | None:
+        """What an earlier session of the run reached."""
+        return None if self._store is None else self._store.recall(name)
+
+    def _tick(self) -> None:
+        while not self._ended.wait(1.0):
+            self._bar.refresh()

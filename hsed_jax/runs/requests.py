@@ -1,0 +1,201 @@
+"""Requests on the disk: what is asked of people or a controller is written, what they measured is read.
+
+The folder of a request is `laboratory/E07-1` for the first attempt at E07; where it is missing it is made again.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+
+from hsed_jax.runs.conduct import Asked, Conduct
+from hsed_jax.study.build import Built
+from hsed_jax.errors import UserError
+from hsed_jax.laboratories.answer import QUANTITIES, RECORD, is_answered, left, read_quantities, read_record
+from hsed_jax.laboratories.base import ExperimentFailed, Measured
+from hsed_jax.laboratories.request import Request
+from hsed_jax.measurements import Record, parse_unit
+from hsed_jax.physics.outputs import EQ_18, further, is_driver, of_each
+from hsed_jax.physics.simulator import Conditions
+
+BAND = (0.05, 0.5, 0.95)
+"""Quantiles of what is expected, over the parameters as they are known."""
+
+Columns = Mapping[str, Any] | pd.DataFrame
+
+
+class Expected(NamedTuple):
+    """What the calibrated model expects of an experiment: quantiles `BAND`, over the parameters alone.
+
+    Attributes:
+        time: [s], shape (n,).
+        channels: SI, by name, each (3, n).
+        quantities: SI, by name, each (3,).
+    """
+
+    time: np.ndarray
+    channels: dict[str, np.ndarray]
+    quantities: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Requests:
+    """Requests and answers of a design.
+
+    Attributes:
+        conduct: the design as it is being conducted.
+    """
+
+    conduct: Conduct
+
+    @property
+    def built(self) -> Built:
+        """The study."""
+        return self.conduct.built
+
+    def folder(self, id: str) -> Path:
+        """Where the request of an experiment lies and its measurements are left."""
+        return self.conduct.store.laboratory / f"{id}-{self.conduct.request(id).attempt}"
+
+    def expected(self, asked: Asked) -> Expected:
+        """What the model expects of an experiment, as its parameters are known now.
+
+        Raises:
+            UserError: every simulation diverges.
+        """
+        channels, quantities, ok = self._respond({k: jnp.asarray(v) for k, v in asked.si.items()}, asked.draws)
+        good = np.asarray(ok) > 0
+        if not good.any():
+            raise UserError(f"experiment {asked.id}: every simulation of what is expected diverges")
+
+        def band(values: Any) -> np.ndarray:
+            return np.quantile(np.asarray(values)[good], BAND, axis=0)
+
+        return Expected(
+            np.asarray(
+                self.built.planned_simulator.times({name: jnp.asarray(value) for name, value in asked.si.items()})
+            ),
+            {name: band(values) for name, values in channels.items()},
+            {name: band(values) for name, values in quantities.items()},
+        )
+
+    @cached_property
+    def _respond(self):
+        names = tuple(self.built.parameters[0])
+        model, more = self.built.planned_simulator, further(tuple(self.built.study.quantities))
+        measured = [name for name in self.built.sensors.channels if not is_driver(name)]
+        wanted = [*measured, *of_each(model.owners, ("elongation", "force"))]
+        wanted = [name for name in dict.fromkeys(wanted) if model.gives(name)]
+        peaks = [name for name in dict.fromkeys((*of_each(model.owners, EQ_18), *more)) if model.gives(name)]
+
+        def one(theta, inputs):
+            parameters = dict(zip(names, theta, strict=False))
+            response = model.respond(parameters, Conditions(inputs), tuple(wanted), more)
+            quantities = {name: response.quantities[name] for name in peaks}
+            return {name: response.channels[name] for name in wanted}, quantities, response.ok
+
+        return jax.jit(lambda inputs, draws: jax.vmap(lambda theta: one(theta, inputs))(jnp.asarray(draws)))
+
+    def _request(self, id: str, si: Mapping[str, float], number: int = 0) -> Request:
+        return replace(self.built.programme.request(number, si), id=id)
+
+    def write(self, asked: Asked) -> None:
+        """Write a request, where it is not there already."""
+        folder = self.folder(asked.id)
+        if (folder / "request.json").is_file():
+            return
+        folder.mkdir(parents=True, exist_ok=True)
+        output = self.built.pair.output
+        expected, sensors = self.expected(asked), self.built.sensors
+        columns = {"t [s]": expected.time}
+        for name, band in expected.channels.items():
+            declared = sensors.channels.get(name)
+            unit = output(name).unit if declared is None else declared.unit
+            for share, values in zip(BAND, band, strict=True):
+                columns[f"{name} {share:.0%} [{unit}]"] = parse_unit(unit).from_si(values)
+        pd.DataFrame(columns).to_csv(folder / "expected.csv", index=False)
+        peaks = {
+            name: {"unit": output(name).unit, **{f"{s:.0%}": float(v) for s, v in zip(BAND, values, strict=True)}}
+            for name, values in expected.quantities.items()
+        }
+        more: dict[str, Any] = {"attempt": asked.attempt, "expected": peaks}
+        if (limits := self.built.study.design.limits) is not None:
+            more["limits"] = limits.model_dump(exclude_none=True)
+        self._request(asked.id, asked.si, asked.number).write(folder, sensors.channels, sensors.quantities, more)
+
+    def answered(self, asked: Asked) -> Measured | None:
+        """What was left in the folder of a request; None where nothing was.
+
+        Raises:
+            UserError: something was, and it is not what the study declares.
+        """
+        return self.measured(asked.id, None, None, None) if is_answered(self.folder(asked.id)) else None
+
+    def measured(
+        self,
+        id: str,
+        record: str | Path | Columns | None,
+        quantities: Mapping[str, float] | None,
+        inputs: Mapping[str, float] | None,
+    ) -> Measured:
+        """What was measured in an experiment.
+
+        Arguments:
+            id: of the experiment.
+            record: a file or a table of columns; None: what lies in the folder.
+            quantities: in declared units; None: what lies in the folder.
+            inputs: as tested, in declared units; None: as asked.
+
+        Raises:
+            UserError: something is missing, or is not what the study declares.
+        """
+        sensors, history, numbers = self.built.sensors, None, {}
+        if record is not None and not sensors.channels:
+            raise UserError(f"experiment {id}: the study declares no channels of a record; see experiments")
+        if quantities is not None:
+            for name in quantities:
+                if name not in sensors.quantities:
+                    known = ", ".join(sensors.quantities) or "none"
+                    raise UserError(f"experiment {id}: there is no quantity {name!r}; the study declares {known}")
+        try:
+            if sensors.channels:
+                given = self._left(id, RECORD) if record is None else record
+                history = self.record(id, given, inputs, partial=False)
+            if quantities is not None:
+                numbers = sensors.numbers(quantities, f"experiment {id}")
+            elif sensors.quantities:
+                numbers = read_quantities(self._left(id, QUANTITIES), sensors)
+        except ExperimentFailed as failure:
+            raise UserError(str(failure)) from None
+        return Measured(numbers, history)
+
+    def _left(self, id: str, names: tuple[str, ...]) -> Path:
+        if id not in self.conduct.campaign:
+            raise UserError(f"experiment {id!r} was not asked; give what was measured and its inputs")
+        return left(self.folder(id), names)
+
+    def record(
+        self, id: str, given: str | Path | Columns, inputs: Mapping[str, float] | None, *, partial: bool
+    ) -> Record:
+        """The record of an experiment, in SI, from a file or a table of columns.
+
+        Raises:
+            ExperimentFailed: it is not what the study declares.
+            UserError: the experiment is unknown, and its inputs were not given.
+        """
+        sensors, space = self.built.sensors, self.built.space
+        if inputs is not None and inputs.keys() == space.factors.keys():
+            si = {name: float(value) * space.factors[name] for name, value in inputs.items()}
+        else:
+            si = self.conduct.request(id).si
+        request = self._request(id, si)
+        if isinstance(given, str | Path):
+            return read_record(Path(given), request, sensors, partial=partial)
+        columns = {name: given[c.column] for name, c in sensors.channels.items() if c.column in given}
+        return sensors.record(request, columns, f"experiment {id}", partial=partial)

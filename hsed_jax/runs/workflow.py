@@ -1,0 +1,299 @@
+"""Running a study: its steps in order, with files, progress and resume around the pure pieces."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from hsed_jax.analysis.calibration import Calibration, calibrate_built, compare, locate
+from hsed_jax.runs.conduct import Asked, Conduct
+from hsed_jax.study.build import Built
+from hsed_jax.study.records import forecast
+from hsed_jax.config.schema import Study
+from hsed_jax.study.specimens import effects_of
+from hsed_jax.criticism import locate as locating
+from hsed_jax.criticism.compare import Comparison
+from hsed_jax.diagnosis.findings import Diagnosis
+from hsed_jax.criticism.improve import Trail, step_of
+from hsed_jax.criticism.locate import Location
+from hsed_jax.errors import UserError
+from hsed_jax.interruptions import Interrupted, answered_by
+from hsed_jax.laboratories.base import ExperimentFailed, Measured
+from hsed_jax.laboratories.folder import Awaited
+from hsed_jax.laboratories.virtual import VirtualLaboratory
+from hsed_jax.measurements import Campaign, stop_at_errors, write_campaign
+from hsed_jax.physics.scales import Scales
+from hsed_jax.runs.progress import Progress
+from hsed_jax.analysis.remedy import Improvement, diagnose, improve
+from hsed_jax.reporting.outcome import Outcome, summary
+from hsed_jax.runs.requests import Requests
+from hsed_jax.runs.folder import RunFolder, laboratory_folder, read_run
+
+
+class Waiting(Interrupted):
+    """The run waits for an experiment that is performed by hand."""
+
+
+def run(
+    study: Study,
+    output: str | Path | None = None,
+    *,
+    resume: bool = False,
+    force: bool = False,
+    progress: bool = True,
+    figures: bool = True,
+    laboratory: Callable[..., Any] | None = None,
+    tell: Callable[..., None] | None = None,
+) -> "Run":
+    """Run the steps of a study, as the command line does.
+
+    Arguments:
+        study: what to run.
+        output: the run folder; by default `runs/<study>`.
+        resume: go on with the run in the folder.
+        force: replace the run in the folder.
+        progress: show a progress bar.
+        figures: draw the figures and write `report.html`; without, a small study takes half the time.
+        laboratory: the function that performs an experiment, of a study whose `experiments.python` names no file.
+        tell: called with the run and the name of a step when that ends, and with `data` before the experiments are used.
+
+    Raises:
+        UserError: the study or the folder is wrong.
+        Interrupted: the user stopped it, or it waits for an experiment; it can be resumed.
+    """
+    output = Path(output) if output else Path("runs") / study.study
+    started = Run(study, output, resume=resume, force=force, progress=progress, laboratory=laboratory)
+    started.figures = figures
+    started.tell = tell or started.tell
+    started()
+    return started
+
+
+class Run:
+    """A study being run in a folder; see `run`.
+
+    Attributes:
+        conduct: of the design, where it ran.
+        calibration, comparison, location, diagnosis, remaining, improvement: results of the steps that ran.
+    """
+
+    def __init__(
+        self,
+        study: Study,
+        output: Path,
+        *,
+        resume: bool,
+        force: bool,
+        progress: bool,
+        laboratory: Callable[..., Any] | None = None,
+    ):
+        self.study = study
+        self.built = Built(study, workspace=laboratory_folder(output), function=laboratory)
+        self.built.check()
+        if self.built.measured is not None:
+            stop_at_errors(self.built.measured, study.measurements.accepted(self.built.measured))
+            if progress:
+                print(forecast(self.built, self.built.measured), flush=True)
+        self.store = RunFolder(output, study.written(), resume=resume, force=force)
+        self.progress = progress
+        self.figures = True
+        self.tell: Callable[..., None] = lambda run, step: None
+        self.conduct: Conduct | None = None
+        self._campaign = self.built.empty_campaign() if self.built.measured is None else self.built.measured
+        self.stop_reason = "iterations"
+        self._under_way = ""
+        self.calibration: Calibration | None = None
+        self.comparison: Comparison | None = None
+        self.location: Location | None = None
+        self.diagnosis: Diagnosis | None = None
+        self.remaining: Location | None = None
+        self.improvement: Improvement | None = None
+        self.trail: Trail | None = None
+
+    @property
+    def campaign(self) -> Campaign:
+        """The experiments so far."""
+        return self._campaign if self.conduct is None else self.conduct.campaign
+
+    @property
+    def steps(self) -> list[dict[str, Any]]:
+        """What each step of the design found, as in the journal."""
+        return [] if self.conduct is None else self.conduct.steps
+
+    def __call__(self) -> dict[str, Any]:
+        """Run the steps; returns the content of `summary.json`."""
+        from hsed_jax.reporting.report import report_page
+        from hsed_jax.reporting.results import results_tree
+        from hsed_jax.reporting.run_figures import draw
+
+        try:
+            with answered_by(self._stopped):
+                for step in self.study.steps:
+                    self._under_way = step
+                    getattr(self, f"_{step}")()
+                    self.tell(self, step)
+                self._under_way = "report"
+                outcome = self.outcome("complete")
+                self.store.write_results(results_tree(outcome))
+                content = summary(outcome)
+                self.store.write_summary(content)
+                if self.figures:
+                    with self._watch("figures") as watch:
+                        draw(outcome, self.store.figures, watch.report)
+                self.store.finish()
+                if self.figures:
+                    self.store.write_report(report_page(read_run(self.store.path)))
+                return content
+        except Waiting:
+            self.store.write_summary(summary(self.outcome("waiting")))
+            raise
+        finally:
+            self.store.close()
+
+    def _stopped(self) -> str:
+        """Leave behind what the run has come to when it is interrupted, and say where."""
+        self.store.write_summary(summary(self.outcome("interrupted")))
+        steps = self.study.steps
+        if self._under_way == "design":
+            where = f"after {len(self.steps)} of {self.study.design.iterations} steps of the design"
+        elif self._under_way in steps:
+            where = f"while it was at {self._under_way}, {steps.index(self._under_way) + 1} of {len(steps)} steps"
+        else:
+            where = "while the results were written"
+        return f"stopped {where}; nothing is lost: say --resume to go on"
+
+    def _watch(self, step: str) -> Progress:
+        return Progress(step, self.progress, self.store)
+
+    def outcome(self, status: str) -> Outcome:
+        """What the run has come to."""
+        laboratory = None if self.study.experiments.laboratory is None else self.built.laboratory
+        return Outcome(
+            study=self.study.study,
+            status=status,
+            posterior=self.built.posterior,
+            model=self.built.simulator,
+            catalogue=self.built.catalogue,
+            laboratory=laboratory if isinstance(laboratory, VirtualLaboratory) else None,
+            units=self.built.units,
+            campaign=self.campaign,
+            space=self.built.space,
+            design=None if self.conduct is None else self.conduct.design,
+            initial=self.study.design.initial,
+            state=None if self.conduct is None else self.conduct.state,
+            steps=self.steps,
+            stop_reason=self.stop_reason if status == "complete" else status,
+            fit=None if self.calibration is None else self.calibration.fit,
+            comparison=self.comparison,
+            location=self.location,
+            diagnosis=self.diagnosis,
+            remaining=self.remaining,
+            trail=self.trail,
+            improved=None if self.improvement is None else self.improvement.calibration.fit,
+            improved_comparison=None if self.improvement is None else self.improvement.after,
+            scales=self._scales,
+        )
+
+    @property
+    def _scales(self) -> Scales | None:
+        """Characteristic values of the improved model, of a diagnosis' candidates, or of the model; None without effects."""
+        if self.improvement is not None:
+            return self.improvement.calibration.built.scales
+        if self.diagnosis is not None and self.diagnosis.ranking:
+            return self.diagnosis.scales
+        return self.built.scales if effects_of(self.study) else None
+
+    # The design: Steps 1 to 8 of the paper.
+
+    def _design(self) -> None:
+        self.conduct = conduct = Conduct(self.built, self.store)
+        for id in conduct.pending:  # asked, and killed before the answer
+            self._perform(conduct.request(id))
+        budget = self.study.design.iterations
+        bar = tqdm(total=budget, initial=len(conduct.steps), disable=not self.progress, unit="step", desc="design")
+        with bar:
+            while True:
+                before = len(conduct.steps)
+                conduct.choose()
+                if len(conduct.steps) > before:
+                    bar.set_postfix_str(self._postfix())
+                    bar.update()
+                if conduct.stop_reason is not None:
+                    break
+                self._perform(conduct.ask())
+        self.stop_reason = conduct.stop_reason
+
+    def _perform(self, asked: Asked) -> None:
+        assert self.conduct is not None
+        try:
+            measured = self.built.laboratory.perform(asked.number, asked.si)
+        except ExperimentFailed as failure:
+            self.conduct.give_up(asked.id, str(failure))
+            return
+        except Awaited:
+            measured = self._answered(Requests(self.conduct), asked)
+        self.conduct.tell(asked.id, measured)
+
+    def _answered(self, requests: Requests, asked: Asked) -> Measured:
+        """What was measured by hand.
+
+        Raises:
+            Waiting: nothing was, yet.
+        """
+        requests.write(asked)
+        if (measured := requests.answered(asked)) is not None:
+            return measured
+        inputs = ", ".join(f"{n} {v:.4g} {self.built.space.units[n]}" for n, v in asked.inputs.items())
+        raise Waiting(
+            f"experiment {asked.id} is asked: {inputs}; its request is in {requests.folder(asked.id)}; leave there what is "
+            "measured and say --resume, or say hsed tell"
+        )
+
+    def _postfix(self) -> str:
+        step = self.steps[-1]
+        estimates = ", ".join(f"{name} {value:.4g}" for name, value in step["map"].items())
+        return f"max EI {step['max_expected_improvement']:.2e}, {estimates}"
+
+    # What is made of the experiments.
+
+    def _calibrate(self) -> None:
+        if self.conduct is not None:
+            # Padded as the design's own data are, so that its programs serve.
+            size = self.conduct.design.size
+        else:
+            if self.built.measured is None:
+                self._campaign = self.built.perform()
+            write_campaign(self.campaign, self.store.campaign)
+            size = None
+        self.tell(self, "data")
+        with self._watch("calibrate") as watch:
+            self.calibration = calibrate_built(self.built, self.campaign, size=size, watch=watch)
+
+    def _compare(self) -> None:
+        if self.calibration is None:
+            raise UserError("steps: compare needs a calibrated model; put calibrate before it")
+        self.comparison = compare(self.calibration)
+        self.location = locate(self.calibration)
+
+    # What it lacks, and what adding that does.
+
+    def _diagnose(self) -> None:
+        assert self.calibration is not None
+        with self._watch("diagnose") as watch:
+            self.diagnosis = diagnose(self.calibration, watch=watch)
+        if self.diagnosis.effects:
+            self.remaining = locating.locate(self.diagnosis.prediction, self.campaign)
+
+    def _improve(self) -> None:
+        assert self.calibration is not None
+        assert self.comparison is not None
+        effects = self.study.improve.add or (self.diagnosis.effects if self.diagnosis is not None else [])
+        if not effects:
+            self.trail = Trail([step_of([], self.comparison, self.calibration.map)], self.comparison.train.noise_floor)
+            return
+        start = None if self.diagnosis is None else self.diagnosis.optimum
+        with self._watch("improve") as watch:
+            self.improvement = improve(self.calibration, effects=effects, start=start, watch=watch)
+        self.trail = self.improvement.trail
+        self.improvement.write(self.store.improved)

@@ -1,0 +1,1 @@
+"""A study, built: the objects that compute, from what a user said."""

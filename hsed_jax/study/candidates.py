@@ -1,0 +1,208 @@
+"""From a study and a campaign to the large model that a diagnosis works on: the study's model with every candidate in it."""
+
+from collections.abc import Mapping, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hsed_jax.config.schema import ImproveEntry, ScalesEntry, Study
+from hsed_jax.criticism.compare import compare
+from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.diagnosis.box import Box
+from hsed_jax.diagnosis.lanes import Lanes
+from hsed_jax.diagnosis.measured import Measured
+from hsed_jax.diagnosis.nested import NestedModels
+from hsed_jax.diagnosis.problem import Problem
+from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.observation import conditions_of, stacked
+from hsed_jax.inference.priors import Prior
+from hsed_jax.inference.watch import Watch
+from hsed_jax.measurements import Campaign, Experiment, Record
+from hsed_jax.physics.effects import Catalogue
+from hsed_jax.physics.excitations import AbstractExcitation
+from hsed_jax.physics.outputs import is_driver
+from hsed_jax.physics.parameters import parameters_of
+from hsed_jax.physics.simulator import Conditions
+from hsed_jax.physics.timeline import Timeline, times
+from hsed_jax.study.build import Built
+from hsed_jax.study.laboratories import driver_of
+from hsed_jax.study.plan import ORDER, check_added
+from hsed_jax.study.specimens import effects_of
+
+# Experiments that could be made, to look for one that tells rivals apart.
+_CANDIDATES = 32
+# The conditions are padded to a multiple of this, so that campaigns of similar size share a compiled program.
+_PADDING = 16
+
+
+def applicable(built: Built, campaign: Campaign) -> list[str]:
+    """Effects of the catalogue that the model lacks and the measurements could show."""
+    has_time = campaign.has_time or not built.component_test or built.grid is None
+    is_shaken = "ground_acceleration" in drivers(built, campaign)
+    quantities = built.study.observe == "quantities"
+    return [
+        name
+        for name in built.naming.candidates
+        if name not in effects_of(built.study)
+        and not built.naming.unserved(name)
+        and (has_time or not built.catalogue[name].needs_time)
+        and not (quantities and built.catalogue[name].histories_only)
+        and not (built.component_test and built.catalogue[name].shaken_only)
+        and (is_shaken or not built.catalogue[name].ground_only)
+    ]
+
+
+def drivers(built: Built, campaign: Campaign) -> list[str]:
+    """Channels that measure what drives the structure, or what would."""
+    return [name for name in campaign.channels if is_driver(name) and name != "time"] or [driver_of(built.study)]
+
+
+def with_effects(built: Built, effects: Sequence[str]) -> Study:
+    """The study with these effects added to its model, each with the priors of the catalogue, and its scales as they are.
+
+    Raises:
+        UserError: there is no such effect, the model has it, or it stands twice.
+    """
+    study = built.study
+    check_added(study, effects, built.naming)
+    model = study.model.model_copy(update={"effects": {**study.model.effects, **{name: {} for name in effects}}})
+    # Ready to be improved again: what was chosen by hand this time is for the diagnosis to find next time.
+    steps = [step for step in ORDER if step in study.steps or (step == "diagnose" and "improve" in study.steps)]
+    larger = study.model_copy(update={"model": model, "steps": steps, "improve": ImproveEntry()})
+    scales = Built(larger, built.campaign).scales
+    return larger.model_copy(update={"scales": ScalesEntry(**scales._asdict())})
+
+
+def problem_of(
+    built: Built,
+    campaign: Campaign,
+    effects: Sequence[str] | None = None,
+    cube: np.ndarray | None = None,
+    watch: Watch | None = None,
+    known: Mapping[str, float] | None = None,
+) -> Problem:
+    """The large model and the measurements.
+
+    Arguments:
+        built: the study.
+        campaign: its experiments.
+        effects: candidates; by default all that apply.
+        cube: inputs of experiments that could be made, in the unit cube, (c, d); by default some that fill it.
+        watch: follows the fits.
+        known: parameters of the model as it is, by name, SI, as a calibration found them.
+    """
+    names = applicable(built, campaign) if effects is None else list(effects)
+    large = Built(with_effects(built, names), built.campaign)
+    free, _ = large.parameters
+    data = large.data(campaign, (*campaign.train.experiments, *campaign.test.experiments))
+    train, test = large.taken(campaign.train.experiments), large.taken(campaign.test.experiments)
+    inputs, further = _candidates(large, campaign, cube)
+    parts = [data.conditions, *([] if further is None else [further])]
+    conditions = _padded(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts))
+    catalogue = built.catalogue.only(names)
+    neutral = _neutral(free, catalogue)
+    lanes = Lanes(large.simulator, large.observation, tuple(free), conditions)
+    models = NestedModels(lanes, Box(free), neutral, watch)
+    start = None if known is None else models.point({name: known[name] for name in free if name in known})
+    order = tuple(free)
+    own = {
+        name: np.asarray([order.index(f"{name}.{p}") for p in parameters_of(effect)])
+        for name, effect in catalogue.items()
+    }
+    of_effects = {int(k) for columns in own.values() for k in columns}
+    size = len(train)
+    measured = [
+        _measured(large, data, part, rows)
+        for part, rows in ((train, slice(0, size)), (test, slice(size, None)))
+        if part
+    ]
+    return Problem(
+        models=models,
+        names=order,
+        units=large.units,
+        catalogue=catalogue,
+        law=np.asarray([k for k in range(len(order)) if k not in of_effects]),
+        effects=own,
+        scales=large.scales,
+        train=measured[0],
+        test=measured[1] if test else None,
+        experiments=train,
+        outputs=large.outputs,
+        candidates=inputs,
+        seed=built.study.seed,
+        start=start,
+        notes=built.naming.left_out(),
+        pair=large.pair,
+    )
+
+
+def _neutral(free: dict[str, Prior], effects: Catalogue) -> np.ndarray:
+    values = []
+    for name, prior in free.items():
+        effect, _, parameter = name.rpartition(".")
+        if effect in effects:
+            neutral = parameters_of(effects[effect])[parameter].neutral
+            assert neutral is not None
+            values.append(neutral)
+        else:
+            values.append(float(prior.quantile(0.5)))
+    return np.asarray(values)
+
+
+def _measured(large: Built, data: Data, experiments: Sequence[Experiment], rows: slice) -> Measured:
+    values, used, gaps = (np.asarray(table)[rows] for table in (data.values, data.weights, data.gaps))
+    groups = np.asarray(large.observation.groups)
+    measured = Measured(values, used > 0, gaps, groups, large.errors, 0.0)
+    # What is not declared is no noise, but for a division by it.
+    declared = ~np.isnan(measured.declared)
+    sigma = measured.sigma(np.where(declared, measured.declared, 1e-12), values)
+    itself = Prediction(
+        large.outputs,
+        groups,
+        tuple(experiments),
+        values,
+        used > 0,
+        values,
+        values,
+        sigma,
+        sigma,
+        np.ones(len(values), bool),
+    )
+    return measured._replace(noise=compare(itself, None, declared, 0, []).train.noise_floor)
+
+
+def _candidates(
+    built: Built, campaign: Campaign, cube: np.ndarray | None
+) -> tuple[list[dict[str, float]], Conditions | None]:
+    """Inputs of experiments that could be made, in declared units, and their conditions; none without an excitation of inputs."""
+    space = built.space
+    excitation = built.excitation
+    if excitation is None or not space.names or excitation.constructor.kind.protocol != built.protocol:
+        return [], None
+    if not built.component_test and drivers(built, campaign) != [driver_of(built.study)]:
+        return [], None
+    declared = space.declared(space.initial_design(_CANDIDATES) if cube is None else cube)
+    si = space.si(declared)
+    longest = max(campaign.train.experiments, key=lambda e: 0 if e.record is None else len(e.record))
+    conditions = []
+    for number in range(len(declared)):
+        inputs = dict(longest.inputs) | {name: float(values[number]) for name, values in si.items()}
+        record = None if longest.record is None else Record(_times(excitation(inputs), longest.record.time), {})
+        experiment = Experiment(f"candidate {number + 1}", inputs, record=record)
+        conditions.append(conditions_of(experiment, campaign, built.grid, excitation))
+    return [dict(zip(space.names, row.tolist(), strict=True)) for row in declared], stacked(conditions)
+
+
+def _times(excitation: AbstractExcitation, recorded: np.ndarray) -> np.ndarray:
+    """When an experiment that could be made would be sampled: as the recorded ones, or until its own end."""
+    own = Timeline(None, len(recorded) - 1)
+    if excitation.kind.protocol == "displacement":
+        return np.asarray(times(excitation.step_length(own), 1, own.samples))
+    return recorded
+
+
+def _padded(conditions: Conditions) -> Conditions:
+    size = jax.tree.leaves(conditions)[0].shape[0]
+    more = -size % _PADDING
+    return jax.tree.map(lambda leaf: jnp.concatenate([leaf, jnp.repeat(leaf[-1:], more, axis=0)]), conditions)

@@ -1,0 +1,100 @@
+"""The excitation of a study, built: its settings checked, its record read."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import jax.numpy as jnp
+
+from hsed_jax.config.schema import Study
+from hsed_jax.config.sections import InputEntry
+from hsed_jax.errors import UserError
+from hsed_jax.measurements import Campaign, parse_unit, read_history
+from hsed_jax.measurements.campaign import Protocol
+from hsed_jax.measurements.units import dimension_of
+from hsed_jax.physics.excitations import AbstractExcitation, settings_of
+from hsed_jax.physics.excitations.base import Setting
+from hsed_jax.physics.simulator import Parametrised
+from hsed_jax.study import parts
+
+LOWEST = 1e-9
+"""Quantile up to which an input is taken to reach."""
+
+
+def protocol_of(study: Study, measured: Campaign | None) -> Protocol:
+    """What drives the experiments of a study: as they were measured, else as they are planned.
+
+    Raises:
+        UserError: elongations are planned of a specimen in a structure, or beside measurements of a structure.
+    """
+    excitation = None if study.excitation is None else study.excitation.excitation
+    planned = "ground_motion" if excitation is None else excitation.kind.protocol
+    if excitation is not None and planned == "displacement":
+        if study.structure is not None:
+            raise UserError(
+                f"structure: the elongation of the specimen alone is imposed (excitation.{excitation.name}), so leave the "
+                "structure out"
+            )
+        if measured is not None and measured.protocol != planned:
+            raise UserError(
+                f"excitation.{excitation.name}: it imposes an elongation, but the protocol of the campaign {measured.name!r} is "
+                f"{measured.protocol}"
+            )
+    return planned if measured is None else measured.protocol
+
+
+def excitation_of(study: Study) -> Parametrised[AbstractExcitation] | None:
+    """From inputs to what drives an experiment; None where every experiment brings its record.
+
+    Raises:
+        UserError: a setting is impossible, refers to what is no input or one of another dimension, or a file cannot be read.
+    """
+    entry, inputs = study.excitation, study.inputs
+    kind = None if entry is None else entry.excitation
+    if entry is None or kind is None:
+        return None
+    where, settings = f"excitation.{kind.name}", dict(entry.settings)
+    arrays = {}
+    if kind.of_file:
+        columns = read_history(study.folder / settings.pop("file"), kind.of_file[1])
+        arrays = {name: jnp.asarray(column) for name, column in zip(kind.of_file, columns, strict=True)}
+    for name, known, value in _each(kind, settings):
+        _check(f"{where}.{name}", known, value, inputs)
+    if fault := kind.impossible(settings):
+        name, words = fault
+        raise UserError(f"{where}.{name}: {words}")
+    values = {name: tuple(value) if isinstance(value, list) else value for name, value in settings.items()}
+    return Parametrised(kind, tuple(values.items()), arrays)
+
+
+def _each(kind: type[AbstractExcitation], settings: Mapping[str, Any]) -> Iterator[tuple[str, Setting, Any]]:
+    for name, known in settings_of(kind).items():
+        if known.kind == "numbers":
+            yield from ((f"{name}.{i}", known, value) for i, value in enumerate(settings[name]))
+        else:
+            yield name, known, settings[name]
+
+
+def _check(where: str, known: Setting, value: float | str, inputs: Mapping[str, InputEntry]) -> None:
+    article = "an" if known.meaning[0] in "aeiou" else "a"
+    if not isinstance(value, str):
+        if known.is_positive and not value > 0:
+            raise UserError(f"{where}: {article} {known.meaning} is positive, but it is {value:g}")
+        return
+    if value not in inputs:
+        known_inputs = ", ".join(inputs) or "none"
+        raise UserError(f"{where}: it refers to {value!r}, which is no input; inputs are {known_inputs}")
+    if known.unit != "1":
+        parts.at(f"inputs.{value}.unit", parse_unit, inputs[value].unit, dimension_of(known.unit))
+    if known.is_positive:
+        lowest = float(parts.prior(f"inputs.{value}", inputs[value].prior).quantile(LOWEST))
+        if not lowest > 0:
+            raise UserError(
+                f"inputs.{value}: {article} {known.meaning} is positive, but this distribution reaches {lowest:.3g}"
+            )
+
+
+def sentence_of(study: Study) -> str:
+    """What drives the planned experiments of a study, without a full stop."""
+    entry = study.excitation
+    assert entry is not None and entry.excitation is not None
+    return entry.excitation.sentence(entry.settings, entry.duration)

@@ -1,0 +1,298 @@
+"""A study whose model is a function or a program, built: what differs from one of a spring law."""
+
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hsed_jax.backend import cores
+from hsed_jax.config.functions import FunctionEntry
+from hsed_jax.config.sections import InputEntry
+from hsed_jax.errors import UserError
+from hsed_jax.inference.observation import Grid, conditions_of
+from hsed_jax.inference.priors import Prior
+from hsed_jax.laboratories.command import check_template
+from hsed_jax.measurements import parse_unit
+from hsed_jax.models.differences import Differenced, Free, failure, unpadded
+from hsed_jax.models.function import FunctionModel, Respond, is_output, is_told, known_outputs, outputs_of
+from hsed_jax.models.program import Program
+from hsed_jax.physics.elements import Element
+from hsed_jax.physics.laws import AbstractSpringLaw
+from hsed_jax.physics.outputs import CHANNELS, PER_MASS, is_driver
+from hsed_jax.physics.simulator import AbstractModel, Conditions
+from hsed_jax.physics.structures import Structure
+from hsed_jax.physics.timeline import Timeline
+from hsed_jax.plain import shown
+from hsed_jax.python_files import module_of
+from hsed_jax.study import parts
+from hsed_jax.study.build import Built
+from hsed_jax.study.specimens import Naming, by_owner, elements_of
+from hsed_jax.study.timelines import TOLD, duration_of, measured_records
+
+
+class BuiltOfFunction(Built):
+    """Everything a study needs to run whose model is a function or a program.
+
+    Nothing is integrated here, so that steps are the samples of the records; structure, specimens and laws are those of a virtual
+    laboratory.
+    """
+
+    @property
+    def _entry(self) -> FunctionEntry:
+        assert isinstance(self.study.model, FunctionEntry)
+        return self.study.model
+
+    @property
+    def _where(self) -> str:
+        return f"model.{self._entry.described[0]}"
+
+    @cached_property
+    def naming(self) -> Naming:
+        """There is none: its names are the function's own.
+
+        Raises:
+            UserError: always; what asks for it cannot be had.
+        """
+        raise UserError(
+            f"{self._where}: to look for missing effects and to add them (diagnose, improve) the model must be a spring law "
+            "(model.spring), and this one is a function of its own; calibrate, design, compare and locate work with any model"
+        )
+
+    @cached_property
+    def structure(self) -> Structure | None:
+        """The structure of a specimen that this package simulates; a function has its own."""
+        simulated = self.study.experiments.virtual or self.study.experiments.opensees
+        return super().structure if self.study.structure is not None or simulated else None
+
+    @cached_property
+    def parameters(self) -> tuple[dict[str, Prior], dict[str, float]]:
+        """Free parameters with their priors, and the fixed ones with their values."""
+        if self._of_structure:
+            raise UserError(
+                f"structure: {next(iter(self._of_structure))} has a prior, but the model is a function, which has its own "
+                "structure; give a number here and the prior in model.parameters"
+            )
+        if own := [key for key in self.study.models if key != "model"]:
+            raise UserError(f"{own[0]}: the model is a function, which has its own specimens; leave this model out")
+        free, fixed = {}, {}
+        for name, entry in self._entry.parameters.items():
+            if isinstance(entry, InputEntry):
+                free[name] = parts.prior(f"model.parameters.{name}", entry.prior)
+            else:
+                fixed[name] = entry
+        if not free:
+            raise UserError("model.parameters: at least one parameter needs a prior, such as {uniform: [2.0e5, 9.0e5]}")
+        return free, fixed
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """SI unit of every free parameter."""
+        units = {}
+        for name in self.parameters[0]:
+            entry, where = self._entry.parameters[name], f"model.parameters.{name}.unit"
+            assert isinstance(entry, InputEntry)
+            unit = parts.at(where, parse_unit, entry.unit)
+            if unit.factor != 1:
+                raise UserError(
+                    f"{where}: parameters of a model are in SI; give this one in {unit.si}, and its distribution too"
+                )
+            units[name] = entry.unit
+        return units
+
+    @cached_property
+    def elements(self) -> tuple[Element, ...]:
+        """The specimens that are measured; of virtual ones `true_elements` have the laws, and of others nothing asks for one."""
+        virtual = self.study.experiments.virtual
+        if virtual is not None and virtual.spring is None:
+            raise UserError("experiments.virtual.spring: this key is required, as the model has no spring law")
+        return elements_of(self.study, Element().law)
+
+    @cached_property
+    def laws(self) -> tuple[AbstractSpringLaw, ...]:
+        """The laws of the virtual specimens, whose scales and steps are asked for here; none where there are none."""
+        if self.study.experiments.virtual is None:
+            return ()
+        owners = by_owner(self.specimen)
+        return tuple(element.law(**element.parameters(owners)) for element in self.true_elements)
+
+    @property
+    def steepest(self) -> tuple[AbstractSpringLaw, ...]:
+        """The same: they are known."""
+        return self.laws
+
+    @cached_property
+    def longest_step(self) -> float:
+        """That of the integration of virtual specimens, else the interval of the record or a share of the duration [s]."""
+        if self.laws:
+            return super().longest_step
+        assert self.excitation is not None
+        if "time" in self.excitation.arrays:
+            return float(np.min(np.diff(self.excitation.arrays["time"])))
+        return duration_of(self) / TOLD
+
+    @cached_property
+    def grid(self) -> Grid | None:
+        """Samples of the measured records, a step for each; None where there are none."""
+        records = measured_records(self)
+        return Grid(max(len(record) for record in records), 1) if records else None
+
+    @cached_property
+    def planned(self) -> Timeline:
+        """The times of an experiment without a record: all that there are, as a function sees the motion at no others."""
+        return super().planned._replace(every=1)
+
+    @cached_property
+    def timeline(self) -> Timeline | None:
+        """The times of an experiment; None where there are none, and a function is told the inputs alone."""
+        quantities = self.study.observe == "quantities"
+        return None if quantities and self.grid is None and self.excitation is None else super().timeline
+
+    def check_outputs(self, names: tuple[str, ...]) -> None:
+        """Refuse what the specimens in a structure do not have, if there is one; what the function gives its first call tells."""
+        if self.structure is not None or self.laws:
+            super().check_outputs(names)
+        elif unknown := [name for name in names if not is_output(name)]:
+            known = [*(name for name in CHANNELS if not is_driver(name)), *(f"{kind}_1" for kind in PER_MASS)]
+            raise UserError(
+                f"channels: there is no channel {shown(unknown[0])}; there are {', '.join(known)} and so on"
+            )
+
+    def _check_effects(self) -> None:
+        design = self.study.design
+        if {"diagnose", "improve"} & set(self.study.steps) or self.study.improve.add:
+            _ = self.naming
+        for asked, key in (
+            (design.acquisition == "discriminate", "acquisition"),
+            (design.stop.verdict, "stop.verdict"),
+        ):
+            if asked:
+                raise UserError(
+                    f"design.{key}: this needs a diagnosis, and the model has no spring law to look for effects in"
+                )
+
+    def _needed(self, performs: bool) -> list[str]:
+        return [*super()._needed(performs), "units", "simulator", "limits"]
+
+    @cached_property
+    def simulator(self) -> AbstractModel:
+        """The function as a model.
+
+        It is called once, in the middle of the priors, for the first experiment or in the middle of the inputs.
+
+        Raises:
+            UserError: the file or function is missing, or what it returned cannot be used.
+        """
+        self._check_names()
+        function, name = self._program if self._entry.command is not None else self._function
+        where = f"{self._where}: {name}"
+        free, fixed = self.parameters
+        middle = {name: float(prior.quantile(0.5)) for name, prior in free.items()}
+
+        def model(function: Respond, given: tuple[str, ...]) -> FunctionModel:
+            return FunctionModel(
+                function=function,
+                given=given,
+                excitation=self.excitation,
+                timeline=self.timeline,
+                constants=tuple(fixed.items()),
+            )
+
+        told, wanted = model(function, ()).told(self._first), self.outputs
+        kind = self._entry.derivatives if self._entry.command is None else "differences"
+        if kind != "differences":
+
+            def traced(parameters: Any, told: Any) -> dict[str, Any]:
+                returned = known_outputs(function({**fixed, **parameters}, told), wanted)
+                return {name: jnp.asarray(value, dtype=float) for name, value in returned.items()}
+
+            fault = _fault(traced, middle, told)
+            if fault is None:
+                return model(function, tuple(self._called(where, jax.jit(traced), middle, told, wanted)))
+            if kind == "jax":
+                raise UserError(
+                    f"{where}: JAX cannot trace it ({fault}); leave model.derivatives out, or say differences"
+                )
+        plain = unpadded({name: np.asarray(value) if np.ndim(value) else float(value) for name, value in told.items()})
+        outputs = tuple(self._called(where, function, {**middle, **fixed}, plain, wanted))
+        workers = 1 if self._entry.command is None else cores()
+        return model(Differenced(function, name, outputs, tuple(map(_free, free, free.values())), workers), outputs)
+
+    def _called(
+        self, where: str, function: Any, parameters: Mapping[str, float], told: Any, wanted: tuple[str, ...]
+    ) -> dict:
+        """What the function returns at these parameters, checked."""
+        at = ", ".join(f"{name} {value:.4g}" for name, value in parameters.items())
+        time = None if "time" not in told else np.asarray(told["time"])
+        try:
+            found = outputs_of(function(dict(parameters), told), time, wanted)
+        except (Exception, SystemExit) as error:
+            raise UserError(f"{where}: in the middle of the priors ({at}): {failure(error)}") from None
+        for name, values in found.items():
+            if not np.isfinite(values).all():
+                raise UserError(f"{where}: in the middle of the priors ({at}) its {name} is no finite number")
+        return found
+
+    @property
+    def planned_simulator(self) -> AbstractModel:
+        """The function for experiments to come; where nothing is planned, as it is."""
+        return self.simulator if self.excitation is None else super().planned_simulator
+
+    @property
+    def _function(self) -> tuple[Respond, str]:
+        """The function, and its name for messages."""
+        file, name = self._entry.file_and_name
+        module = parts.at(f"{self._where}: {file}", module_of, self.study.folder / file)
+        function = getattr(module, name, None)
+        if not callable(function):
+            raise UserError(f"{self._where}: {file}: it has no function {shown(name)}")
+        return cast("Respond", function), f"{file}:{name}"
+
+    @property
+    def _program(self) -> tuple[Respond, str]:
+        entry = self._entry.command
+        assert entry is not None
+        template = entry.words(self.study.folder)
+        known = (*self._entry.parameters, *self.study.inputs)
+        parts.at("model.command.run", check_template, template, known, ("folder", "python"))
+        return Program(template, self.outputs, entry.timeout), entry.run
+
+    def _check_names(self) -> None:
+        inputs = [*self.study.inputs, *(() if self.measured is None else self.measured.inputs)]
+        if taken := [name for name in inputs if is_told(name)]:
+            raise UserError(
+                f"inputs.{taken[0]}: a function is told a history of this name; give the input another name"
+            )
+
+    @property
+    def _first(self) -> Conditions:
+        """The first experiment that was measured, or else one in the middle of the inputs."""
+        if self.measured is not None:
+            experiment = self.taken(self.measured.completed.experiments[:1])[0]
+            return conditions_of(experiment, self.measured, self.grid, self.excitation)
+        return Conditions(self.space.middle())
+
+
+def _free(name: str, prior: Prior) -> Free:
+    """A parameter to differentiate with respect to."""
+    lower, upper = prior.bounds
+    spread = 0.5 * float(prior.quantile(0.84) - prior.quantile(0.16))
+    return Free(name, spread, -np.inf if lower is None else lower, np.inf if upper is None else upper)
+
+
+def _fault(
+    called: Callable[[Any, Any], dict[str, Any]], parameters: Mapping[str, float], told: Mapping[str, Any]
+) -> str | None:
+    """Why JAX cannot trace, batch and differentiate a function; None where it can."""
+
+    def one(parameters: Any, told: Any) -> Any:
+        return jax.jvp(lambda p: called(p, told), (parameters,), (parameters,))
+
+    lanes = jax.tree.map(lambda value: jnp.asarray(value, dtype=float)[None], (dict(parameters), dict(told)))
+    try:
+        jax.eval_shape(jax.vmap(one), *lanes)
+    except (Exception, SystemExit) as error:
+        return failure(error).splitlines()[0]
+    return None

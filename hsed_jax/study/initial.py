@@ -1,0 +1,221 @@
+"""A ready study for a campaign of measurements: priors and values from the data, each with a comment that says from where."""
+
+import json
+import math
+import os
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from hsed_jax.errors import UserError
+from hsed_jax.measurements import Campaign, characteristics, parse_unit
+from hsed_jax.measurements.units import TIME, VELOCITY
+from hsed_jax.physics.outputs import is_driver
+from hsed_jax.study.floors import floor_count, floors_of
+from hsed_jax.study.pairs import check_masses
+
+# Words that YAML reads as something else than a text.
+_WORDS = ("y", "n", "yes", "no", "on", "off", "true", "false", "null", ".inf", ".nan")
+# Of a floor [kg] where nothing tells it.
+_MASS = 1000.0
+
+
+class _Guess(NamedTuple):
+    """A number for the first model, and where it comes from."""
+
+    value: float
+    source: str
+
+
+def initial_study(campaign: Campaign, folder: Path, output: Path) -> str:
+    """The text of a study file.
+
+    Arguments:
+        campaign: the measurements.
+        folder: where they are.
+        output: where the study will be; the path to the campaign is written relative to it.
+
+    Raises:
+        UserError: the campaign has no completed training experiment, or nothing that tells stiffness and strength; or it was
+            shaken, and the specimen measured in another pair than elongation and force.
+    """
+    pair = campaign.pair
+    if campaign.protocol == "ground_motion":
+        check_masses(str(folder), pair)
+    if not len(campaign.train):
+        raise UserError(f"{folder}: there is no completed training experiment to start a study from")
+    where = os.path.relpath(folder, output.parent)
+    histories = any(e.record is not None for e in campaign.train) and any(not is_driver(c) for c in campaign.channels)
+    stiffness, strength, mass = _guesses(campaign, folder)
+    if campaign.protocol == "displacement" and not histories:
+        raise UserError(
+            f"{folder}: the protocol is displacement, but no experiment has a record of the {pair.elongation} that was imposed "
+            f"and the {pair.force} that was measured"
+        )
+    lines = [
+        f"# A study of {' '.join(campaign.name.split())}, written by `hsed init` from the data in {where}.",
+        "# Every number below can be changed; the comments say where it comes from.",
+        f"study: {_text(_name(folder))}",
+        "seed: 0",
+        "",
+        *_structure(campaign, stiffness.value, mass),
+        *_excitation(campaign),
+        *_inputs(campaign),
+        "model:",
+        "  spring: bouc_wen",
+        "  parameters:",
+        f"    # initial stiffness [{pair.unit('N/m')}]: {_round(stiffness.value)} is the {pair.words(stiffness.source)};",
+        "    # within a factor of 4 with 95 %",
+        f"    A: {{lognormal: [{math.log(stiffness.value):.3f}, 0.7]}}",
+        f"    # stiffness over strength [{pair.unit('1/m')}]: the strength A/beta is about {pair.words(strength.source)},",
+        f"    # {_round(strength.value)} {pair.force_unit} (median over experiments); within a factor of 4 with 95 %",
+        f"    beta: {{lognormal: [{math.log(stiffness.value / strength.value):.3f}, 0.7]}}",
+        "    gamma: 0.0                              # symmetric loading and unloading: the usual first assumption",
+        "    n: 1.0                                  # the smoothest yielding: the usual first assumption",
+        "  effects: {}                               # none assumed; `hsed effects` lists the catalogue",
+        "",
+        "experiments:",
+        f"  campaign: {_text(where)}",
+        "",
+        f"observe: {'histories' if histories else 'quantities'}",
+    ]
+    if not histories:
+        lines.append(f"quantities: [{', '.join(campaign.quantities)}]")
+    declared = [c for c in (campaign.channels if histories else campaign.quantities).values() if c.noise is not None]
+    if declared:
+        lines.append(f"# as the campaign declares it for {', '.join(c.name for c in declared)}; inferred otherwise")
+    else:
+        lines.append("# the campaign declares no noise, so it is inferred from the residual, per output")
+    lines += [
+        "error: {inflate: true}                      # what the model leaves beyond it counts as error, too",
+        "",
+        "steps: [calibrate, compare, diagnose, improve]   # how wrong, where, which effect is missing; add it",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _name(folder: Path) -> str:
+    return "".join(c if c.isalnum() or c in "_.-" else "_" for c in folder.resolve().name)
+
+
+def _guesses(campaign: Campaign, folder: Path) -> tuple[_Guess, _Guess, _Guess]:
+    """Stiffness [N/m] and strength [N] of the specimen, and the mass of a floor [kg].
+
+    Raises:
+        UserError: nothing tells stiffness and strength.
+    """
+    found = characteristics(campaign)
+    stiffness = _Guess(
+        found.stiffness, "slope of the first loading up to a tenth of the largest elongation, median over experiments"
+    )
+    if not math.isfinite(found.stiffness):
+        stiffness = _Guess(2 * found.force / found.elongation, "twice the largest force over the largest elongation")
+    strength = _Guess(found.force, "the largest force")
+    if all(math.isfinite(guess.value) and guess.value > 0 for guess in (stiffness, strength)):
+        return stiffness, strength, _mass(campaign, stiffness.value)
+    floors = floors_of(campaign) if campaign.protocol == "ground_motion" else None
+    if floors is None or not floors.strength > 0:
+        raise UserError(
+            f"{folder}: force and elongation were not both measured, nor the motion of a floor on a shake table, so nothing "
+            "tells the specimen's stiffness and strength; write the study by hand (configs/ has examples)"
+        )
+    mass = _Guess(_MASS, "a mere placeholder, since no force was measured; A and strength grow with it")
+    if found.force > 0:
+        mass = _Guess(found.force / floors.strength, "largest force over largest accelerations")
+    way = f"that of storeys whose first frequency is {floors.frequency:.3g} Hz, where the highest floor follows most"
+    return (
+        _Guess(mass.value * floors.stiffness, way),
+        _Guess(mass.value * floors.strength, "the masses times their largest accelerations"),
+        mass,
+    )
+
+
+def _structure(campaign: Campaign, stiffness: float, mass: _Guess) -> list[str]:
+    if campaign.protocol == "displacement":
+        return [f"# structure: none, the {campaign.pair.elongation} was imposed on the specimen alone", ""]
+    count = floor_count(campaign)
+    springs = [f"{{between: [{i}, {i + 1}], stiffness: {stiffness:.4g}}}" for i in range(1, count)]
+    guess = "one mass on the specimen" if count == 1 else f"{count} equal storeys, the specimen the lowest"
+    return [
+        f"structure:                                  # a guess: {guess}; describe yours here",
+        f"  masses: [{', '.join([f'{mass.value:.4g}'] * count)}]  # kg: {mass.source}",
+        "  # linear springs, such as {between: [ground, 1], stiffness: 4.0e5}",
+        f"  springs: [{', '.join(springs)}]",
+        "  specimen: {between: [ground, 1]}",
+        "  # damping of the structure besides the specimen: 2 % is common for bare frames",
+        f"  damping: {{modal: 0.02, specimen_stiffness: {stiffness:.4g}}}",
+        "",
+    ]
+
+
+def _mass(campaign: Campaign, stiffness: float) -> _Guess:
+    """Mass of one degree of freedom, from force and absolute acceleration, or from the dominant frequency."""
+    for experiment in campaign.train:
+        record = experiment.record
+        if record is None:
+            continue
+        force, absolute = record.channels.get("force"), record.channels.get("acceleration_1_absolute")
+        if force is not None and absolute is not None and float(absolute @ absolute) > 0:
+            mass = -float(force @ absolute) / float(absolute @ absolute)
+            if mass > 0:
+                return _Guess(mass, f"regression of force on absolute acceleration in {experiment.id}")
+        elongation = record.channels.get("elongation")
+        if elongation is not None and len(record) > 16 and np.ptp(elongation) > 0:
+            turns = np.count_nonzero(np.diff(np.sign(elongation - elongation.mean())) != 0)
+            frequency = max(turns, 2) / 2 / float(np.ptp(record.time))
+            return _Guess(stiffness / (2 * math.pi * frequency) ** 2, f"from the dominant frequency of {experiment.id}")
+    return _Guess(stiffness / (2 * math.pi) ** 2, "for a frequency of 1 Hz, a mere placeholder")
+
+
+def _excitation(campaign: Campaign) -> list[str]:
+    """A ground motion for experiments that bring none."""
+    if campaign.protocol == "displacement" or all(
+        e.record is not None and any(map(is_driver, e.record.channels)) for e in campaign.completed
+    ):
+        return []
+    values = {}
+    for name, dimension, otherwise in (("V_P", VELOCITY, 1.0), ("T_P", TIME, 1.0)):
+        fitting = [i for i in campaign.inputs if campaign.unit(i).si == parse_unit(dimension.si).si]
+        values[name] = name if name in fitting else fitting[0] if len(fitting) == 1 else otherwise
+    guessed = [name for name, value in values.items() if not isinstance(value, str)]
+    source = f"{' and '.join(guessed)}: mere placeholders" if guessed else "a name refers to an input"
+    period = values["T_P"]
+    longest = max(e.inputs[period] for e in campaign.experiments) if isinstance(period, str) else float(period)
+    return [
+        "excitation:                                 # no ground_acceleration was recorded; describe yours here",
+        "  near_fault_pulse:",
+        f"    V_P: {_text(values['V_P'])}                                # {source}",
+        f"    T_P: {_text(values['T_P'])}",
+        f"  duration: {math.ceil(6 * longest)}.0                             # s: six times the longest T_P",
+        "",
+    ]
+
+
+def _inputs(campaign: Campaign) -> list[str]:
+    if not campaign.inputs:
+        return []
+    lines = ["inputs:                                     # ranges of the experiments that were made"]
+    for name in campaign.inputs:
+        unit = campaign.unit(name)
+        values = np.asarray(unit.from_si(np.asarray([e.inputs[name] for e in campaign.experiments])))
+        low, high = float(values.min()), float(values.max())
+        if low == high:
+            low, high = low - abs(low or 1.0) / 2, high + abs(high or 1.0) / 2
+        lines.append(f"  {_text(name)}: {{uniform: [{low:.6g}, {high:.6g}], unit: {_text(unit.text)}}}")
+    return [*lines, ""]
+
+
+def _text(value: str | float) -> str:
+    """A text as YAML reads it back: in quotes unless it is a plain word."""
+    if not isinstance(value, str) or (
+        re.fullmatch(r"[A-Za-z_./][\w./ ^*-]*", value, re.ASCII) and value.lower() not in _WORDS
+    ):
+        return str(value)
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _round(value: float) -> str:
+    return f"{value:.3g}"

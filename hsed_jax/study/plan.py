@@ -1,0 +1,98 @@
+"""Whether the steps of a study make a plan: their order, and what each needs."""
+
+import difflib
+from collections.abc import Sequence
+from itertools import pairwise
+
+from hsed_jax.config.schema import Study
+from hsed_jax.errors import UserError
+from hsed_jax.memory import check_memory
+from hsed_jax.study.specimens import Naming, effects_of
+
+# An experiment as an object, with its inputs and quantities [bytes].
+_EXPERIMENT = 1000
+ORDER = ["design", "calibrate", "compare", "diagnose", "improve"]
+
+
+def check_plan(study: Study) -> None:
+    """Refuse steps that cannot be done one after the other, and a design that cannot be made.
+
+    Raises:
+        UserError: names the key and what is allowed.
+    """
+    steps = study.steps
+    for before, step in pairwise(steps):
+        if ORDER.index(before) >= ORDER.index(step):
+            raise UserError(f"steps: {before} stands before {step}; the order is {', '.join(ORDER)}")
+    if "compare" in steps and "calibrate" not in steps:
+        raise UserError("steps: compare needs a calibrated model; put calibrate before it")
+    if {"diagnose", "improve"} & set(steps) and "compare" not in steps:
+        raise UserError("steps: diagnose and improve need the comparison; put calibrate, compare before them")
+    if "improve" in steps and "diagnose" not in steps and study.improve.add is None:
+        raise UserError("steps: improve needs diagnose before it, or improve.add with the effects to add")
+    if study.experiments.folder is not None and "design" not in steps:
+        raise UserError("steps: experiments.folder is asked by the step design; put design first")
+    _check_sizes(study)
+    if study.experiments.laboratory is not None or "design" in steps:
+        _check_design(study)
+
+
+def _check_sizes(study: Study) -> None:
+    """Refuse sizes that memory cannot hold, by the arrays and objects that each is certain to need."""
+    design, sizes = study.design, study.calibration
+    given = [entry for model in study.models.values() for entry in model.parameters.values()]
+    free = [entry for entry in given if not isinstance(entry, float)]
+    test = 0 if study.experiments.virtual is None else study.experiments.virtual.test
+    asked = design.iterations if "design" in study.steps else 0
+    experiments = design.initial + asked + test if study.experiments.laboratory is not None else 1
+    # Of a design the Kriging has a covariance between all experiments, and one between them and every candidate.
+    related = experiments if "design" in study.steps else 1
+    for key, count, each in (
+        ("design.initial", design.initial, _EXPERIMENT + 8 * related),
+        ("design.iterations", asked, _EXPERIMENT + 8 * related),
+        ("experiments.virtual.test", test, _EXPERIMENT),
+        ("design.candidates", design.candidates, 8 * related),
+        ("design.kriging.starts", design.kriging.starts, 8 * related**2),
+        ("calibration.starts", sizes.starts, 8 * experiments * (1 + len(free))),
+        ("calibration.chains", sizes.chains, 8 * max(sizes.draws, experiments) * (1 + len(free))),
+        ("calibration.draws", sizes.chains * sizes.draws, 8 * (1 + len(free))),
+        ("calibration.step_draws", sizes.chains * sizes.step_draws, 8 * (1 + len(free))),
+    ):
+        check_memory(f"{key}: {count}", count * each)
+
+
+def check_added(study: Study, effects: Sequence[str], naming: Naming, where: str = "") -> None:
+    """Refuse effects that cannot be added to a model.
+
+    Raises:
+        UserError: one is unknown, there already, given twice, or nothing that the law can have.
+    """
+    for name in effects:
+        if name not in naming.catalogue:
+            close = difflib.get_close_matches(name, naming.catalogue, n=1)
+            hint = f" (did you mean {close[0]}?)" if close else ""
+            raise UserError(
+                f"{where}there is no effect {name!r}{hint}; the catalogue has {', '.join(sorted(naming.catalogue))}"
+            )
+        if name in effects_of(study):
+            raise UserError(f"{where}the model has {name} already")
+        if missing := naming.unserved(name):
+            raise UserError(f"{where}{name} cannot be added: {missing}")
+        if list(effects).count(name) > 1:
+            raise UserError(f"{where}{name} is to be added twice")
+
+
+def _check_design(study: Study) -> None:
+    if not study.inputs:
+        raise UserError("inputs: a design needs at least one input, such as V_P: {uniform: [1.5, 3.0], unit: m/s}")
+    entry, d = study.design, len(study.inputs)
+    needed = {"constant": 1, "linear": 1 + d, "quadratic": (d + 1) * (d + 2) // 2}[entry.kriging.trend] + 1
+    if "design" in study.steps and entry.initial < needed:
+        raise UserError(
+            f"design.initial: a {entry.kriging.trend} trend in {d} inputs needs at least {needed} experiments, "
+            f"but it is {entry.initial}"
+        )
+    if entry.candidates < entry.initial + entry.iterations:
+        raise UserError(
+            f"design.candidates: {entry.candidates} are too few to choose {entry.iterations} experiments from"
+        )

@@ -1,0 +1,382 @@
+"""The specimens of a study: their laws, and the parameters of the model and of a virtual specimen by their names.
+
+What belongs to one of several specimens has its name in front: `storey2.A`, `storey2.slip.delta`; without it, a parameter is
+shared by all specimens that have no model of their own.  Of linear springs the catalogue has what makes them yield:
+`spring_1.yielding`.
+"""
+
+import difflib
+import math
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from hsed_jax.config.schema import Study
+from hsed_jax.errors import UserError
+from hsed_jax.inference.priors import Prior
+from hsed_jax.physics.effects import AbstractSpringEffect, Catalogue
+from hsed_jax.physics.effects.base import AbstractEffect, is_of_sensors
+from hsed_jax.physics.elements import Element, number_of_spring
+from hsed_jax.physics.laws import AbstractSpringLaw, Elastic
+from hsed_jax.physics.outputs import SPECIMEN, named, own_name, owner_of
+from hsed_jax.physics.pairs import Pair
+from hsed_jax.physics.parameters import Parameter, parameters_of
+from hsed_jax.physics.specimen import unserved
+from hsed_jax.physics.structures import OWNER, parameter_of, spring_name
+from hsed_jax.plain import shown
+from hsed_jax.study.parts import check_names, prior, within
+from hsed_jax.study.spring_laws import law_of
+
+
+def elements_of(study: Study, shared: type[AbstractSpringLaw]) -> tuple[Element, ...]:
+    """The specimens of a study; files of laws that are one's own are executed.
+
+    Arguments:
+        study: the study.
+        shared: the law of those that have no model of their own.
+
+    Raises:
+        UserError: a name that none can have, or a file without a law.
+    """
+    several = {} if study.structure is None else study.structure.specimens or {}
+    if not several:
+        return (Element("", shared),)
+    elements = []
+    for name, entry in several.items():
+        where = f"structure.specimens.{name}"
+        if not SPECIMEN.fullmatch(name) or name in (OWNER, "ground") or number_of_spring(name) is not None:
+            raise UserError(
+                f"structure.specimens: {shown(name)} can be no specimen's name; letters, digits and _ are allowed, and not "
+                f"{OWNER}, ground or spring_1"
+            )
+        if entry.model is None:
+            elements.append(Element(name, shared))
+        else:
+            law = law_of(f"{where}.model.spring", entry.model.spring, study.folder)
+            elements.append(Element(name, law, is_apart=True))
+    return tuple(elements)
+
+
+def placed(catalogue: Catalogue, elements: Sequence[Element], springs: int) -> Catalogue:
+    """The effects that may be named: those of the study's catalogue, at each of several specimens, and at linear springs.
+
+    Arguments:
+        catalogue: by their own names.
+        elements: the specimens.
+        springs: number of linear springs.
+
+    Raises:
+        UserError: a specimen has the name of an effect.
+    """
+    entries = list(catalogue.entries)
+    for element in elements:
+        if element.name in catalogue:
+            raise UserError(
+                f"structure.specimens: {element.name} is the name of an effect; give the specimen another one"
+            )
+        if element.name:
+            entries += [(named(element.name, name), e) for name, e in catalogue.entries if _is_of_specimen(e)]
+    for i in range(springs):
+        entries += [(named(spring_name(i), name), e) for name, e in catalogue.entries if _is_of_linear(e)]
+    return Catalogue(tuple(entries))
+
+
+def _is_of_linear(effect: type[AbstractEffect]) -> bool:
+    return issubclass(effect, AbstractSpringEffect) and effect.linear_only
+
+
+def _is_of_specimen(effect: type[AbstractEffect]) -> bool:
+    return issubclass(effect, AbstractSpringEffect) or is_of_sensors(effect)
+
+
+@dataclass(frozen=True)
+class Naming:
+    """What the names in a study stand for.
+
+    Attributes:
+        elements: the specimens.
+        catalogue: the effects that may be named.
+    """
+
+    elements: tuple[Element, ...]
+    catalogue: Catalogue
+
+    def laws_with(self, effect: str) -> list[type[AbstractSpringLaw]]:
+        """The laws that an effect in a spring would be an effect of."""
+        owner = owner_of(effect)
+        if number_of_spring(owner) is not None:
+            return [Elastic]
+        return [element.law for element in self.elements if element.has(owner)]
+
+    def unserved(self, effect: str) -> str:
+        """Why an effect cannot be had, in words; empty where it can."""
+        return next((why for law in self.laws_with(effect) if (why := unserved(self.catalogue[effect], law))), "")
+
+    @property
+    def candidates(self) -> list[str]:
+        """Effects that a diagnosis may look for: of specimens with names those of each, and of all none."""
+        have_names = any(element.name for element in self.elements)
+
+        def is_one(name: str) -> bool:
+            effect, owner = self.catalogue[name], owner_of(name)
+            if number_of_spring(owner) is None and _is_of_linear(effect) and Elastic not in self.laws_with(name):
+                return False
+            return bool(owner) or not (have_names and _is_of_specimen(effect))
+
+        return [name for name in self.catalogue if is_one(name)]
+
+    def left_out(self) -> list[str]:
+        """What laws keep out of a diagnosis, in a sentence; nothing where they have a place for every effect."""
+        by_law: dict[str, list[str]] = defaultdict(list)
+        for name in self.candidates:
+            if self.unserved(name):
+                by_law[self.laws_with(name)[0].name].append(name)
+        return [
+            f"not looked for, as the law {law} has no place for them: {', '.join(names)}"
+            for law, names in by_law.items()
+        ]
+
+    def parameters(self, effect: str) -> dict[str, Parameter]:
+        """Parameters of an effect under both their names, the dimensionless and the physical one."""
+        known = parameters_of(self.catalogue[effect])
+        return {**known, **{p.physical.name: p for p in known.values() if p.physical is not None}}
+
+    @cached_property
+    def of_laws(self) -> dict[str, Parameter]:
+        """The parameters of the laws, by name: what is shared, and what each of several specimens has or may have alone."""
+        shared = {
+            name: known
+            for element in self.elements
+            if not element.is_apart
+            for name, known in parameters_of(element.law).items()
+        }
+        own = {
+            named(element.name, name): known
+            for element in self.elements
+            if element.name
+            for name, known in parameters_of(element.law).items()
+        }
+        return shared | own
+
+    def units(self, names: Sequence[str], constants: Mapping[str, float], pair: Pair) -> dict[str, str]:
+        """SI unit of every named parameter of specimens that are measured in a pair."""
+        units = {}
+        for name in names:
+            owner, own = owner_of(name), own_name(name)
+            if owner == OWNER:
+                unit = parameter_of(own).unit
+            elif name in self.of_laws:
+                unit = self.of_laws[name].unit
+            else:
+                known = self.parameters(owner)[own]
+                unit = known.unit if own == known.name or known.physical is None else known.physical.unit
+            exponent = named(owner, "n") if named(owner, "n") in {**constants, **dict.fromkeys(names)} else "n"
+            # With n = 1 the unit of β and γ is an ordinary one.
+            is_plain = constants.get(exponent, 1.0) == 1 and exponent not in names
+            unit = "1/m" if unit == "N^(1-n)/m" and is_plain else unit
+            units[name] = unit if owner == OWNER else pair.unit(unit)
+        return units
+
+    def laws(
+        self, parameters: tuple[Mapping[str, Prior], Mapping[str, float]], *, steepest: bool = False
+    ) -> tuple[AbstractSpringLaw, ...]:
+        """The laws of the specimens in the middle of the priors, or where these make them stiff and let them yield soon.
+
+        Arguments:
+            parameters: free ones of the model with their priors, and fixed ones.
+            steepest: which of the two.
+        """
+        return tuple(
+            element.law(
+                **element.parameters(by_owner(self.middle(parameters, element.law.steepest if steepest else {})))
+            )
+            for element in self.elements
+        )
+
+    def middle(
+        self, parameters: tuple[Mapping[str, Prior], Mapping[str, float]], quantiles: Mapping[str, float] | None = None
+    ) -> dict[str, float]:
+        """Parameters of the laws in the middle of their priors, or at quantiles by their own names; fixed ones as they are."""
+        free, fixed = parameters
+        found = {
+            name: float(prior.quantile((quantiles or {}).get(own_name(name), 0.5)))
+            for name, prior in free.items()
+            if name in self.of_laws
+        }
+        return found | {name: value for name, value in fixed.items() if name in self.of_laws}
+
+    def model_parameters(
+        self, study: Study, of_structure: Mapping[str, Prior], pair: Pair
+    ) -> tuple[dict[str, Prior], dict[str, float]]:
+        """Free parameters of the model with their priors, those of the structure last, and the fixed ones with their values.
+
+        Raises:
+            UserError: a name that stands for nothing, a value that cannot be, or one that is missing.
+        """
+        free, fixed = {}, {}
+        for name, (where, known, entry) in self._given(study, pair).items():
+            if entry == {}:
+                if known.prior is None:
+                    raise UserError(
+                        f"{where}: there is no default prior for it; give one, such as {{uniform: [1.0, 2.0]}}"
+                    )
+                where, entry = "", dict(known.prior)
+            if isinstance(entry, dict):
+                free[name] = prior(where, entry)
+                # A prior of the catalogue is right by definition; a lognormal one reaches to a bound of 0.01 with no mass there.
+                for bound in free[name].bounds if where else ():
+                    if bound is not None:
+                        within(where, bound, known)
+            else:
+                fixed[name] = within(where, float(entry), known)
+        highest = dict(fixed) | {name: math.inf if p.bounds[1] is None else p.bounds[1] for name, p in free.items()}
+        self._check_possible("model.parameters", highest)
+        free |= of_structure
+        if not free:
+            first = next(iter(self.of_laws))
+            raise UserError(
+                f"model.parameters: at least one parameter needs a prior, such as {first}: {{uniform: [2.0e5, 9.0e5]}}"
+            )
+        return free, fixed
+
+    def _given(self, study: Study, pair: Pair) -> dict[str, tuple[str, Parameter, Any]]:
+        """Everything that the model says or leaves to a default, by name: its place, what is known of it, what is given."""
+        said = {name: (f"model.parameters.{name}", entry) for name, entry in study.model.parameters.items()}
+        check_names("model.parameters", study.model.parameters, self._sayable)
+        for element in self.elements:
+            where, own = own_model(study, element)
+            if own is not None:
+                check_names(f"{where}.parameters", own.parameters, parameters_of(element.law))
+                said |= {named(element.name, n): (f"{where}.parameters.{n}", e) for n, e in own.parameters.items()}
+        self._check_complete(said, study, pair)
+        given = {name: (*said[name][:1], known, said[name][1]) for name, known in self.of_laws.items() if name in said}
+        for effect, (where, entries) in effects_of(study).items():
+            forms = self.checked_effect(where, effect, entries)
+            taken = {forms[name].name for name in entries}
+            for name, entry in entries.items():
+                given[f"{effect}.{name}"] = (f"{where}.{effect}.{name}", forms[name], entry)
+            for known in parameters_of(self.catalogue[effect]).values():
+                if known.name not in taken:
+                    assert known.prior is not None
+                    given[f"{effect}.{known.name}"] = ("", known, dict(known.prior))
+        return given
+
+    @property
+    def _sayable(self) -> dict[str, Parameter]:
+        apart = [element.name for element in self.elements if element.is_apart]
+        return {name: known for name, known in self.of_laws.items() if owner_of(name) not in apart}
+
+    def _check_complete(self, said: Mapping[str, Any], study: Study, pair: Pair) -> None:
+        for element in self.elements:
+            where, _ = own_model(study, element)
+            for name, known in parameters_of(element.law).items():
+                is_said = named(element.name, name) in said or (not element.is_apart and name in said)
+                if known.neutral is None and not is_said:
+                    meaning = f"{pair.words(known.meaning)}, {pair.unit(known.unit)}"
+                    raise UserError(f"{where}.parameters.{name}: this key is required ({meaning})")
+
+    def true_parameters(self, study: Study) -> dict[str, float]:
+        """The parameters of a virtual specimen, or of each of several.
+
+        Raises:
+            UserError: a name that stands for nothing, a value that cannot be, or one that is missing.
+        """
+        entry, where = study.experiments.virtual, "experiments.virtual"
+        assert entry is not None
+        check_names(f"{where}.parameters", entry.parameters, self.of_laws)
+        truth = {
+            name: within(f"{where}.parameters.{name}", value, self.of_laws[name])
+            for name, value in entry.parameters.items()
+        }
+        for element in self.elements:
+            for name, known in parameters_of(element.law).items():
+                own = named(element.name, name)
+                if known.neutral is None and own not in truth and (element.is_apart or name not in truth):
+                    missing = own if element.is_apart else name
+                    raise UserError(f"{where}.parameters.{missing}: this key is required ({known.meaning})")
+        self._check_possible(f"{where}.parameters", truth)
+        for effect, values in entry.effects.items():
+            forms = self.checked_effect(f"{where}.effects", effect, values)
+            for name, value in values.items():
+                truth[f"{effect}.{name}"] = within(f"{where}.effects.{effect}.{name}", value, forms[name])
+        return truth
+
+    def _check_possible(self, where: str, highest: Mapping[str, float]) -> None:
+        """Refuse what a law says is impossible anywhere; where parts of a prior are, those simulations fail."""
+        for element in self.elements:
+            if fault := element.law.impossible(element.parameters(by_owner(highest))):
+                name, words = fault
+                own = named(element.name, name)
+                raise UserError(f"{where}.{own if own in highest else name}: {words}")
+
+    def checked_effect(self, where: str, effect: str, entries: Mapping[str, Any]) -> dict[str, Parameter]:
+        """Parameters of an effect under both their names.
+
+        Raises:
+            UserError: there is no such effect or parameter, or the law cannot have the effect.
+        """
+        if effect not in self.catalogue:
+            raise UserError(f"{where}.{effect}: {self.no_such(effect)}")
+        if missing := self.unserved(effect):
+            raise UserError(f"{where}.{effect}: {missing}")
+        if _is_of_specimen(self.catalogue[effect]) and not self.laws_with(effect):
+            each = ", ".join(named(element.name, effect) for element in self.elements)
+            raise UserError(f"{where}.{effect}: no specimen shares the model of the study; say of which one, {each}")
+        forms = self.parameters(effect)
+        check_names(f"{where}.{effect}", entries, forms)
+        for name in entries:
+            same = [other for other in entries if forms[other].name == forms[name].name]
+            if len(same) > 1:
+                raise UserError(
+                    f"{where}.{effect}: {' and '.join(same)} are two forms of one parameter; give one of them"
+                )
+        return forms
+
+    def no_such(self, effect: str) -> str:
+        """That there is no such effect, and what there is."""
+        close = difflib.get_close_matches(effect, self.catalogue, n=1)
+        hint = f" (did you mean {close[0]}?)" if close else ""
+        return f"there is no such effect{hint}; the catalogue has {', '.join(self.catalogue)}"
+
+
+def own_model(study: Study, element: Element) -> tuple[str, Any]:
+    """The key of the model that a specimen follows, and the entry where it has one of its own."""
+    if not element.is_apart:
+        return "model", None
+    assert study.structure is not None
+    assert study.structure.specimens is not None
+    return f"structure.specimens.{element.name}.model", study.structure.specimens[element.name].model
+
+
+def effects_of(study: Study) -> dict[str, tuple[str, Mapping[str, Any]]]:
+    """The effects of the model, those of a specimen's own model with its name: the key each stands at, and what is given.
+
+    Raises:
+        UserError: one is given twice.
+    """
+    found: dict[str, tuple[str, Mapping[str, Any]]]
+    found = {name: ("model.effects", entries) for name, entries in study.model.effects.items()}
+    for where, name, entries in _of_own_models(study):
+        if name in found:
+            raise UserError(f"model.effects.{name}: {where} gives it, too; leave one of them out")
+        found[name] = (where, entries)
+    return found
+
+
+def _of_own_models(study: Study) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
+    several = {} if study.structure is None else study.structure.specimens or {}
+    for specimen, entry in several.items():
+        if entry.model is not None:
+            for name, entries in entry.model.effects.items():
+                yield f"structure.specimens.{specimen}.model.effects", named(specimen, name), entries
+
+
+def by_owner[T](values: Mapping[str, T]) -> dict[str, dict[str, T]]:
+    """Values by what they belong to, and then by their own names."""
+    found: dict[str, dict[str, T]] = defaultdict(dict)
+    for name, value in values.items():
+        owner, own = owner_of(name), own_name(name)
+        found[owner][own] = value
+    return found

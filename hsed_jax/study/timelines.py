@@ -1,0 +1,197 @@
+"""The grids of the integration: of planned experiments, and of measured records."""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import jax
+import numpy as np
+
+from hsed_jax.config.excitation_entry import ExcitationEntry
+from hsed_jax.design.space import InputSpace
+from hsed_jax.errors import UserError
+from hsed_jax.inference.observation import Grid
+from hsed_jax.measurements import Characteristics, Record
+from hsed_jax.physics.excitations.base import AbstractImposedElongation
+from hsed_jax.physics.laws import AbstractSpringLaw
+from hsed_jax.physics.outputs import driven_mass
+from hsed_jax.physics.simulator import Parametrised
+from hsed_jax.physics.structures import Structure
+from hsed_jax.physics.systems import RESOLVED
+from hsed_jax.physics.timeline import Timeline
+from hsed_jax.study.excitations import LOWEST
+
+if TYPE_CHECKING:
+    from hsed_jax.study.build import Built
+
+# The integration resolves the shortest period with this many steps; peaks are then good to 1e-4 (tests/test_response.py).
+_STEPS_PER_PERIOD = 24
+_MOST_STEPS = 1_000_000
+# Samples of a planned history; of a cycle that is imposed at least four to a quarter.
+_SAMPLES = 400
+_SAMPLES_PER_BRANCH = 4
+# Steps of a quarter of a cycle, where the spring needs no more to be stable.
+_MOST_PER_BRANCH = 100
+# A step of a measured elongation is at most this share of the yield elongation, where that takes no more divisions than these;
+# and at most the yield elongation, however many it takes.
+_STEP_PER_YIELD = 0.2
+_DIVISIONS = 20
+TOLD = 1000
+"""Samples of what drives an experiment, as a model is told that integrates nothing here."""
+
+
+def longest_step(
+    structure: Structure, steepest: Sequence[AbstractSpringLaw], excitation: Parametrised | None, space: InputSpace
+) -> float:
+    """The step that resolves the structure, its specimens at the upper ends of their stiffness, and the excitation [s]."""
+    stiffest = [float(law.stiffness) for law in steepest]
+    # Compiled: one program is ready sooner than each of its operations.
+    periods = [1 / float(jax.jit(lambda: structure.frequencies(stiffest))()[-1])]
+    if excitation is not None:
+        periods.append(float(excitation(_end(space, LOWEST)).shortest_period))
+    return min(periods) / _STEPS_PER_PERIOD
+
+
+def planned_timeline(built: "Built") -> Timeline:
+    """The grid of the integration for an experiment without a record.
+
+    Raises:
+        UserError: there is no excitation, its step is longer than it, or it takes too many.
+    """
+    entry, excitation = built.study.excitation, built.excitation
+    if entry is None or excitation is None:
+        known = ", ".join(
+            name for name in type(entry or ExcitationEntry()).model_fields if name not in ("duration", "step")
+        )
+        raise UserError(f"excitation: give one of {known}, where no record tells what drives an experiment")
+    histories = built.study.observe == "histories"
+    if built.component_test:
+        return _imposed(built, excitation, histories)
+    _check_mass(f"excitation.{excitation.constructor.name}.mass", entry.channel, built)
+    step = built.longest_step if entry.step is None else entry.step
+    duration = duration_of(built)
+    if step > duration:
+        raise UserError(f"excitation.step: {step:g} s is longer than the duration, {duration:g} s")
+    steps = _checked(
+        math.ceil(duration / step - 1e-9),
+        f"steps of {step:.3g} s are too many (at most {_MOST_STEPS}); the shortest period of structure and excitation sets the "
+        "step, unless excitation.step is given",
+    )
+    every = 1
+    if histories:
+        every = max(1, round(steps / _SAMPLES))
+        steps = every * math.ceil(steps / every)
+    return Timeline(duration / steps, steps, every)
+
+
+def _imposed(built: "Built", excitation: Parametrised, histories: bool) -> Timeline:
+    """The same number of steps for every branch, at the largest of which the spring that yields soonest, if any, is resolved."""
+    largest = excitation(_end(built.space, 1 - LOWEST))
+    assert isinstance(largest, AbstractImposedElongation)
+    wanted, least, stable = TOLD / largest.branches, 0.0, 0.0
+    for middle, steepest in zip(built.laws, built.steepest, strict=True):
+        wanted, least, stable = _divisions(float(largest.reach), [float(middle.yield_elongation)], steepest)
+    per_branch = math.ceil(max(min(wanted, _MOST_PER_BRANCH), least, stable, _SAMPLES_PER_BRANCH) - 1e-9)
+    every = 1
+    if histories:
+        every = min(max(1, round(per_branch * largest.branches / _SAMPLES)), per_branch // _SAMPLES_PER_BRANCH)
+        per_branch = every * math.ceil(per_branch / every)
+    steps = _checked(
+        per_branch * largest.branches,
+        f"steps are too many (at most {_MOST_STEPS}), which the largest amplitude takes with the spring that yields soonest; "
+        "narrow the distributions of both",
+    )
+    return Timeline(None, steps, every)
+
+
+def duration_of(built: "Built") -> float:
+    """How long a planned experiment in the middle of the inputs lasts [s]."""
+    entry = built.study.excitation
+    assert entry is not None and built.excitation is not None
+    return float(built.excitation(_end(built.space, 0.5)).duration) if entry.duration is None else entry.duration
+
+
+def measured_records(built: "Built") -> list[Record]:
+    """Records of the measured experiments, as they are taken; none where nothing was measured.
+
+    Raises:
+        UserError: there is a campaign, and no experiment of it is completed.
+    """
+    campaign = built.measured
+    if campaign is None:
+        return []
+    if not len(campaign.completed):
+        raise UserError(f"the campaign {campaign.name!r} has no completed experiment")
+    return [e.record for e in built.taken(campaign.completed.experiments) if e.record is not None]
+
+
+def measured_grid(built: "Built") -> Grid | None:
+    """Samples and steps per sample of the measured records; None where there are none.
+
+    Raises:
+        UserError: no experiment is completed, or a force was applied to a mass that the structure has not.
+    """
+    records = measured_records(built)
+    if not records:
+        return None
+    if built.component_test:
+        assert built.characteristics is not None
+        (middle,), (steepest,) = built.laws, built.steepest
+        return imposed_grid(records, built.characteristics, middle, steepest)
+    for name in dict.fromkeys(name for record in records for name in record.channels):
+        _check_mass(f"channels.{name}", name, built)
+    longest = max(float(np.max(np.diff(record.time), initial=0.0)) for record in records)
+    return _divided(records, longest / built.longest_step)
+
+
+def _check_mass(where: str, channel: str, built: "Built") -> None:
+    mass, masses = driven_mass(channel), math.inf if built.structure is None else len(built.structure.masses)
+    if mass is not None and mass > masses:
+        raise UserError(f"{where}: there is no mass {mass}; the structure has {masses}")
+
+
+def imposed_grid(
+    records: Sequence[Record], found: Characteristics, middle: AbstractSpringLaw, steepest: AbstractSpringLaw
+) -> Grid:
+    """The grid of measured elongations that were imposed.
+
+    Arguments:
+        records: the longest first or not, each with its elongation.
+        found: characteristic values of the campaign.
+        middle, steepest: the law in the middle of its priors, and where they make it yield soonest.
+    """
+    steps = [
+        float(np.max(np.abs(np.diff(r["elongation"])), initial=0.0)) for r in records if "elongation" in r.channels
+    ]
+    yields = [found.force / found.stiffness, float(middle.yield_elongation)]
+    wanted, least, stable = _divisions(max(steps, default=0.0), yields, steepest)
+    return _divided(records, max(wanted, stable), least)
+
+
+def _divisions(longest: float, yields: Sequence[float], steepest: AbstractSpringLaw) -> tuple[float, float, float]:
+    """Into how many steps a change of an imposed elongation is divided: to be exact, at least, and for a stable integration.
+
+    Arguments:
+        longest: the change [m].
+        yields: elongations [m] at which the specimen may yield; those that are no positive numbers tell nothing.
+        steepest: the law where its priors make it yield soonest.
+    """
+    yielding = min((value for value in yields if math.isfinite(value) and value > 0), default=math.inf)
+    return longest / (_STEP_PER_YIELD * yielding), longest / yielding, longest * float(steepest.steepness) / RESOLVED
+
+
+def _divided(records: Sequence[Record], needed: float, least: float = 1.0) -> Grid:
+    """The grid of records: as many steps per sample as are needed, within reason, and never less than the least."""
+    steps = min(max(math.ceil(needed - 1e-9), 1), _DIVISIONS)
+    return Grid(max(len(record) for record in records), max(steps, math.ceil(least - 1e-9)))
+
+
+def _checked(steps: int, words: str) -> int:
+    if steps > _MOST_STEPS:
+        raise UserError(f"excitation: {steps} {words}")
+    return steps
+
+
+def _end(space: InputSpace, quantile: float) -> dict[str, float]:
+    """Every input at a quantile of its distribution, SI."""
+    return {name: float(prior.quantile(quantile)) * space.factors[name] for name, prior in space.priors.items()}
