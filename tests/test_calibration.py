@@ -83,9 +83,9 @@ def log_moments(s):
 @pytest.fixture(scope="module")
 def paper_grid(paper):
     """Axes, log posterior density over (A, beta) on a fine grid, and its integral: vmap of the simulator, and SciPy."""
-    built, _, state = paper
+    built, data, _ = paper
     names = tuple(built.study.quantities)
-    conditions = Conditions({name: jnp.asarray(x) for name, x in state.conditions.items()})
+    conditions = data.conditions
     prior = stats.uniform(2e5, 7e5).logpdf(5e5) + stats.uniform(0.5, 1.5).logpdf(1.0)
 
     @jax.jit
@@ -99,7 +99,7 @@ def paper_grid(paper):
         thetas = jnp.asarray(np.stack([m.ravel() for m in np.meshgrid(A, beta, indexing="ij")]))
         predicted = np.asarray(jax.lax.map(lambda t: predict(*t), thetas.T, batch_size=64))
         mean, sd = log_moments(0.05)
-        logarithm = stats.norm.logpdf(np.log(state.outputs), np.log(predicted) + mean, sd) - np.log(state.outputs)
+        logarithm = stats.norm.logpdf(np.log(data.values), np.log(predicted) + mean, sd) - np.log(data.values)
         return logarithm.sum(axis=(1, 2)).reshape(len(A), len(beta)) + prior
 
     A, beta = np.linspace(2e5, 9e5, 29), np.linspace(0.5, 2.0, 25)
@@ -282,8 +282,8 @@ def test_padding_the_data_changes_no_number(paper, paper_maximum):
         built.study.model_copy(update={"design": built.study.design.model_copy(update={"iterations": 5})})
     ).design
     larger = design.init()
-    for cube, outputs in zip(state.cube, state.outputs, strict=True):
-        larger = design.tell(larger, cube.tolist(), outputs.tolist())
+    for trial in state.trials:
+        larger = design.tell(larger, trial.point.cube.tolist(), trial.outputs.tolist())
     padded = design.data(larger)
     assert padded.values.shape[0] == EXPERIMENTS + 5
     u = paper_maximum.u + 0.1
@@ -403,11 +403,11 @@ def test_posterior_of_an_unknown_error_is_the_closed_form(sampler):
 
 
 def test_an_unknown_relative_error_is_recovered(paper):
-    built, data, state = paper
+    built, data, _ = paper
     # The model's own predictions at known parameters with 10 % noise, many times over.
     truth = {"A": 4.5e5, "beta": 0.9}
     names = tuple(built.study.quantities)
-    conditions = Conditions({name: jnp.asarray(x) for name, x in state.conditions.items()})
+    conditions = data.conditions
     exact = np.asarray(jax.vmap(lambda c: built.simulator.quantities(truth, c, names)[0])(conditions))
     noisy = exact * (1 + 0.1 * np.random.default_rng(5).standard_normal(exact.shape))
     study = built.study.model_copy(update={"error": None})

@@ -18,7 +18,7 @@ from hsed_jax.analysis.calibration import Calibration
 from hsed_jax.analysis.remedy import Improvement
 from hsed_jax.config.experiments import ExperimentsEntry
 from hsed_jax.criticism.improve import Step, Trail
-from hsed_jax.design.sequential import DesignState
+from hsed_jax.design.sequential import DesignState, Trial
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.nuts import Chains, Convergence
 from hsed_jax.measurements import Campaign, Channel, Experiment, Record, write_campaign
@@ -81,10 +81,11 @@ def design():
     """A run of a design of two steps after one initial experiment."""
     step = {"max_expected_improvement": 0.3, "map": {"A": 4e5, "beta": 1.0},
             "posterior": {n: {"q05": 0.9 * x, "q95": 1.1 * x} for n, x in (("A", 4e5), ("beta", 1.0))}}  # fmt: skip
+    space, points = Built(STUDY).space, ([0.5, 0.5], [0.2, 0.8], [0.9, 0.1])
     steps = [step, {**step, "max_expected_improvement": 0.1}]
-    state = DesignState(np.array([[0.5, 0.5], [0.2, 0.8], [0.9, 0.1]]), {}, np.zeros((3, 3)), 3)
+    state = DesignState(tuple(Trial(space.point(np.array(x)), np.zeros(3), "completed") for x in points))
     laboratory = SimpleNamespace(parameters={"A": 5e5, "beta": 1.0})
-    outcome = bare(Outcome, space=Built(STUDY).space, state=state, initial=1, steps=steps, fit=None, units=UNITS,
+    outcome = bare(Outcome, space=space, state=state, initial=1, steps=steps, fit=None, units=UNITS,
                    posterior=SimpleNamespace(names=("A", "beta")), laboratory=laboratory)  # fmt: skip
     return bare(Run, study=STUDY, conduct=SimpleNamespace(steps=steps), outcome=lambda status: outcome)
 

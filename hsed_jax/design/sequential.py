@@ -9,7 +9,7 @@ mean there (the Kriging believer of Ginsbourger, Le Riche & Carraro 2010), so th
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -23,7 +23,7 @@ from hsed_jax.design.acquisition import ACQUISITIONS, Acquisition, Choice, Restr
 from hsed_jax.design.discrepancy import discrepancy, variance_over
 from hsed_jax.design.feasible import near_failures
 from hsed_jax.design.kriging import Kriging, condition, fit_kriging
-from hsed_jax.design.space import InputSpace
+from hsed_jax.design.space import InputSpace, Point
 from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import Data, data_of
 from hsed_jax.inference.maximum import Maximum, maximise
@@ -36,27 +36,48 @@ from hsed_jax.physics.simulator import Conditions
 _SPREAD = 256
 
 
+class Trial(NamedTuple):
+    """An experiment of a design.
+
+    Attributes:
+        point: its inputs, as tested where that is known, else as asked.
+        outputs: what was measured, SI, (J,); NaN where missing or not yet measured.
+        status: as of an `Experiment`.
+    """
+
+    point: Point
+    outputs: np.ndarray
+    status: str
+
+
 @dataclass(frozen=True)
 class DesignState:
     """All that the next step needs.
 
     Attributes:
-        cube: asked inputs in the unit cube, planned size (N, d).
-        conditions: SI inputs by name, each (N,).
-        outputs: measured outputs, SI, (N, J); NaN where missing or not yet measured.
-        count: how many experiments there are.
-        status: of each experiment, as in `Experiment`; empty beyond `count`, (N,).
+        trials: the experiments that were asked or told, in that order.
         theta: last MAP in unconstrained coordinates, a start of the next; None before the first.
         step_size: of NUTS, to go on from.
     """
 
-    cube: np.ndarray
-    conditions: dict[str, np.ndarray]
-    outputs: np.ndarray
-    count: int = 0
-    status: np.ndarray = field(default_factory=lambda: np.empty(0, dtype="U9"))
+    trials: tuple[Trial, ...] = ()
     theta: np.ndarray | None = None
     step_size: float = 0.8
+
+    @property
+    def cube(self) -> np.ndarray:
+        """Inputs of the trials in the unit cube, (n, d)."""
+        return np.asarray([trial.point.cube for trial in self.trials])
+
+    @property
+    def status(self) -> np.ndarray:
+        """Status of each trial, (n,)."""
+        return np.asarray([trial.status for trial in self.trials], dtype=str)
+
+    @property
+    def is_measured(self) -> np.ndarray:
+        """Which trials gave something, (n,); one that failed is tested but says nothing of the discrepancy."""
+        return np.asarray([np.isfinite(trial.outputs).any() for trial in self.trials], dtype=bool)
 
 
 class StepInfo(NamedTuple):
@@ -117,12 +138,7 @@ class SequentialDesign:
 
     def init(self) -> DesignState:
         """No experiment yet."""
-        n, d, j = self.size, len(self.space.names), len(self.gaps)
-        # Padding repeats a valid input, so that padded simulations are harmless.
-        middle = self.space.declared(np.full((n, d), 0.5))
-        return DesignState(
-            np.full((n, d), 0.5), self.space.si(middle), np.full((n, j), np.nan), 0, np.full(n, "", dtype="U9")
-        )
+        return DesignState()
 
     def tell(
         self,
@@ -140,33 +156,29 @@ class SequentialDesign:
             status: `completed`, `pending`, `failed` or `abandoned`; by default whether there is an output.
             row: of the experiment, where it is there already.
         """
-        i = state.count if row is None else row
-        if i >= self.size:
-            raise ValueError(f"The design was planned for {self.size} experiments, and all of them are there.")
-        si = self.space.si(self.space.declared(np.asarray(cube)[None]))
-        points, values, states = state.cube.copy(), state.outputs.copy(), state.status.copy()
-        points[i], values[i] = cube, outputs
-        states[i] = status or ("completed" if np.isfinite(values[i]).any() else "failed")
-        conditions = {name: np.concatenate([x[:i], si[name], x[i + 1 :]]) for name, x in state.conditions.items()}
-        count = max(state.count, i + 1)
-        return replace(state, cube=points, conditions=conditions, outputs=values, count=count, status=states)
+        i, values = len(state.trials) if row is None else row, np.asarray(outputs, dtype=float)
+        status = status or ("completed" if np.isfinite(values).any() else "failed")
+        trial = Trial(self.space.point(np.asarray(cube)), values, status)
+        return replace(state, trials=(*state.trials[:i], trial, *state.trials[i + 1 :]))
 
-    def larger(self, state: DesignState) -> tuple["SequentialDesign", DesignState]:
-        """The same design with room for twice as many experiments; its programs compile anew."""
-        design = replace(self, size=2 * self.size)
-        grown, n = design.init(), self.size
-        conditions = {name: np.concatenate([state.conditions[name], x[n:]]) for name, x in grown.conditions.items()}
-        tables = {
-            name: np.concatenate([getattr(state, name), getattr(grown, name)[n:]])
-            for name in ("cube", "outputs", "status")
-        }
-        return design, replace(state, conditions=conditions, **tables)
+    def size_of(self, state: DesignState) -> int:
+        """Rows of the arrays: as planned, and twice as many as often as more were told; each doubling compiles anew."""
+        size = self.size
+        while size < len(state.trials):
+            size *= 2
+        return size
 
     def data(self, state: DesignState) -> Data:
         """The measured experiments, padded to the planned size."""
-        conditions = Conditions({name: jnp.asarray(x) for name, x in state.conditions.items()})
-        gaps = np.broadcast_to(self.gaps, state.outputs.shape)
-        return data_of(conditions, state.outputs, np.isfinite(state.outputs), gaps, state.count)
+        size, count = self.size_of(state), len(state.trials)
+        # Padding repeats a valid input, so that padded simulations are harmless.
+        points = [*(t.point for t in state.trials), *[self._middle] * (size - count)]
+        conditions = Conditions({name: jnp.asarray([p.si[name] for p in points]) for name in self.space.names})
+        outputs = np.full((size, len(self.gaps)), np.nan)
+        for row, trial in enumerate(state.trials):
+            outputs[row] = trial.outputs
+        gaps = np.broadcast_to(self.gaps, outputs.shape)
+        return data_of(conditions, outputs, np.isfinite(outputs), gaps, count)
 
     def ask(
         self, state: DesignState, key: PRNGKeyArray, acquisition: Acquisition | None = None
@@ -194,7 +206,7 @@ class SequentialDesign:
         def chosen_by(by: Acquisition) -> Choice:
             if closed is not None:
                 by = Restricted(by, jnp.asarray(closed))
-            known = jnp.asarray(state.cube), jnp.asarray(np.arange(self.size) < state.count)
+            known = jnp.asarray(self._cube(state)), jnp.asarray(self._rows(state, np.ones(len(state.trials), bool)))
             return choose(believing, self.candidate_set, *known, by, of_choice)
 
         best = chosen_by(ACQUISITIONS["expected_improvement"])
@@ -206,7 +218,7 @@ class SequentialDesign:
             maximum,
             chains,
             convergence(chains),
-            norms[: state.count],
+            norms[: len(state.trials)],
             surrogate,
             float(choice.value),
             float(best.value),
@@ -215,17 +227,29 @@ class SequentialDesign:
         going_on = replace(state, theta=np.asarray(maximum.u), step_size=float(np.mean(chains.step_size)))
         return chosen, going_on, info
 
+    def _cube(self, state: DesignState) -> np.ndarray:
+        """Inputs of the trials in the unit cube, padded, (N, d)."""
+        points = np.full((self.size_of(state), len(self.space.names)), 0.5)
+        points[: len(state.trials)] = state.cube.reshape(-1, points.shape[1])
+        return points
+
+    def _rows(self, state: DesignState, chosen: np.ndarray) -> np.ndarray:
+        """Trials that are chosen, as rows of the padded arrays, (N,)."""
+        rows = np.zeros(self.size_of(state), dtype=bool)
+        rows[: len(chosen)] = chosen
+        return rows
+
     def _fit(self, state: DesignState, norms: np.ndarray, key: PRNGKeyArray) -> Kriging:
-        mask = self._measured(state) & np.isfinite(norms)
+        mask = self._rows(state, state.is_measured) & np.isfinite(norms)
         responses = jnp.asarray(np.where(mask, norms, 0.0))
-        return fit_kriging(jnp.asarray(state.cube), responses, jnp.asarray(mask), key=key, **self.kriging)
+        return fit_kriging(jnp.asarray(self._cube(state)), responses, jnp.asarray(mask), key=key, **self.kriging)
 
     def _believing(self, state: DesignState, kriging: Kriging, norms: np.ndarray) -> Kriging:
         """The surrogate with its own mean as the response of every pending experiment."""
-        pending = state.status == "pending"
+        pending = self._rows(state, state.status == "pending")
         if not pending.any():
             return kriging
-        believed = np.where(pending, np.asarray(kriging.predict(jnp.asarray(state.cube))[0]), norms)
+        believed = np.where(pending, np.asarray(kriging.predict(jnp.asarray(self._cube(state)))[0]), norms)
         return self._conditioned(state, believed, pending, kriging.lengths, kriging.nugget)
 
     def _closed(self, state: DesignState, draws: Float[Array, "c s p"]) -> np.ndarray | None:
@@ -246,18 +270,14 @@ class SequentialDesign:
         return closed if closed.any() else None
 
     def _check_enough(self, state: DesignState) -> None:
-        usable, terms = int(self._measured(state).sum()), len(self.space.names)
+        usable, terms = int(state.is_measured.sum()), len(self.space.names)
         needed = {"constant": 1, "linear": 1 + terms, "quadratic": (terms + 1) * (terms + 2) // 2}
         least = 1 + needed[self.kriging.get("trend", "constant")]
         if usable < least:
             raise UserError(
-                f"only {usable} of {state.count} experiments gave something to use, and the design needs {least} to go on; "
+                f"only {usable} of {len(state.trials)} experiments gave something to use, and the design needs {least} to go on; "
                 "perform more initial experiments (design.initial) or choose inputs that can be tested"
             )
-
-    def _measured(self, state: DesignState) -> np.ndarray:
-        """Which experiments gave something; one that failed is tested but says nothing of the discrepancy."""
-        return (np.arange(self.size) < state.count) & np.isfinite(state.outputs).any(axis=1)
 
     def surrogate(self, state: DesignState, norms: Sequence[float], lengths: Sequence[float], nugget: float) -> Kriging:
         """The Kriging of a step again, from what the journal keeps of it.
@@ -266,20 +286,20 @@ class SequentialDesign:
             norms: discrepancies the step found, (count then,); NaN where there is none.
             lengths, nugget: hyper-parameters of its Kriging.
         """
-        responses = np.full(self.size, np.nan)
+        responses = np.full(self.size_of(state), np.nan)
         responses[: len(norms)] = norms
         return self._conditioned(
-            state, responses, np.zeros(self.size, dtype=bool), jnp.asarray(lengths), jnp.asarray(nugget)
+            state, responses, np.zeros(len(responses), dtype=bool), jnp.asarray(lengths), jnp.asarray(nugget)
         )
 
     def _conditioned(
         self, state: DesignState, responses: np.ndarray, more: np.ndarray, lengths: Array, nugget: Array
     ) -> Kriging:
         """Kriging of known hyper-parameters on what was measured, and on `more` rows."""
-        mask = (self._measured(state) | more) & np.isfinite(responses)
+        mask = (self._rows(state, state.is_measured) | more) & np.isfinite(responses)
         options = {name: value for name, value in self.kriging.items() if name != "starts"}
         return condition(
-            jnp.asarray(state.cube),
+            jnp.asarray(self._cube(state)),
             jnp.asarray(np.where(mask, responses, 0.0)),
             jnp.asarray(mask),
             lengths,
@@ -295,6 +315,10 @@ class SequentialDesign:
     @cached_property
     def _starts(self):
         return self.posterior.starts(self.starts)
+
+    @cached_property
+    def _middle(self) -> Point:
+        return self.space.point(np.full(len(self.space.names), 0.5))
 
     @cached_property
     def candidate_set(self):

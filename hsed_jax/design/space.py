@@ -2,12 +2,28 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
+
+
+class Point(NamedTuple):
+    """A point of the input space.
+
+    Attributes:
+        cube: in the unit cube, (d,).
+        declared: inputs by name, in their declared units.
+        si: inputs by name, SI.
+    """
+
+    cube: np.ndarray
+    declared: dict[str, float]
+    si: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -43,6 +59,31 @@ class InputSpace:
             for p, column in zip(self.priors.values(), np.asarray(declared).T, strict=True)
         ]
         return np.stack(columns, axis=1)
+
+    def point(self, cube: Float[np.ndarray, " d"]) -> Point:
+        """A point of the unit cube with its inputs."""
+        return self._point(cube, self.declared(cube[None])[0])
+
+    def located(self, declared: Mapping[str, float]) -> Point:
+        """Inputs by name, in their declared units, with their point of the unit cube.
+
+        Raises:
+            UserError: they are not the inputs of this space, or lie outside.
+        """
+        if declared.keys() != set(self.names):
+            raise UserError(f"its inputs are {', '.join(self.names)}; given are {', '.join(declared)}")
+        row = np.asarray([float(declared[name]) for name in self.names])
+        cube = self.cube(row[None])[0]
+        if not (np.isfinite(cube).all() and np.all((cube > 0) & (cube < 1))):
+            ranges = "; ".join(
+                f"{n} from {low:g} to {high:g}" for n, (low, high) in zip(self.names, self.bounds(), strict=True)
+            )
+            raise UserError(f"the inputs {row.tolist()} lie outside those of the study ({ranges})")
+        return self._point(cube, row)
+
+    def _point(self, cube: np.ndarray, declared: np.ndarray) -> Point:
+        named = dict(zip(self.names, declared.tolist(), strict=True))
+        return Point(cube, named, {name: value * self.factors[name] for name, value in named.items()})
 
     def si(self, declared: np.ndarray) -> dict[str, np.ndarray]:
         """Inputs in their declared units (n, d) by name in SI, each (n,)."""

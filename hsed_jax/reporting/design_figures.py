@@ -67,7 +67,7 @@ def _of_specimen(outcome: Outcome, laboratory: VirtualLaboratory) -> Iterator[tu
 def exploration(outcome: Outcome, state: DesignState) -> Picture:
     """Fig. 6 of a run with a design."""
     space = outcome.space
-    declared = space.declared(state.cube[: state.count])
+    declared = space.declared(state.cube)
     return figures.exploration_order(declared, outcome.initial, space.bounds(), space.units)
 
 

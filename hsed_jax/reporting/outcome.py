@@ -114,7 +114,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
         assert outcome.design is not None
         estimates = outcome.estimates.T.tolist()
         content["design"] = {
-            "inputs": outcome.design.space.declared(state.cube[: state.count]).tolist(),
+            "inputs": outcome.design.space.declared(state.cube).tolist(),
             "max_expected_improvement": [step["max_expected_improvement"] for step in outcome.steps],
             "map": dict(zip(outcome.posterior.names, estimates, strict=False)),
             "stop_reason": outcome.stop_reason,

@@ -14,7 +14,8 @@ import jax
 import numpy as np
 
 from hsed_jax.study.build import Built
-from hsed_jax.design.sequential import DesignState
+from hsed_jax.design.sequential import DesignState, Trial
+from hsed_jax.design.space import Point
 from hsed_jax.design.stopping import StopRules, stop_reason
 from hsed_jax.errors import UserError
 from hsed_jax.inference.fit import summarise
@@ -57,8 +58,8 @@ class Conduct:
         store: the run folder; what its journal holds is taken up.
 
     Attributes:
-        state: of the design.
-        campaign: the experiments, pending ones included.
+        campaign: the experiments in the order of asking or telling, pending ones included.
+        state: of the design; its trials are the experiments of the campaign, in the same order.
         steps: what each step of the design found, as in the journal.
     """
 
@@ -67,7 +68,6 @@ class Conduct:
         self.state: DesignState = self.design.init()
         self.campaign = built.empty_campaign()
         self.steps: list[dict[str, Any]] = []
-        self._rows: dict[str, int] = {}
         self._attempts: Counter[str] = Counter()
         self._initial = self.design.space.initial_design(built.study.design.initial)
         self._chosen: np.ndarray | None = None
@@ -89,7 +89,7 @@ class Conduct:
 
     @property
     def _asked_initial(self) -> bool:
-        return len(self._rows) >= len(self._initial)
+        return len(self.campaign) >= len(self._initial)
 
     def ask(self) -> Asked:
         """The next experiment: of the initial design, or chosen by a step of the design.
@@ -97,17 +97,15 @@ class Conduct:
         Raises:
             UserError: the design cannot go on: too few experiments gave something to use, or no candidate is left.
         """
-        number = len(self._rows)
+        number = len(self.campaign)
         if number < len(self._initial):
             cube = self._initial[number]
         else:
             cube = self._step() if self._chosen is None else self._chosen
         name = experiment_id(number)
-        while name in self._rows:
+        while name in self.campaign:
             name = f"{name}x"
-        self.store.record("asked", **self._about(name, cube))
-        self._expect(name, cube)
-        return self.request(name)
+        return self._ask(name, self.design.space.point(cube))
 
     def ask_again(self, id: str) -> Asked:
         """Ask an experiment that failed once more.
@@ -115,12 +113,10 @@ class Conduct:
         Raises:
             UserError: there is no such experiment, or it did not fail.
         """
-        if self._known(id).status != "failed":
-            raise UserError(f"experiment {id} is {self._known(id).status}; only one that failed is asked again")
-        cube = self.state.cube[self._rows[id]]
-        self.store.record("asked", **self._about(id, cube))
-        self._expect(id, cube)
-        return self.request(id)
+        trial = self._trial(id)
+        if trial.status != "failed":
+            raise UserError(f"experiment {id} is {trial.status}; only one that failed is asked again")
+        return self._ask(id, trial.point)
 
     def request(self, id: str) -> Asked:
         """An experiment as it is to be performed.
@@ -128,10 +124,8 @@ class Conduct:
         Raises:
             UserError: there is no such experiment.
         """
-        self._known(id)
-        row = self._rows[id]
-        inputs = self._about(id, self.state.cube[row])["inputs"]
-        return Asked(id, row, self._attempts[id], inputs, self._si(inputs), self._draws())
+        point = self._trial(id).point
+        return Asked(id, self._row(id), self._attempts[id], point.declared, point.si, self._draws())
 
     def tell(self, id: str, measured: Measured, inputs: Mapping[str, float] | None = None) -> None:
         """Take what was measured.
@@ -144,12 +138,11 @@ class Conduct:
         Raises:
             UserError: the experiment is unknown, completed or abandoned already, or what is told does not fit the study.
         """
-        about = self.settling(id, inputs)
-        experiment = Experiment(id, self._si(about["inputs"]), record=measured.record, quantities=measured.quantities)
-        self._take(about, experiment)
+        point = self.settling(id, inputs)
+        self._take(point, Experiment(id, point.si, record=measured.record, quantities=measured.quantities))
         # The record is on the disk before the journal says that it is.
         write_experiment(self.campaign, id, self.store.campaign)
-        self.store.record("performed", **about, quantities=measured.quantities)
+        self.store.record("performed", **_about(id, point), quantities=measured.quantities)
 
     def give_up(
         self,
@@ -172,10 +165,10 @@ class Conduct:
         Raises:
             UserError: the experiment is unknown, or completed or abandoned already.
         """
-        about, status = self.settling(id, inputs), "abandoned" if abandon else "failed"
-        self._take(about, Experiment(id, self._si(about["inputs"]), record=record, status=status, reason=reason))
+        point, status = self.settling(id, inputs), "abandoned" if abandon else "failed"
+        self._take(point, Experiment(id, point.si, record=record, status=status, reason=reason))
         write_experiment(self.campaign, id, self.store.campaign)
-        self.store.record(status, **about, reason=reason)
+        self.store.record(status, **_about(id, point), reason=reason)
 
     # One step of the design.
 
@@ -232,66 +225,57 @@ class Conduct:
 
     # What is known of the experiments.
 
-    def _about(self, name: str, cube: Sequence[float] | np.ndarray) -> dict[str, Any]:
-        space = self.design.space
-        inputs = dict(zip(space.names, space.declared(np.asarray(cube)[None])[0].tolist(), strict=True))
-        return {"experiment": name, "inputs": inputs, "cube": np.asarray(cube).tolist()}
-
-    def settling(self, id: str, inputs: Mapping[str, float] | None) -> dict[str, Any]:
-        """Name, inputs and point of the cube of an experiment of which something is told: as asked, or as tested.
+    def settling(self, id: str, inputs: Mapping[str, float] | None) -> Point:
+        """The point of an experiment of which something is told: as asked, or as tested.
 
         Raises:
             UserError: nothing may be told of it, or its inputs are not those of the study.
         """
-        space = self.design.space
-        if id in self._rows and self._known(id).status not in ("pending", "failed"):
-            raise UserError(f"experiment {id} is {self._known(id).status} already")
-        if inputs is None:
-            if id not in self._rows:
-                raise UserError(
-                    f"experiment {id!r} was not asked; give its inputs ({', '.join(space.names)}), or name one of: "
-                    f"{', '.join(self.pending) or 'none is pending'}"
-                )
-            return self._about(id, self.state.cube[self._rows[id]])
-        if inputs.keys() != set(space.names):
-            raise UserError(f"experiment {id}: its inputs are {', '.join(space.names)}; given are {', '.join(inputs)}")
-        declared = [float(inputs[name]) for name in space.names]
-        cube = space.cube(np.asarray([declared]))[0]
-        if not (np.isfinite(cube).all() and np.all((cube > 0) & (cube < 1))):
-            ranges = "; ".join(
-                f"{n} from {low:g} to {high:g}" for n, (low, high) in zip(space.names, space.bounds(), strict=True)
+        if id in self.campaign and self._trial(id).status not in ("pending", "failed"):
+            raise UserError(f"experiment {id} is {self._trial(id).status} already")
+        if inputs is not None:
+            try:
+                return self.design.space.located(inputs)
+            except UserError as error:
+                raise UserError(f"experiment {id}: {error}") from None
+        if id not in self.campaign:
+            raise UserError(
+                f"experiment {id!r} was not asked; give its inputs ({', '.join(self.design.space.names)}), or name one "
+                f"of: {', '.join(self.pending) or 'none is pending'}"
             )
-            raise UserError(f"experiment {id}: the inputs {declared} lie outside those of the study ({ranges})")
-        return {"experiment": id, "inputs": dict(zip(space.names, declared, strict=True)), "cube": cube.tolist()}
+        return self._trial(id).point
 
-    def _known(self, id: str) -> Experiment:
-        if id not in self._rows:
-            raise UserError(f"there is no experiment {id!r}; there are {', '.join(self._rows) or 'none'}")
-        return self.campaign[id]
+    def _row(self, id: str) -> int:
+        known = [experiment.id for experiment in self.campaign]
+        if id not in known:
+            raise UserError(f"there is no experiment {id!r}; there are {', '.join(known) or 'none'}")
+        return known.index(id)
 
-    def _si(self, inputs: Mapping[str, float]) -> dict[str, float]:
-        return {name: value * self.design.space.factors[name] for name, value in inputs.items()}
+    def _trial(self, id: str) -> Trial:
+        return self.state.trials[self._row(id)]
 
-    def _expect(self, name: str, cube: Sequence[float] | np.ndarray) -> None:
+    def _ask(self, id: str, point: Point) -> Asked:
+        self.store.record("asked", **_about(id, point))
+        self._expect(id, point)
+        return self.request(id)
+
+    def _expect(self, id: str, point: Point) -> None:
         """Count an experiment as asked."""
-        about = self._about(name, cube)
-        self._take(about, Experiment(name, self._si(about["inputs"]), status="pending"))
-        self._attempts[name] += 1
+        self._take(point, Experiment(id, point.si, status="pending"))
+        self._attempts[id] += 1
         self._chosen = None
 
-    def _take(self, about: Mapping[str, Any], experiment: Experiment) -> None:
-        known = experiment.id in self._rows
-        self.campaign = self.campaign.update(experiment) if known else self.campaign.add(experiment)
+    def _take(self, point: Point, experiment: Experiment) -> None:
+        row = self._row(experiment.id) if experiment.id in self.campaign else len(self.campaign)
+        is_new = row == len(self.campaign)
+        self.campaign = self.campaign.add(experiment) if is_new else self.campaign.update(experiment)
         outputs = np.full(self.built.observation.groups.size, np.nan)
         if experiment.status == "completed":
             # As the campaign holds it: what is read back from its files is the same to the last bit.
             outputs = self.built.observation.measured(self.campaign[experiment.id])
             if not np.isfinite(outputs).any():
                 raise UserError(f"experiment {experiment.id}: nothing that the study observes was measured")
-        row = self._rows.setdefault(experiment.id, len(self._rows))
-        if row >= len(self.state.cube):
-            self.design, self.state = self.design.larger(self.state)
-        self.state = self.design.tell(self.state, about["cube"], outputs.tolist(), experiment.status, row)
+        self.state = self.design.tell(self.state, point.cube.tolist(), outputs.tolist(), experiment.status, row)
 
     def _replay(self) -> None:
         """Go through the journal.
@@ -328,14 +312,14 @@ class Conduct:
             self.state = replace(self.state, theta=np.asarray(carried["theta"]), step_size=carried["step_size"])
             self._chosen = np.asarray(event["cube"])
         elif kind == "asked":
-            self._expect(event["experiment"], event["cube"])
+            self._expect(event["experiment"], self.design.space.point(np.asarray(event["cube"])))
         elif kind in ("performed", "failed", "abandoned"):
-            name = event["experiment"]
+            name, space = event["experiment"], self.design.space
             self._take(
-                event,
+                space.point(np.asarray(event["cube"])),
                 Experiment(
                     name,
-                    self._si(event["inputs"]),
+                    {key: value * space.factors[key] for key, value in event["inputs"].items()},
                     record=records[name].record if records is not None and name in records else None,
                     quantities=event.get("quantities", {}),
                     status="completed" if kind == "performed" else kind,
@@ -344,3 +328,8 @@ class Conduct:
             )
         else:
             raise ValueError("there is no such event")
+
+
+def _about(id: str, point: Point) -> dict[str, Any]:
+    """An experiment as the journal has it."""
+    return {"experiment": id, "inputs": point.declared, "cube": point.cube.tolist()}

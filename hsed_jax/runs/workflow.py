@@ -260,7 +260,7 @@ class Run:
     def _calibrate(self) -> None:
         if self.conduct is not None:
             # Padded as the design's own data are, so that its programs serve.
-            size = self.conduct.design.size
+            size = self.conduct.design.size_of(self.conduct.state)
         else:
             if self.built.measured is None:
                 self._campaign = self.built.perform()
