@@ -17,11 +17,12 @@ from hsed_jax.criticism.improve import Step, Trail, step_of
 from hsed_jax.design.acquisition import Given
 from hsed_jax.diagnosis import diagnose as diagnosing
 from hsed_jax.diagnosis.findings import Diagnosis
-from hsed_jax.diagnosis.nested import Descent, Target, Task
+from hsed_jax.diagnosis.nested import Descent, Member, Target, Task
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.errors import UserError
 from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Campaign
+from hsed_jax.physics.effects.forms import default_form
 from hsed_jax.plain import dump_yaml
 from hsed_jax.study.build import Built
 from hsed_jax.study.candidates import problem_of, with_effects
@@ -139,6 +140,7 @@ def improve(
     campaign: Campaign | None = None,
     *,
     effects: Sequence[str],
+    forms: Mapping[str, str] | None = None,
     start: Mapping[str, float] | None = None,
     watch: Watch | None = None,
 ) -> Improvement:
@@ -151,6 +153,7 @@ def improve(
         calibration: the model as it is.
         campaign: experiments; by default those it was calibrated on.
         effects: names of effects of the catalogue, in the order to add them.
+        forms: labels of their forms, where these are not the default ones: `Diagnosis.forms`.
         start: parameters of the model with them, by name, SI, to start one of the searches from: `Diagnosis.optimum`, so that
             what was promised is delivered.
         watch: follows the fits and the calibration.
@@ -161,26 +164,30 @@ def improve(
     campaign = calibration.campaign if campaign is None else campaign
     if not effects:
         raise UserError("there is no effect to add; name at least one (hsed effects lists the catalogue)")
-    study = with_effects(calibration.built, effects)
+    study = with_effects(calibration.built, effects, forms)
     study = study.model_copy(update={"study": f"{study.study.removesuffix('_improved')}_improved"})
     watch = watch or Watch()
     watch.report("the model with the effects")
-    problem = problem_of(calibration.built, campaign, effects, watch=watch, known=calibration.map)
+    forms = {effect: default_form(calibration.built.catalogue[effect]).label for effect in effects} | dict(forms or {})
+    problem = problem_of(calibration.built, campaign, effects, watch=watch, known=calibration.map, forms=forms)
     before = compare(calibration, campaign)
     target = _target(problem, before)
     assert problem.start is not None
-    plain = _best(problem, target, problem.law, [], problem.start)
+    models = problem.models
+    plain = _best(problem, target, models.member(problem.law), [], problem.start)
     notes = []
     if target.misfit(0, before.train_prediction.predicted) - target.misfit(0, plain.predicted) > _APART:
         calibration = calibrate_built(calibration.built, campaign, start=_parameters(problem, plain), watch=watch)
         before = compare(calibration)
         notes.append("the model as it was had not been calibrated to its best fit, and was calibrated again from there")
     steps, fit = [step_of([], before, calibration.map)], plain
-    for count, effect in enumerate(effects, start=1):
-        free = np.concatenate([fit.free, problem.effects[effect]])
+    for count in range(1, len(effects) + 1):
+        added = [problem.effects[name][forms[name]] for name in effects[:count]]
+        free = np.concatenate([problem.law, *(form.columns for form in added)]).astype(int)
+        member = models.member(free, {k: value for form in added for k, value in form.held.items()})
         whole = count == len(effects) and start is not None
-        fit = _best(problem, target, free, problem.effects[effect], fit.x, start if whole else None)
-        steps.append(_between(problem, problem.models.theta(fit.x, fit.free), effects[:count]))
+        fit = _best(problem, target, member, added[-1].columns, fit.x, start if whole else None)
+        steps.append(_between(problem, fit, effects[:count]))
     built = Built(study, calibration.built.campaign)
     better = calibrate_built(built, campaign, start=_parameters(problem, fit), watch=watch)
     after = compare(better)
@@ -199,7 +206,7 @@ def _target(problem: Problem, before: Comparison) -> Target:
 def _best(
     problem: Problem,
     target: Target,
-    free: np.ndarray,
+    member: Member,
     new: Sequence[int] | np.ndarray,
     x: np.ndarray,
     known: Mapping[str, float] | None = None,
@@ -207,28 +214,30 @@ def _best(
     """The best fit of a model with new parameters: from where the one without them is, from there with these spread over their
     priors, and from parameters that are known."""
     models, columns = problem.models, np.asarray(new, dtype=int)
-    tasks = [Task(free, x)]
+    tasks = [Task(member, x)]
     if known is not None:
-        tasks.append(Task(free, models.point({name: value for name, value in known.items() if name in problem.names})))
+        tasks.append(
+            Task(member, models.point({name: value for name, value in known.items() if name in problem.names}))
+        )
     if columns.size:
         starts = np.tile(x, (8, 1))
         shares = 0.1 + 0.8 * (np.arange(8)[:, None] * (0.5 + np.sqrt(np.arange(columns.size) + 2.0)) % 1.0)
         starts[:, columns] = models.box.quantiles(columns, shares)
-        tasks += [Task(free, spread, rivals=0) for spread in starts]
+        tasks += [Task(member, spread, rivals=0) for spread in starts]
     return min(models.fit(target, tasks), key=lambda f: f.cost)
 
 
 def _parameters(problem: Problem, fit: Descent) -> Array:
     """θ of a fit, in the order of the study that has its effects."""
-    return jnp.asarray(problem.models.theta(fit.x, fit.free)[fit.free])
+    return jnp.asarray(problem.models.theta(fit.x, fit.member)[fit.free])
 
 
-def _between(problem: Problem, theta: np.ndarray, effects: Sequence[str]) -> Step:
+def _between(problem: Problem, fit: Descent, effects: Sequence[str]) -> Step:
     """A step of the trail between the model as it was and the improved one."""
-    columns = [*problem.law, *(k for effect in effects for k in problem.effects[effect])]
+    theta = problem.models.theta(fit.x, fit.member)
     rows = np.arange(problem.rows)
     outputs, _ = problem.models.lanes(np.repeat(theta[None], len(rows), axis=0), rows)
     size = len(problem.train.values)
     test = None if problem.test is None else problem.test.error(outputs[size:])
-    parameters = {problem.names[k]: float(theta[k]) for k in columns}
+    parameters = {problem.names[k]: float(theta[k]) for k in fit.free}
     return Step(list(effects), problem.train.error(outputs[:size]), test, parameters)

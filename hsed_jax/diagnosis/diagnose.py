@@ -10,13 +10,13 @@ from hsed_jax.criticism.compare import discrepancy_p_value, is_material
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.diagnosis.evidence import Sampled, gaussian, importance
 from hsed_jax.diagnosis.findings import Candidate, Diagnosis
+from hsed_jax.diagnosis.fits import Model, Set
 from hsed_jax.diagnosis.nested import Descent
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.diagnosis.rivals import difference, joined, look_alikes_of, next_experiment, rivals_of, separation
 from hsed_jax.diagnosis.scores import score_p_value
-from hsed_jax.diagnosis.search import Model, Search, Set
+from hsed_jax.diagnosis.search import Gain, Search
 from hsed_jax.inference.correlation import SIGNIFICANT
-from hsed_jax.physics.parameters import parameters_of
 
 # Models with at least this probability have their evidence confirmed by sampling.
 _CLOSE = 0.01
@@ -78,10 +78,11 @@ def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None
         verdict = "missing_effects"
     named = [c.effect for c in ranking if c.effect in best.effects]
     tests = search.unseen([none.effects, best.effects])
-    theta = problem.models.theta(best.fit.x, best.fit.free)
+    theta = problem.models.theta(best.fit.x, best.fit.member)
     return Diagnosis(
         verdict=verdict,
         effects=named,
+        forms={effect: label for effect, label in best.forms.items() if label},
         ranking=ranking,
         look_alikes=look_alikes,
         next_experiment=chosen,
@@ -122,14 +123,15 @@ def _confirmed(problem: Problem, search: Search, models: list[Model]) -> tuple[M
     for m in models:
         found = sampled.get(m.effects)
         if found is not None and found.effective >= _ENOUGH:
-            m = m._replace(
-                log_evidence=found.log_evidence,
-                log_posterior=m.log_posterior - m.log_evidence + found.log_evidence,
-            )
+            more = found.log_evidence - m.fit_log_evidence
+            m = m._replace(log_evidence=m.log_evidence + more, log_posterior=m.log_posterior + more)
         confirmed.append(m)
     confirmed.sort(key=lambda m: -m.log_posterior)
     # Only an exchange is left to be decided: whether there is one more effect was a matter of odds.
     same_size = [m for m in confirmed if len(m.effects) == len(chosen.effects) and m.effects in sampled]
+    if chosen.effects in search.predicted:
+        # Nor is it evidence that chose.
+        return next(m for m in same_size if m.effects == chosen.effects), sampled, confirmed
     fit_for_use = [m for m in same_size if m.effects == chosen.effects or not search.harms(m.effects)]
     return fit_for_use[0], sampled, confirmed
 
@@ -167,9 +169,14 @@ def _ranking(
                 family=problem.catalogue[effect].family,
                 probability=probability,
                 log_evidence_gain=model.log_evidence - without.log_evidence,
-                score=score,
-                score_p_value=score_p_value(score),
-                estimate=_estimate(problem, effect, model.fit, sample),
+                rao_statistic=score,
+                rao_p_value=score_p_value(score),
+                score=_gain(search.predicted.get(model.effects)),
+                estimate=_estimate(problem, effect, model, sample),
+                form=model.forms[effect] or None,
+                forms=dict(sorted(model.shares[effect].items(), key=lambda item: -item[1]))
+                if model.forms[effect]
+                else {},
                 error_train=problem.train.error(model.fit.predicted),
                 error_test=test,
                 reason=_reason(search, model, by_set[best]) if is_likely and effect not in best else None,
@@ -180,6 +187,13 @@ def _ranking(
                                         -c.log_evidence_gain))  # fmt: skip
 
 
+def _gain(gain: Gain | None) -> dict[str, float] | None:
+    """What prediction said of a model; None where it did not decide."""
+    if gain is None or not math.isfinite(gain.mean):
+        return None
+    return {"gain": gain.mean, "standard_error": gain.standard_error}
+
+
 def _reason(search: Search, model: Model, best: Model) -> str | None:
     """Why a model with a likely effect is not the one that is named."""
     if not model.effects > best.effects:
@@ -188,14 +202,15 @@ def _reason(search: Search, model: Model, best: Model) -> str | None:
     return search.obstacle(model) or "the search ended before it"
 
 
-def _estimate(problem: Problem, effect: str, fit: Descent, sample: Sampled | None) -> dict[str, dict[str, Any]]:
-    """Mean, sd and quantiles of an effect's parameters, from draws or else from the curvature at the fit."""
+def _estimate(problem: Problem, effect: str, model: Model, sample: Sampled | None) -> dict[str, dict[str, Any]]:
+    """Mean, sd and quantiles of the parameters of an effect's form, from draws or else from the curvature at the fit."""
     found: dict[str, dict[str, Any]] = {}
-    for known in parameters_of(problem.catalogue[effect]).values():
+    form = problem.effects[effect][model.forms[effect]].form
+    for known in form.parameters(problem.catalogue[effect]).values():
         column = problem.names.index(f"{effect}.{known.name}")
-        numbers = _moments(problem, fit, sample, column)
+        numbers = _moments(problem, model.fit, sample, column)
         found[known.name] = numbers | {"unit": problem.pair.unit(known.unit)}
-        if known.physical is not None:
+        if known.physical is not None and not form.driver:
             factor = known.physical.factor(problem.scales)
             unit = problem.pair.unit(known.physical.unit)
             found[known.physical.name] = {k: v * factor for k, v in numbers.items()} | {"unit": unit}
@@ -206,7 +221,7 @@ def _moments(problem: Problem, fit: Descent, sample: Sampled | None, column: int
     """Mean, sd, 5 % and 95 % quantile of a parameter."""
     if sample is not None and sample.effective >= _ENOUGH:
         return sample.moments(column)
-    mean, sd = float(problem.models.theta(fit.x, fit.free)[column]), _deviation(problem, fit, column)
+    mean, sd = float(problem.models.theta(fit.x, fit.member)[column]), _deviation(problem, fit, column)
     box = problem.models.box
     low, high = (float(box.theta(side)[column]) for side in (box.low, box.high))
     q05, q95 = np.clip([mean - 1.645 * sd, mean + 1.645 * sd], low, high)

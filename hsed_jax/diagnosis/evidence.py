@@ -115,7 +115,7 @@ def importance(fit: Descent, models: NestedModels, target: Target, draws: int, s
             density = np.atleast_1d(proposal.logpdf(points[inside]))
             log_weight[inside] = -_costs(fit, models, target, points[inside]) - density
         if not np.isfinite(log_weight).any():
-            return Sampled(-np.inf, 0.0, models.theta(fit.x, fit.free)[None], np.ones(1))
+            return Sampled(-np.inf, 0.0, models.theta(fit.x, fit.member)[None], np.ones(1))
         flatness, shares = _flattened(log_weight, enough)
         if number > 0 and flatness == 1.0 and 1 / np.sum(shares**2) > 3 * enough:
             break
@@ -125,7 +125,7 @@ def importance(fit: Descent, models: NestedModels, target: Target, draws: int, s
             covariance = 1.1 * (spread.T @ spread) + 1e-14 * np.eye(size)
     total = float(np.asarray(logsumexp(log_weight)))
     weights = np.exp(log_weight - total)
-    thetas = np.stack([models.theta(_at(fit, point), fit.free) for point in points])
+    thetas = np.stack([models.theta(_at(fit, point), fit.member) for point in points])
     return Sampled(total - float(np.log(len(points))), float(1 / np.sum(weights**2)), thetas, weights)
 
 
@@ -151,7 +151,7 @@ def _costs(fit: Descent, models: NestedModels, target: Target, points: np.ndarra
     """φ at several points of the free coordinates."""
     full = [_at(fit, point) for point in points]
     prior = models.box.log_density(np.stack(full), fit.free).sum(axis=1)
-    outputs, ok = models.predict([(x, fit.free) for x in full], target.rows(fit.use))
+    outputs, ok = models.predict([(x, fit.member) for x in full], target.rows(fit.use))
     costs = target.misfit(fit.use, outputs) - prior
     return np.where(ok.all(axis=1) & np.isfinite(costs), costs, np.inf)
 

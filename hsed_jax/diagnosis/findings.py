@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -25,28 +25,36 @@ class Candidate:
         effect, family: of the catalogue.
         probability: that it takes part, over all models that were looked at.
         log_evidence_gain: of the model with it over the same model without it.
-        score, score_p_value: Rao's score test of its amplitude in the model as it is.
+        rao_statistic, rao_p_value: Rao's score test of its amplitude in the model as it is.
         estimate: of its parameters in both their forms: mean, sd, 5 % and 95 % quantile, unit.
         error_train, error_test: normalised errors of the model with it; test: of experiments that were not used, the test
             split or, without one, experiments left out in turn; infinite where a simulation fails.
         reason: why it is not named though it is likely; None where it is named, or unlikely.
+        score: where prediction decided, the squared error that the model with it takes away from what was left out (`gain`),
+            with its `standard_error`.
+        form: the most probable of its forms, in which all of this is said; None where it has but one.
+        forms: probabilities of its forms.
     """
 
     effect: str
     family: str
     probability: float
     log_evidence_gain: float
-    score: float
-    score_p_value: float
+    rao_statistic: float
+    rao_p_value: float
     estimate: dict[str, dict[str, Any]]
     error_train: float
     error_test: float
     reason: str | None = None
+    score: Mapping[str, float] | None = None
+    form: str | None = None
+    forms: Mapping[str, float] = field(default_factory=dict)
 
     def summary(self) -> dict[str, Any]:
         """As in `summary.json`; what is not finite, or not there, is absent."""
         found = vars(self).items()
-        return {k: v for k, v in found if v is not None and not (isinstance(v, float) and not math.isfinite(v))}
+        is_said = lambda v: v is not None and v != {} and not (isinstance(v, float) and not math.isfinite(v))  # noqa: E731
+        return {k: v for k, v in found if is_said(v)}
 
 
 @dataclass(frozen=True, repr=False)
@@ -56,6 +64,7 @@ class Diagnosis(Tabular):
     Attributes:
         verdict: `adequate`, `missing_effects`, `ambiguous`, `unexplained` or `undecided`.
         effects: the effects that are named, the most telling first.
+        forms: their forms, by labels.
         ranking: all candidates, the most probable first.
         look_alikes: groups of effects whose predictions differ by less than the noise, none of them excluded by the evidence.
         next_experiment: inputs (in declared units) that best separate the rivals of an ambiguous verdict.
@@ -73,6 +82,7 @@ class Diagnosis(Tabular):
 
     verdict: str
     effects: list[str]
+    forms: Mapping[str, str]
     ranking: list[Candidate]
     look_alikes: list[list[str]]
     next_experiment: dict[str, float] | None

@@ -52,9 +52,9 @@ def left_out_predictions(
         fits: of the models to all the data, where those to the folds start.
     """
     count = len(folds.fitted) - 1
-    tasks = [Task(fit.free, fit.x, use) for fit in fits for use in range(1, count + 1)]
+    tasks = [Task(fit.member, fit.x, use) for fit in fits for use in range(1, count + 1)]
     ends = models.fit(target, tasks)
-    outputs, ok = models.predict([(f.x, f.free) for f in ends], np.arange(len(target.values)))
+    outputs, ok = models.predict([(f.x, f.member) for f in ends], np.arange(len(target.values)))
     found: list[np.ndarray | None] = []
     for number in range(len(fits)):
         predicted, is_whole = np.zeros_like(target.values), True

@@ -5,8 +5,11 @@ constant in it, so that a process that looks at a hundred campaigns compiles onc
 this kind on one core, and several at a time on several.
 """
 
+from collections import Counter
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from dataclasses import replace
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,44 +20,109 @@ from jaxtyping import Float, Int
 from hsed_jax.backend import cores
 from hsed_jax.inference.observation import Observation, Outputs
 from hsed_jax.physics.batch import tiled_map
-from hsed_jax.physics.simulator import AbstractModel, Conditions
+from hsed_jax.physics.outputs import owner_of
+from hsed_jax.physics.simulator import AbstractModel, Conditions, Simulator
 
 _CHUNK = 256
 _FAR = 1e100
+# A program of several groups is compiled once so many lanes asked for it: before, the whole model costs less.
+_WORTHWHILE = 2000
+
+
+class Part(NamedTuple):
+    """A candidate in the large model.
+
+    Attributes:
+        effect: its name.
+        group: those of one group share a program.
+        column: of its amplitude.
+        neutral: the amplitude at which it does nothing.
+    """
+
+    effect: str
+    group: int
+    column: int
+    neutral: float
 
 
 class Lanes:
     """Outputs of a model over lanes, each a parameter vector and the number of an experiment.
+
+    An effect that is neutral does exactly nothing, and costs as much as any other: a lane runs the program of the groups of
+    effects that it has.
 
     Arguments:
         model: the computational model.
         observation: what of a response is predicted.
         names: of the parameters, in the order of a parameter vector.
         conditions: of the experiments, leading axis n.
+        parts: the effects of a `Simulator` that a lane may lack.
     """
 
-    def __init__(self, model: AbstractModel, observation: Observation, names: tuple[str, ...], conditions: Conditions):
-        self._run = partial(_outputs, Outputs(model, observation, names), conditions)
+    def __init__(
+        self,
+        model: AbstractModel,
+        observation: Observation,
+        names: tuple[str, ...],
+        conditions: Conditions,
+        parts: Sequence[Part] = (),
+    ):
+        self._model, self._observation, self._names, self._conditions = model, observation, names, conditions
+        self._parts, self._groups = parts, tuple(dict.fromkeys(part.group for part in parts))
+        self._asked: Counter[tuple[int, ...]] = Counter()
         self._threads = ThreadPoolExecutor(cores())
 
     def __call__(
         self, thetas: Float[np.ndarray, "L P"], experiments: Int[np.ndarray, " L"]
     ) -> tuple[Float[np.ndarray, "L J"], Float[np.ndarray, " L"]]:
         """Outputs (L, J) and whether each lane converged (L,); outputs of a lane that diverged are zero."""
+        chunks = [
+            (groups, lanes[start : start + _CHUNK])
+            for groups, lanes in self._by_groups(thetas).items()
+            for start in range(0, len(lanes), _CHUNK)
+        ]
 
-        def chunk(start: int):
-            part = slice(start, start + _CHUNK)
-            size = len(experiments[part])
-            padding = ((0, _CHUNK - size),)
-            outputs, ok = self._run(
-                jnp.asarray(np.pad(thetas[part], (*padding, (0, 0)), mode="edge")),
-                jnp.asarray(np.pad(experiments[part], padding, mode="edge")),
-                jnp.asarray(size),
+        def run(chunk: tuple[tuple[int, ...], np.ndarray]):
+            groups, lanes = chunk
+            outputs, columns = self._program(groups)
+            padding = ((0, _CHUNK - len(lanes)),)
+            found, ok = _outputs(
+                outputs,
+                self._conditions,
+                jnp.asarray(np.pad(thetas[lanes][:, columns], (*padding, (0, 0)), mode="edge")),
+                jnp.asarray(np.pad(experiments[lanes], padding, mode="edge")),
+                jnp.asarray(len(lanes)),
             )
-            return np.asarray(outputs)[:size], np.asarray(ok)[:size]
+            return np.asarray(found)[: len(lanes)], np.asarray(ok)[: len(lanes)]
 
-        parts = list(self._threads.map(chunk, range(0, len(experiments), _CHUNK)))
-        return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+        done = list(self._threads.map(run, chunks))
+        order = np.argsort(np.concatenate([lanes for _, lanes in chunks]))
+        return np.concatenate([d[0] for d in done])[order], np.concatenate([d[1] for d in done])[order]
+
+    def _by_groups(self, thetas: Float[np.ndarray, "L P"]) -> dict[tuple[int, ...], Int[np.ndarray, " l"]]:
+        """Lanes by the groups of effects that they have, as far as these have a program of their own."""
+        has = np.zeros((len(thetas), len(self._groups)), dtype=bool)
+        for part in self._parts:
+            has[:, self._groups.index(part.group)] |= thetas[:, part.column] != part.neutral
+        found: dict[tuple[int, ...], list[np.ndarray]] = {}
+        kinds, kind_of = np.unique(has, axis=0, return_inverse=True)
+        for number, kind in enumerate(kinds):
+            groups = tuple(g for g, one in zip(self._groups, kind, strict=True) if one)
+            lanes = np.flatnonzero(kind_of.ravel() == number)
+            self._asked[groups] += len(lanes)
+            is_own = len(groups) < 2 or self._asked[groups] > _WORTHWHILE
+            found.setdefault(groups if is_own else self._groups, []).append(lanes)
+        return {groups: np.concatenate(lanes) for groups, lanes in found.items()}
+
+    def _program(self, groups: tuple[int, ...]) -> tuple[Outputs, Int[np.ndarray, " p"]]:
+        """The model with effects of these groups only, and the columns of its parameters."""
+        left_out = {part.effect for part in self._parts if part.group not in groups}
+        columns = [k for k, name in enumerate(self._names) if owner_of(name) not in left_out]
+        model = self._model
+        if left_out:
+            assert isinstance(model, Simulator)
+            model = replace(model, effects=model.effects.only(e for e in model.effects if e not in left_out))
+        return Outputs(model, self._observation, tuple(self._names[k] for k in columns)), np.asarray(columns)
 
 
 @eqx.filter_jit

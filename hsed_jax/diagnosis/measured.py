@@ -39,6 +39,19 @@ class Measured(NamedTuple):
         """Normalised error of predictions (n, J), where something is scored (by default wherever it was measured)."""
         return normalised_error(self.values, predicted, self.used if scored is None else scored, self.groups)
 
+    def squares(self, predicted: np.ndarray, parts: Bool[np.ndarray, "F n J"]) -> Float[np.ndarray, " F"]:
+        """Squared normalised errors of predictions (n, J) in parts of the measurements, in units of the whole."""
+        whole = [self.used & (self.groups == group) for group in np.unique(self.groups)]
+        wholes = [own for own in whole if own.any()]
+        scales = [float(np.sqrt(np.mean(self.values[own] ** 2))) or 1.0 for own in wholes]
+        found = np.zeros((len(parts), len(wholes)))
+        for i, part in enumerate(parts):
+            for j, (own, scale) in enumerate(zip(wholes, scales, strict=True)):
+                counted = own & part
+                if counted.any():
+                    found[i, j] = np.mean((predicted[counted] - self.values[counted]) ** 2) / scale**2
+        return found.mean(axis=1)
+
     def scales(self, predicted: Float[np.ndarray, "n J"]) -> Float[np.ndarray, "n J"]:
         """c in σ = s·c: one, or where an error is relative the predicted quantity or the RMS of the measured history."""
         is_quantity = np.bincount(self.groups)[self.groups] == 1

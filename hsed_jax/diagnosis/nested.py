@@ -66,17 +66,36 @@ class Target(NamedTuple):
         return np.sqrt(used) * whitened((used > 0) * difference / self.sigma[rows], self.memory[rows])
 
 
+class Member(NamedTuple):
+    """One of the nested models.
+
+    Attributes:
+        free: the free coordinates, (p,).
+        held: parameters of the large model where they are not free, (P,).
+    """
+
+    free: Int[np.ndarray, " p"]
+    held: Float[np.ndarray, " P"]
+
+    def beside(self, more: int, held: Mapping[int, float]) -> "Member":
+        """The model with one more coordinate free, and further parameters held."""
+        values = self.held.copy()
+        for column, value in held.items():
+            values[column] = value
+        return Member(np.append(self.free, more), values)
+
+
 class Task(NamedTuple):
     """One fit to make.
 
     Attributes:
-        free: the free coordinates.
+        member: the model.
         start: where to start.
         use: which of the target's weights to fit.
         rivals: tasks of one number, if not negative, are starts of one fit: those that fall behind are given up.
     """
 
-    free: Int[np.ndarray, " p"]
+    member: Member
     start: Float[np.ndarray, " P"]
     use: int = 0
     rivals: int = -1
@@ -87,14 +106,14 @@ class Descent:
     """A fit, while it is made and afterwards.
 
     Attributes:
-        free: free coordinates.
+        member: the model.
         x: where it is, (P,).
         cost: φ there; infinite where the simulation diverged.
         predicted: outputs of all experiments of the target, SI, (n, J); zero where the use has no weight.
         gradient, hessian: of φ in the free coordinates (Gauss–Newton), (p,) and (p, p).
     """
 
-    free: Int[np.ndarray, " p"]
+    member: Member
     x: Float[np.ndarray, " P"]
     use: int
     cost: float = np.inf
@@ -104,6 +123,11 @@ class Descent:
     damping: float = 1e-2
     done: bool = False
     fresh: bool = False
+
+    @property
+    def free(self) -> Int[np.ndarray, " p"]:
+        """Its free coordinates."""
+        return self.member.free
 
 
 class NestedModels:
@@ -118,15 +142,22 @@ class NestedModels:
 
     def __init__(self, lanes: Lanes, box: Box, neutral: Float[np.ndarray, " P"], watch: Watch | None = None):
         self.lanes, self.box, self._watch = lanes, box, watch or Watch()
-        # Held parameters take their neutral values themselves: to the last bit, an effect that is off is absent.
         self._neutral = neutral
         self.neutral = box.x(neutral)
 
+    def member(self, free: Int[np.ndarray, " p"], held: Mapping[int, float] | None = None) -> Member:
+        """A model with some coordinates free, some parameters held at given values, and the others neutral."""
+        # Held are parameters and not coordinates: to the last bit, an effect that is off is absent.
+        theta = self._neutral.copy()
+        for column, value in (held or {}).items():
+            theta[column] = value
+        return Member(free, theta)
+
     def predict(
-        self, points: Sequence[tuple[np.ndarray, np.ndarray]], rows: Int[np.ndarray, " r"]
+        self, points: Sequence[tuple[np.ndarray, Member]], rows: Int[np.ndarray, " r"]
     ) -> tuple[Float[np.ndarray, "B r J"], Float[np.ndarray, "B r"]]:
-        """Outputs at several points (x, free coordinates) for the experiments in `rows`, and whether they converged."""
-        outputs, ok = self._run([(x, free, rows) for x, free in points])
+        """Outputs of models at several points for the experiments in `rows`, and whether they converged."""
+        outputs, ok = self._run([(x, member, rows) for x, member in points])
         return np.stack(outputs), np.stack(ok)
 
     def point(self, known: Mapping[str, float]) -> Float[np.ndarray, " P"]:
@@ -136,10 +167,10 @@ class NestedModels:
             theta[self.box.names.index(name)] = value
         return np.clip(self.box.x(theta), self.box.low, self.box.high)
 
-    def theta(self, x: Float[np.ndarray, " P"], free: Int[np.ndarray, " p"]) -> Float[np.ndarray, " P"]:
-        """θ at a point: free coordinates as they are, the others neutral."""
-        theta = self._neutral.copy()
-        theta[free] = self.box.theta(x)[free]
+    def theta(self, x: Float[np.ndarray, " P"], member: Member) -> Float[np.ndarray, " P"]:
+        """θ of a model at a point: free coordinates as they are, the others as held."""
+        theta = member.held.copy()
+        theta[member.free] = self.box.theta(x)[member.free]
         return theta
 
     def fit(self, target: Target, tasks: Sequence[Task]) -> list[Descent]:
@@ -161,7 +192,7 @@ class NestedModels:
 
     def _again(self, target: Target, tasks: Sequence[Task], kept: Sequence[np.ndarray]) -> list[Descent]:
         """Fits from what was kept of their ends; their predictions are made again, which is little beside a fit."""
-        fits = [Descent(task.free, x, task.use) for task, x in zip(tasks, kept[::4], strict=True)]
+        fits = [Descent(task.member, x, task.use) for task, x in zip(tasks, kept[::4], strict=True)]
         _, tables = self._costs(target, [(f, f.x) for f in fits])
         for number, (one, predicted) in enumerate(zip(fits, tables, strict=True)):
             _, cost, one.gradient, one.hessian = kept[4 * number : 4 * number + 4]
@@ -169,7 +200,7 @@ class NestedModels:
         return fits
 
     def _descended(self, target: Target, tasks: Sequence[Task]) -> list[Descent]:
-        fits = [Descent(t.free, np.clip(t.start, self.box.low, self.box.high), t.use) for t in tasks]
+        fits = [Descent(t.member, np.clip(t.start, self.box.low, self.box.high), t.use) for t in tasks]
         for one, cost, predicted in zip(fits, *self._costs(target, [(f, f.x) for f in fits]), strict=True):
             one.cost, one.predicted = cost, predicted
             one.done = not np.isfinite(cost)
@@ -242,7 +273,7 @@ class NestedModels:
         self, target: Target, trials: Sequence[tuple[Descent, np.ndarray]]
     ) -> tuple[list[float], list[np.ndarray]]:
         """φ and predictions at trial points."""
-        outputs, ok = self._run([(x, f.free, target.rows(f.use)) for f, x in trials])
+        outputs, ok = self._run([(x, f.member, target.rows(f.use)) for f, x in trials])
         costs, tables = [], []
         for (one, x), rows_outputs, rows_ok in zip(trials, outputs, ok, strict=True):
             predicted = np.zeros_like(target.values)
@@ -270,7 +301,7 @@ class NestedModels:
             for k, size in zip(one.free, signs, strict=True):
                 x = one.x.copy()
                 x[k] += size
-                requests.append((x, one.free, rows))
+                requests.append((x, one.member, rows))
         outputs, ok = self._run(requests)
         place = 0
         for one, steps in zip(fits, sizes, strict=True):
@@ -286,11 +317,11 @@ class NestedModels:
             one.hessian = jacobian @ jacobian.T + np.diag(terms.curvature)
             one.fresh = True
 
-    def _run(self, requests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> tuple[list, list]:
-        """Outputs (r, J) and flags (r,) of each request: a point, its free coordinates, and rows."""
+    def _run(self, requests: Sequence[tuple[np.ndarray, Member, np.ndarray]]) -> tuple[list, list]:
+        """Outputs (r, J) and flags (r,) of each request: a point, its model, and rows."""
         if not requests:
             return [], []
-        thetas = [np.repeat(self.theta(x, free)[None], len(rows), axis=0) for x, free, rows in requests]
+        thetas = [np.repeat(self.theta(x, member)[None], len(rows), axis=0) for x, member, rows in requests]
         outputs, ok = self.lanes(np.concatenate(thetas), np.concatenate([rows for _, _, rows in requests]))
         ends = np.cumsum([len(rows) for _, _, rows in requests])[:-1]
         return np.split(outputs, ends), np.split(ok, ends)

@@ -4,14 +4,33 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.measurements import Experiment
 from hsed_jax.physics.effects import Catalogue
+from hsed_jax.physics.effects.forms import Form
 from hsed_jax.physics.pairs import ELONGATION_AND_FORCE, Pair
 from hsed_jax.physics.scales import Scales
+
+
+class FormColumns(NamedTuple):
+    """A form of a candidate in the large model.
+
+    Attributes:
+        form: the form.
+        columns: indices of its free parameters, the amplitude first, (q,).
+        held: what it holds other parameters at, by index.
+    """
+
+    form: Form
+    columns: Int[np.ndarray, " q"]
+    held: Mapping[int, float]
+
+
+Forms = Mapping[str, FormColumns]
+"""The forms of a candidate by their labels, the default one first."""
 
 
 class Problem(NamedTuple):
@@ -22,7 +41,7 @@ class Problem(NamedTuple):
         names, units: of its parameters.
         catalogue: the candidates.
         law: indices of the parameters that are free without any candidate.
-        effects: indices of the parameters of each candidate.
+        effects: the forms of each candidate.
         scales: characteristic values.
         train, test: measured experiments; the first rows of the lanes' conditions, in this order.
         experiments: the training experiments.
@@ -39,7 +58,7 @@ class Problem(NamedTuple):
     units: Mapping[str, str]
     catalogue: Catalogue
     law: np.ndarray
-    effects: Mapping[str, np.ndarray]
+    effects: Mapping[str, Forms]
     scales: Scales
     train: Measured
     test: Measured | None

@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from hsed_jax.diagnosis.evidence import gaussian
+from hsed_jax.diagnosis.fits import Model, Set
 from hsed_jax.diagnosis.problem import Problem
-from hsed_jax.diagnosis.search import Model, Search, Set
+from hsed_jax.diagnosis.search import Search
 
 # Rivals whose posterior odds against the best are at least this are as good.
 _AS_GOOD = 1 / 3
@@ -58,11 +59,11 @@ def _predictive(problem: Problem, model: Model, rows: np.ndarray) -> tuple[np.nd
     factor = shrink[:, None] * np.linalg.cholesky(covariance + 1e-12 * np.diag(deviation**2))
     steps = 0.1 * np.minimum(shrink * deviation, 1.0)
     steps = np.where(fit.x[fit.free] + steps > high, -steps, steps)
-    points = [(fit.x, fit.free)]
+    points = [(fit.x, fit.member)]
     for k, step in zip(fit.free, steps, strict=True):
         x = fit.x.copy()
         x[k] += step
-        points.append((x, fit.free))
+        points.append((x, fit.member))
     outputs, ok = problem.models.predict(points, rows)
     slopes = (outputs[1:] - outputs[0]) * ok[1:, :, None] / steps[:, None, None]
     return outputs[0], np.einsum("pcj,pq->cjq", slopes, factor), ok[0]
@@ -123,7 +124,7 @@ def look_alikes_of(problem: Problem, search: Search, best: Model, models: Sequen
         ]
         if not others:
             continue
-        outputs, ok = problem.models.predict([(m.fit.x, m.fit.free) for m in (best, *others)], rows)
+        outputs, ok = problem.models.predict([(m.fit.x, m.fit.member) for m in (best, *others)], rows)
         sigma = problem.sigma(search.errors, outputs[0])
         alike = []
         for m, predicted, converged in zip(others, outputs[1:], ok[1:], strict=True):

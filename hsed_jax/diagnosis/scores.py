@@ -8,7 +8,6 @@ smaller.  With K candidates the smallest of K p-values counts as $1-(1-p)^K$ (Š
 from collections.abc import Mapping
 
 import numpy as np
-from jaxtyping import Int
 from scipy.special import chdtrc
 
 from hsed_jax.diagnosis.nested import Descent, NestedModels, Target
@@ -17,28 +16,27 @@ from hsed_jax.diagnosis.nested import Descent, NestedModels, Target
 _STEP = 1e-3
 
 
-def score_tests(
-    models: NestedModels, target: Target, fit: Descent, effects: Mapping[str, Int[np.ndarray, " q"]]
-) -> dict[str, float]:
-    r"""Rao's score statistic of each effect's amplitude at its neutral value, $\chi^2_1$ where it is absent.
+def score_tests[T](
+    models: NestedModels, target: Target, fit: Descent, amplitudes: Mapping[T, tuple[int, Mapping[int, float]]]
+) -> dict[T, float]:
+    r"""Rao's score statistic of amplitudes at their neutral values, $\chi^2_1$ where an effect is absent.
 
     Arguments:
         models: of the fit.
         target: what was fitted.
         fit: the model without these effects; its free parameters are projected out.
-        effects: columns of the parameters of each, the amplitude first.
+        amplitudes: the index of each, and what other parameters are held at beside it.
 
     Source: Rao 1948.
     """
-    amplitudes = [columns[0] for columns in effects.values()]
     x = models.neutral.copy()
     x[fit.free] = fit.x[fit.free]
-    points, steps = [(x, fit.free)], []
-    for k in (*fit.free, *amplitudes):
+    points, steps = [(x, fit.member)], []
+    for k, held in (*((k, {}) for k in fit.free), *amplitudes.values()):
         moved = x.copy()
         steps.append(-_STEP if moved[k] + _STEP > models.box.high[k] else _STEP)
         moved[k] += steps[-1]
-        points.append((moved, np.append(fit.free, k)))
+        points.append((moved, fit.member.beside(k, held)))
     rows = np.arange(len(target.values))
     outputs, ok = models.predict(points, rows)
     residual = target.standardised(fit.use, rows, target.values - outputs[0]).ravel()
@@ -46,7 +44,7 @@ def score_tests(
     slopes = slopes.reshape(len(steps), -1) / np.asarray(steps)[:, None]
     basis, _ = np.linalg.qr(slopes[: len(fit.free)].T)
     found = {}
-    for effect, slope in zip(effects, slopes[len(fit.free) :], strict=True):
+    for effect, slope in zip(amplitudes, slopes[len(fit.free) :], strict=True):
         own = slope - basis @ (basis.T @ slope)
         power = float(own @ own)
         is_told = power > 1e-12 * float(slope @ slope) and power > 0

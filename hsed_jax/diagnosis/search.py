@@ -18,12 +18,14 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import logsumexp
 
-from hsed_jax.diagnosis.evidence import laplace
+from hsed_jax.diagnosis.fits import Fits, Model, Set
 from hsed_jax.diagnosis.held_out import folds_of, left_out_predictions
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import Descent, NestedModels, Target, Task
+from hsed_jax.diagnosis.problem import FormColumns, Forms
 from hsed_jax.diagnosis.scores import score_p_value, score_tests
 from hsed_jax.errors import UserError
+from hsed_jax.physics.outputs import own_name
 
 MOST_EFFECTS = 4
 # Posterior odds that a further effect needs.
@@ -34,30 +36,42 @@ _MATERIAL = 0.05
 _STRICT = 1e-3
 # By this share a further effect may raise the squared error on experiments that nothing is fitted to: they are few.
 _CHANCE = 0.05
-# A fit that another one shows to be improvable by more nats than this goes on from there.
-_CAUGHT = 0.1
-# An amplitude this close to its neutral value, in coordinates of order one, is none.
-_ABSENT = 1e-3
-# Of the most probable models so many are considered to go on from.
+# Of so many models it is asked what they predict of experiments left out, where evidence does not rank them.
+_POOL = 24
+# Of the models that rank first so many are considered to go on from.
 _TRIED = 5
+# Of the forms of an effect, the default one and so many that promise more are fitted first.
+_PROMISING = 2
+# All forms are fitted of so many sets, if they are no more nats below the most probable one than this.
+_DEEP, _NEAR = 4, 10.0
 
-Set = frozenset[str]
 
-
-class Model(NamedTuple):
-    """A set of effects, fitted.
+class Gain(NamedTuple):
+    """Squared normalised errors that a model takes away from predictions of what was not fitted.
 
     Attributes:
-        effects: the set.
-        fit: where its fit ended.
-        log_evidence: log Z.
-        log_posterior: log Z plus the log prior of the set.
+        parts: of every part that was left out, (F,); minus infinity where a simulation fails.
     """
 
-    effects: Set
-    fit: Descent
-    log_evidence: float
-    log_posterior: float
+    parts: Float[np.ndarray, " F"]
+
+    @property
+    def mean(self) -> float:
+        """Over the parts."""
+        return float(np.mean(self.parts)) if np.isfinite(self.parts).all() else -math.inf
+
+    @property
+    def standard_error(self) -> float:
+        """Of the mean."""
+        return _standard_error(self.parts)
+
+    def is_as_good_as(self, lead: "Gain") -> bool:
+        """Whether it is no more than one standard error of the difference behind."""
+        return math.isfinite(self.mean) and lead.mean - self.mean <= _standard_error(lead.parts - self.parts)
+
+
+def _standard_error(parts: np.ndarray) -> float:
+    return float(np.std(parts, ddof=1) / math.sqrt(len(parts))) if len(parts) > 1 else 0.0
 
 
 class Search:
@@ -67,7 +81,7 @@ class Search:
         models: the large model.
         measured: the experiments to fit.
         law: indices of the parameters that every model has.
-        effects: indices of the parameters of each candidate, the amplitude first.
+        effects: the forms of each candidate.
         is_explained: whether the noise explains the size of a fit's residual; nothing is added to it then, unless a score test
             is sure of it.
         report: called with what is being done, for a progress bar.
@@ -80,6 +94,7 @@ class Search:
         best: the set that is supported.
         path: the sets that were best, from none on.
         scores: Rao's score statistic of each candidate in the model as it is.
+        predicted: what sets gained in the prediction of what was left out, where that ranked them.
         missed: by how many nats the best fit of the model as it is beats the one from `start`.
     """
 
@@ -88,7 +103,7 @@ class Search:
         models: NestedModels,
         measured: Measured,
         law: Int[np.ndarray, " p"],
-        effects: Mapping[str, Int[np.ndarray, " q"]],
+        effects: Mapping[str, Forms],
         is_explained: Callable[[Descent], bool],
         report: Callable[[str], None] = lambda line: None,
         test: Measured | None = None,
@@ -97,8 +112,8 @@ class Search:
         self._is_explained = is_explained
         self._test, self._start = test, start
         self.models, self.measured, self.law, self.effects = models, measured, law, dict(effects)
+        self._fits = Fits(models, law, effects)
         self._report = report
-        self._fits: dict[Set, Descent] = {}
         self._folds = folds_of(measured.used, measured.groups)
         self._fitted = self._folds.fitted
         self.errors = np.where(np.isnan(measured.declared), 0.3, measured.declared)
@@ -107,13 +122,17 @@ class Search:
         self.best: Set = frozenset()
         self.path: list[Set] = [self.best]
         self.scores: dict[str, float] = {}
+        self._first: dict[str, list[str]] = {}
         self.missed = 0.0
+        self.predicted: dict[Set, Gain] = {}
 
     def run(self) -> None:
         """Search, from the model as it is."""
         while True:
             self._report(f"models around {_text(self.best)}")
-            self._fit(self._neighbours())
+            around = self._neighbours()
+            self._fit(around)
+            self._deepen(around)
             self._judge()
             found = self._next()
             if found == self.best:
@@ -128,9 +147,7 @@ class Search:
     def model(self, effects: Iterable[str]) -> Model:
         """A model that was fitted."""
         chosen = frozenset(effects)
-        fit = self._fits[chosen]
-        log_evidence = laplace(fit, self.models)
-        return Model(chosen, fit, log_evidence, log_evidence + self._log_prior(len(chosen)))
+        return self._fits.model(chosen, self._log_prior(len(chosen)))
 
     def all(self) -> list[Model]:
         """All models that were fitted to the end of the last round, the most probable first."""
@@ -147,7 +164,7 @@ class Search:
 
         Infinite where a simulation fails: what cannot be predicted is no improvement.
         """
-        fits = [self._fits[effects] for effects in chosen]
+        fits = [self._fits.best(effects) for effects in chosen]
         predictions = left_out_predictions(self.models, self.target, self._folds, fits)
         scored = self._folds.left_out.any(axis=0)
         return [math.inf if p is None else self.measured.error(p, scored) for p in predictions]
@@ -157,12 +174,21 @@ class Search:
         if self._test is None:
             return self.held_out(chosen)
         rows = len(self.measured.values) + np.arange(len(self._test.values))
-        fits = [self._fits[effects] for effects in chosen]
-        outputs, ok = self.models.predict([(f.x, f.free) for f in fits], rows)
+        fits = [self._fits.best(effects) for effects in chosen]
+        outputs, ok = self.models.predict([(f.x, f.member) for f in fits], rows)
         return [
             self._test.error(predicted) if converged.all() else math.inf
             for predicted, converged in zip(outputs, ok, strict=True)
         ]
+
+    def gains(self, chosen: Sequence[Set], over: Set) -> list[Gain]:
+        """By how much sets predict what was left out better than another set: in every part of it, each from the others."""
+        fits = [self._fits.best(effects) for effects in (over, *chosen)]
+        before, *after = left_out_predictions(self.models, self.target, self._folds, fits)
+        parts = self._folds.left_out[1:]
+        missed = np.full(len(parts), np.inf)
+        now = missed if before is None else self.measured.squares(before, parts)
+        return [Gain(now - (missed if p is None else self.measured.squares(p, parts))) for p in after]
 
     def harms(self, larger: Set, here: Set = frozenset()) -> bool:
         """Whether a set predicts the experiments that nothing is fitted to worse than another one, or not at all."""
@@ -173,8 +199,8 @@ class Search:
 
     def pointed_at(self, chosen: Set) -> Set:
         """The candidates that a score test around a fitted set is sure of, with their number accounted for."""
-        others = {name: columns for name, columns in self.effects.items() if name not in chosen}
-        scores = score_tests(self.models, self.target, self._fits[chosen], others) if others else {}
+        others = {name: _amplitude(forms) for name, forms in self.effects.items() if name not in chosen}
+        scores = score_tests(self.models, self.target, self._fits.best(chosen), others) if others else {}
         return frozenset(name for name, score in scores.items() if score_p_value(score, len(self.effects)) < _STRICT)
 
     def obstacle(self, larger: Model) -> str | None:
@@ -190,10 +216,17 @@ class Search:
             return f"it takes the error on experiments that were not used from {now:.3f} to {then:.3g}"
         before, now, then = self.held_out([frozenset(), self.best, larger.effects])
         # By a share of what is wrong with the prediction, or by the last of it, so that the noise is all that is left.
-        share = 0.0 if self._is_explained(larger.fit) else _MATERIAL
+        is_last = self._is_explained(larger.fit)
+        share = 0.0 if is_last else _MATERIAL
         floor = self.measured.noise**2
         if not then < now or now**2 - then**2 < share * (before**2 - floor):
             return f"with training experiments left out in turn the error goes from {now:.3f} to {then:.3g} only"
+        (gain,) = self.gains([larger.effects], self.best)
+        if not is_last and not gain.mean > gain.standard_error:
+            return (
+                "of training experiments left out in turn it takes away a squared error of "
+                f"{gain.mean:.2g} ± {gain.standard_error:.2g} only"
+            )
         return None
 
     # The rounds.
@@ -206,109 +239,123 @@ class Search:
         starts = np.tile(self.models.neutral, (8, 1))
         shares = 0.1 + 0.8 * qmc.Sobol(len(self.law), scramble=True, rng=0).random_base2(3)
         starts[1:, self.law] = self.models.box.quantiles(self.law, shares[1:])
-        none: Set = frozenset()
-        tasks = [Task(self.law, start, rivals=0) for start in starts]
-        tasks += [] if self._start is None else [Task(self.law, self._start)]
+        member = self.models.member(self.law)
+        tasks = [Task(member, start, rivals=0) for start in starts]
+        tasks += [] if self._start is None else [Task(member, self._start)]
+        fit = None
         for _ in range(2):
             ends = self.models.fit(self.target, tasks)
-            self._fits[none] = min(ends, key=lambda f: f.cost)
+            fit = min(ends, key=lambda f: f.cost)
             if len(ends) > len(starts):
-                self.missed = ends[-1].cost - self._fits[none].cost
-            if not np.isfinite(self._fits[none].cost):
+                self.missed = ends[-1].cost - fit.cost
+            if not np.isfinite(fit.cost):
                 raise UserError(
                     "the model's simulation diverges wherever a fit was started; check parameters and priors"
                 )
-            self.target = self._judged_by(self._fits[none])
-            tasks = [Task(self.law, self._fits[none].x)]
-        self.scores = score_tests(self.models, self.target, self._fits[none], self.effects)
+            self.target = self._judged_by(fit)
+            tasks = [Task(member, fit.x)]
+        assert fit is not None
+        self._fits.set_law(fit)
+        self._look(fit)
+
+    def _look(self, fit: Descent) -> None:
+        """A first look at every candidate in every form, from the gradient of its amplitude in the model as it is."""
+        directions = {
+            (effect, label, share): (int(form.columns[0]), self._held_at(form, share))
+            for effect, forms in self.effects.items()
+            for label, form in forms.items()
+            for share in ((0.25, 0.75) if form.form.free else (0.5,))
+        }
+        promised = score_tests(self.models, self.target, fit, directions)
+        of_forms: dict[str, dict[str, float]] = {effect: {} for effect in self.effects}
+        for (effect, label, _), score in promised.items():
+            of_forms[effect][label] = max(score, of_forms[effect].get(label, 0.0))
+        defaults = {effect: next(iter(forms)) for effect, forms in self.effects.items()}
+        self.scores = {effect: of_forms[effect][label] for effect, label in defaults.items()}
+        for effect, scores in of_forms.items():
+            more = [label for label in scores if scores[label] > self.scores[effect]]
+            more.sort(key=lambda label: -scores[label])
+            self._first[effect] = [defaults[effect], *more[:_PROMISING]]
+
+    def _held_at(self, form: FormColumns, share: float) -> dict[int, float]:
+        """What a form holds, and its further parameters at a share of their priors."""
+        names = self.models.box.names
+        columns = np.asarray([k for k in form.columns if own_name(names[k]) in form.form.free], dtype=int)
+        if not columns.size:
+            return dict(form.held)
+        x = self.models.neutral.copy()
+        x[columns] = self.models.box.quantiles(columns, np.full((1, columns.size), share))[0]
+        theta = self.models.box.theta(x)
+        return dict(form.held) | {int(k): float(theta[k]) for k in columns}
 
     def _fit(self, sets: Iterable[Set]) -> None:
-        """Fit what has not been fitted, from several starts; the rest goes on from where it was."""
-        tasks, owners = [], []
-        for number, effects in enumerate(sets):
-            if effects in self._fits:
-                continue
-            for start in self._starts(effects):
-                tasks.append(Task(self._free(effects), start, rivals=number))
-                owners.append(effects)
-        for owner, fit in zip(owners, self.models.fit(self.target, tasks), strict=True):
-            if owner not in self._fits or fit.cost < self._fits[owner].cost:
-                self._fits[owner] = fit
+        """Fit sets that were not fitted, what they share with the best in its forms, and what is new in the promising ones."""
+        best = dict(self._fits.top(self.best))
+        for tried in range(1 + _PROMISING):
+            choices = []
+            for effects in sets:
+                forms = {e: best.get(e) or self._first[e][min(tried, len(self._first[e]) - 1)] for e in effects}
+                choices.append(frozenset(forms.items()))
+            self._fits.fit(self.target, dict.fromkeys(choices))
+
+    def _deepen(self, sets: Iterable[Set]) -> None:
+        """Fit the most probable sets in every form of each of their effects."""
+        ranked = sorted((self.model(s) for s in sets if s in self._fits), key=lambda m: -m.log_posterior)
+        choices = []
+        for model in ranked[:_DEEP]:
+            if model.log_posterior < ranked[0].log_posterior - _NEAR:
+                break
+            top = frozenset(model.forms.items())
+            for effect, label in top:
+                choices += [(top - {(effect, label)}) | {(effect, other)} for other in self.effects[effect]]
+        self._report(f"forms of {_text(ranked[0].effects)}")
+        self._fits.fit(self.target, dict.fromkeys(choices))
 
     def _judge(self) -> None:
         """Take the errors from the best model of the round, and fit all again with them."""
         around = self._around()
         for _ in range(2):
-            lowest = min(around, key=lambda s: self._fits[s].cost - self._log_prior(len(s)))
-            self.target = self._judged_by(self._fits[lowest])
-            self._fits |= self._go_on({s: self._fits[s].x for s in around})
-            self._reconcile(around)
-
-    def _go_on(self, starts: Mapping[Set, np.ndarray]) -> dict[Set, Descent]:
-        tasks = [Task(self._free(effects), start) for effects, start in starts.items()]
-        return dict(zip(starts, self.models.fit(self.target, tasks), strict=True))
-
-    def _reconcile(self, sets: Sequence[Set]) -> None:
-        """No model fits worse than one that it contains, nor than a larger one whose further effect is absent: where one does,
-        it was caught on the way, and goes on from there."""
-        for size in sorted({len(s) for s in sets}):
-            caught = {s: x for s in sets if len(s) == size and (x := self._better_start(s, sets)) is not None}
-            self._fits |= {s: fit for s, fit in self._go_on(caught).items() if fit.cost < self._fits[s].cost}
-
-    def _better_start(self, effects: Set, sets: Sequence[Set]) -> np.ndarray | None:
-        """Where the fit of another set shows this model to fit better than it does; None where none does."""
-        here, options = self._fits[effects], []
-        for other in sets:
-            if len(other ^ effects) != 1:
-                continue
-            (changed,) = other ^ effects
-            fit, columns = self._fits[other], self.effects[changed]
-            x, absent = fit.x.copy(), self.models.neutral[columns[0]]
-            if changed in effects:
-                x[columns] = here.x[columns]
-                x[columns[0]] = absent
-                options.append((fit.cost - self._log_density(x, columns), x))
-            elif abs(x[columns[0]] - absent) < _ABSENT:
-                options.append((fit.cost + self._log_density(x, columns), x))
-        cost, x = min(options, key=lambda option: option[0], default=(math.inf, here.x))
-        return x if cost < here.cost - _CAUGHT else None
-
-    def _log_density(self, x: np.ndarray, columns: np.ndarray) -> float:
-        return float(self.models.box.log_density(x[None], columns).sum())
+            lowest = min(around, key=lambda s: self._fits.best(s).cost - self._log_prior(len(s)))
+            self.target = self._judged_by(self._fits.best(lowest))
+            self._fits.judge(self.target, around)
 
     def _next(self) -> Set:
         """The set to go on from: the most probable that is supported and predicts what was not used."""
         here = self.model(self.best)
-        ranked = sorted((self.model(s) for s in self._around()), key=lambda m: -m.log_posterior)
-        for candidate in ranked[:_TRIED]:
-            if candidate.log_posterior <= here.log_posterior:
-                break
+        ranked = [m for m in self.all() if m.log_posterior > here.log_posterior]
+        for candidate in self._predicting(ranked)[:_TRIED]:
             is_larger = len(candidate.effects) > len(self.best)
             if self.obstacle(candidate) is None if is_larger else not self.harms(candidate.effects):
                 return candidate.effects
         return self.best
+
+    def _predicting(self, ranked: Sequence[Model]) -> list[Model]:
+        """Models with the most probable first where the noise explains what it leaves.  Where it does not, all are wrong, and
+        those come first that predict what was left out as well as the best of them, by one standard error; of these the most
+        probable."""
+        if not ranked or self._is_explained(ranked[0].fit):
+            return list(ranked)
+        self._report("what they predict of experiments left out")
+        pool = list(ranked[:_POOL])
+        gains = self.gains([m.effects for m in pool], self.best)
+        self.predicted |= {m.effects: gain for m, gain in zip(pool, gains, strict=True)}
+        lead = max(gains, key=lambda gain: gain.mean)
+        alike = [m for m, gain in zip(pool, gains, strict=True) if gain.is_as_good_as(lead)]
+        others = sorted((m for m in pool if m not in alike), key=lambda m: -self.predicted[m.effects].mean)
+        return [*alike, *others]
 
     def _neighbours(self) -> list[Set]:
         """The sets one change away from the best."""
         best, others = self.best, [e for e in self.effects if e not in self.best]
         fewer = [best - {e} for e in best]
         exchanged = [best - {out} | {new} for out in best for new in others]
-        is_open = not best or not self._is_explained(self._fits[best]) or bool(self.pointed_at(best))
+        is_open = not best or not self._is_explained(self._fits.best(best)) or bool(self.pointed_at(best))
         may_grow = len(best) < MOST_EFFECTS and is_open
         more = [best | {new} for new in others] if may_grow else []
         return [best, *fewer, *exchanged, *more]
 
     def _around(self) -> list[Set]:
         return [s for s in dict.fromkeys([frozenset(), *self.path, *self._neighbours()]) if s in self._fits]
-
-    def _starts(self, effects: Set) -> list[np.ndarray]:
-        """Points to fit a set from: the best fitted subset, with what it lacks at several values."""
-        known = max((s for s in self._fits if s < effects), key=lambda s: (len(s), -self._fits[s].cost))
-        new = [k for effect in sorted(effects - known) for k in self.effects[effect]]
-        shares = _spread(len(new))
-        starts = np.tile(self._fits[known].x, (len(shares), 1))
-        starts[:, new] = self.models.box.quantiles(np.asarray(new), shares)
-        return list(starts)
 
     # What models are judged with.
 
@@ -324,21 +371,14 @@ class Search:
         weights = self._fitted * self.worth[measured.groups]
         return Target(measured.values, measured.sigma(self.errors, predicted), weights, memory)
 
-    def _free(self, effects: Set) -> np.ndarray:
-        return np.concatenate([self.law, *(self.effects[e] for e in sorted(effects))]).astype(int)
-
     def _log_prior(self, size: int) -> float:
         return -(size + 1) * math.log(2) - math.log(math.comb(len(self.effects), size))
 
 
-def _spread(parameters: int) -> np.ndarray:
-    """Shares of the priors to start from, (starts, parameters)."""
-    from scipy.stats import qmc
-
-    if parameters == 1:
-        return np.asarray([[0.1], [0.35], [0.65], [0.9]])
-    count = 2 * (parameters + 1)
-    return 0.1 + 0.8 * qmc.Sobol(parameters, scramble=True, rng=1).random_base2(count.bit_length())[:count]
+def _amplitude(forms: Forms) -> tuple[int, Mapping[int, float]]:
+    """The amplitude of an effect in its default form, and what that holds."""
+    form = next(iter(forms.values()))
+    return int(form.columns[0]), form.held
 
 
 def _text(effects: Set) -> str:

@@ -36,6 +36,7 @@ class Parameter:
         lower, upper: bounds of what is physically possible.
         prior: default prior as in a study, e.g. {"half_normal": 1.0}; None: must be given.
         physical: its other, dimensional form, if it has one.
+        shapes: it belongs to forms of an effect (`hsed_jax.physics.effects.forms`); in those that do not name it, it is neutral.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Parameter:
     upper: float = float("inf")
     prior: Mapping[str, Any] | None = None
     physical: PhysicalForm | None = None
+    shapes: bool = False
 
 
 def parameter(symbol: str, unit: str, meaning: str, **details: Any) -> Any:
@@ -57,12 +59,18 @@ def parameter(symbol: str, unit: str, meaning: str, **details: Any) -> Any:
 
 
 def parameters_of(module: Any) -> dict[str, Parameter]:
-    """The parameters a class (or an instance of it) declares, by name, in order."""
-    return {
+    """The parameters a class (or an instance of it) declares, by name, in order; those of its forms last."""
+    known = {
         field.name: dataclasses.replace(field.metadata[_KEY], name=field.name)
         for field in dataclasses.fields(module)
         if _KEY in field.metadata
     }
+    return dict(sorted(known.items(), key=lambda item: item[1].shapes))
+
+
+def shape_parameter(symbol: str, meaning: str, **details: Any) -> Any:
+    """A dimensionless field that tells forms of an effect from one another."""
+    return parameter(symbol, "1", meaning, shapes=True, **details)
 
 
 def dimensionless(module: Any, name: str, value: Any, scales: Scales) -> dict[str, Any]:

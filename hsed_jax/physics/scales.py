@@ -17,3 +17,13 @@ class Scales(NamedTuple):
     elongation: Scalar = 1.0
     rate: Scalar = 1.0
     energy: Scalar = 1.0
+
+
+def is_number(value: Scalar, number: float) -> bool:
+    """Whether a value is this number, known while a program is compiled."""
+    return isinstance(value, int | float) and value == number
+
+
+def is_zero(value: Scalar) -> bool:
+    """Whether a value is the number zero, known while a program is compiled."""
+    return is_number(value, 0)

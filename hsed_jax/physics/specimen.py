@@ -14,8 +14,8 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from hsed_jax.physics.effects.base import AbstractEffect, AbstractSpringEffect, SpringPoint, combine, slots_of
-from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, Turn, is_zero
-from hsed_jax.physics.scales import Scales
+from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, Turn
+from hsed_jax.physics.scales import Scales, is_zero
 from hsed_jax.physics.states import SharedState
 
 ALWAYS = ("force", "slack")
@@ -110,9 +110,9 @@ class Specimen(eqx.Module):
         return _outside(point.elongation, slots, element) + slots("force"), point
 
 
-def unserved(effect: type[AbstractEffect], law: type[AbstractSpringLaw]) -> str:
-    """Why a law cannot have an effect, in words; empty where it can."""
-    return _missing(slots_of(effect), law) if issubclass(effect, AbstractSpringEffect) else ""
+def unserved(effect: type[AbstractEffect], law: type[AbstractSpringLaw], form: str | None = None) -> str:
+    """Why a law cannot have an effect in a form, by default the default one, in words; empty where it can."""
+    return _missing(slots_of(effect, form), law) if issubclass(effect, AbstractSpringEffect) else ""
 
 
 def _missing(written: Iterable[str], law: type[AbstractSpringLaw]) -> str:

@@ -119,7 +119,7 @@ def _ranking(diagnosis: Diagnosis) -> xr.Dataset:
     candidates = diagnosis.ranking
     table: dict = {
         key: ("rank", [getattr(c, key) for c in candidates])
-        for key in ("effect", "family", "probability", "log_evidence_gain", "score", "score_p_value", "error_train",
+        for key in ("effect", "family", "probability", "log_evidence_gain", "rao_statistic", "rao_p_value", "error_train",
                     "error_test")
     }  # fmt: skip
     amplitudes = [next(iter(c.estimate.values())) for c in candidates]

@@ -292,8 +292,8 @@ class Run:
         if not effects:
             self.trail = Trail([step_of([], self.comparison, self.calibration.map)], self.comparison.train.noise_floor)
             return
-        start = None if self.diagnosis is None else self.diagnosis.optimum
+        known = {} if self.diagnosis is None else {"forms": self.diagnosis.forms, "start": self.diagnosis.optimum}
         with self._watch("improve") as watch:
-            self.improvement = improve(self.calibration, effects=effects, start=start, watch=watch)
+            self.improvement = improve(self.calibration, effects=effects, watch=watch, **known)
         self.trail = self.improvement.trail
         self.improvement.write(self.store.improved)

@@ -37,13 +37,14 @@ from hsed_jax.physics.structures import OWNER, Structure
 from hsed_jax.physics.timeline import Timeline
 from hsed_jax.study import laboratories, observed, pairs, parts, structures
 from hsed_jax.study.designs import design_of, settings_of
+from hsed_jax.study.elements import elements_of, placed
 from hsed_jax.study.excitations import excitation_of, protocol_of
 from hsed_jax.study.limits import limits_of
 from hsed_jax.study.noise import errors_of
 from hsed_jax.study.own_effects import catalogue_of
 from hsed_jax.study.plan import check_added, check_plan
 from hsed_jax.study.scales import check_scales, scales_of
-from hsed_jax.study.specimens import Naming, effects_of, elements_of, placed
+from hsed_jax.study.specimens import Naming, effects_of
 from hsed_jax.study.spring_laws import law_of
 from hsed_jax.study.timelines import longest_step, measured_grid, planned_timeline
 
@@ -64,12 +65,14 @@ class Built:
         campaign: measured experiments; by default the campaign that the study names.
         workspace: folder in which the laboratory has its folders; by default a temporary one.
         function: the laboratory, where it is a function given from Python.
+        open_forms: effects of which what tells their forms from one another is free, too: of a model that holds all forms.
     """
 
     study: Study
     campaign: Campaign | None = None
     workspace: Path | None = None
     function: Callable[..., Any] | None = None
+    open_forms: tuple[str, ...] = ()
 
     def __new__(cls, study: Study | None = None, *rest: Any, **more: Any) -> "Built":
         """Of the kind that the model needs; of a copy the class says it."""
@@ -153,7 +156,7 @@ class Built:
     @cached_property
     def parameters(self) -> tuple[dict[str, Prior], dict[str, float]]:
         """Free parameters of the model with their priors, and the fixed ones with their values."""
-        return self.naming.model_parameters(self.study, self._of_structure, self.pair)
+        return self.naming.model_parameters(self.study, self._of_structure, self.pair, self.open_forms)
 
     @cached_property
     def _of_structure(self) -> dict[str, Prior]:

@@ -6,22 +6,25 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from hsed_jax.config.mechanics import DRIVER, FORM
 from hsed_jax.config.schema import ImproveEntry, ScalesEntry, Study
 from hsed_jax.criticism.compare import compare
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.diagnosis.box import Box
-from hsed_jax.diagnosis.lanes import Lanes
+from hsed_jax.diagnosis.lanes import Lanes, Part
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
-from hsed_jax.diagnosis.problem import Problem
+from hsed_jax.diagnosis.problem import FormColumns, Problem
+from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.observation import conditions_of, stacked
 from hsed_jax.inference.priors import Prior
 from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Campaign, Experiment, Record
 from hsed_jax.physics.effects import Catalogue
+from hsed_jax.physics.effects.forms import default_form
 from hsed_jax.physics.excitations import AbstractExcitation
-from hsed_jax.physics.outputs import is_driver
+from hsed_jax.physics.outputs import is_driver, owner_of
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.simulator import Conditions
 from hsed_jax.physics.timeline import Timeline, times
@@ -34,6 +37,8 @@ from hsed_jax.study.specimens import effects_of
 _CANDIDATES = 32
 # The conditions are padded to a multiple of this, so that campaigns of similar size share a compiled program.
 _PADDING = 16
+# Effects of a program: it takes seconds to trace and compile, and each effect in it time in every simulation.
+_GROUP = 5
 
 
 def applicable(built: Built, campaign: Campaign) -> list[str]:
@@ -58,20 +63,34 @@ def drivers(built: Built, campaign: Campaign) -> list[str]:
     return [name for name in campaign.channels if is_driver(name) and name != "time"] or [driver_of(built.study)]
 
 
-def with_effects(built: Built, effects: Sequence[str]) -> Study:
+def with_effects(built: Built, effects: Sequence[str], forms: Mapping[str, str] | None = None) -> Study:
     """The study with these effects added to its model, each with the priors of the catalogue, and its scales as they are.
+
+    Arguments:
+        built: the study.
+        effects: names of effects.
+        forms: labels of their forms, where these are not the default ones.
 
     Raises:
         UserError: there is no such effect, the model has it, or it stands twice.
     """
     study = built.study
     check_added(study, effects, built.naming)
-    model = study.model.model_copy(update={"effects": {**study.model.effects, **{name: {} for name in effects}}})
+    added = {name: _said(built, name, (forms or {}).get(name)) for name in effects}
+    model = study.model.model_copy(update={"effects": {**study.model.effects, **added}})
     # Ready to be improved again: what was chosen by hand this time is for the diagnosis to find next time.
     steps = [step for step in ORDER if step in study.steps or (step == "diagnose" and "improve" in study.steps)]
     larger = study.model_copy(update={"model": model, "steps": steps, "improve": ImproveEntry()})
     scales = Built(larger, built.campaign).scales
     return larger.model_copy(update={"scales": ScalesEntry(**scales._asdict())})
+
+
+def _said(built: Built, effect: str, label: str | None) -> dict[str, str]:
+    """A form as a study says it."""
+    form = default_form(built.catalogue[effect]) if label is None else built.naming.forms(effect).get(label)
+    if form is None:
+        raise UserError(f"there is no form {label!r} of {effect}; it has {', '.join(built.naming.forms(effect))}")
+    return {key: word for key, word in ((FORM, form.name), (DRIVER, form.driver)) if word and not form.is_default}
 
 
 def problem_of(
@@ -81,6 +100,7 @@ def problem_of(
     cube: np.ndarray | None = None,
     watch: Watch | None = None,
     known: Mapping[str, float] | None = None,
+    forms: Mapping[str, str] | None = None,
 ) -> Problem:
     """The large model and the measurements.
 
@@ -91,26 +111,26 @@ def problem_of(
         cube: inputs of experiments that could be made, in the unit cube, (c, d); by default some that fill it.
         watch: follows the fits.
         known: parameters of the model as it is, by name, SI, as a calibration found them.
+        forms: the one form, by its label, that a candidate may have; by default any that its law can have.
     """
     names = applicable(built, campaign) if effects is None else list(effects)
-    large = Built(with_effects(built, names), built.campaign)
+    large = Built(with_effects(built, names), built.campaign, open_forms=tuple(names))
     free, _ = large.parameters
     data = large.data(campaign, (*campaign.train.experiments, *campaign.test.experiments))
     train, test = large.taken(campaign.train.experiments), large.taken(campaign.test.experiments)
     inputs, further = _candidates(large, campaign, cube)
     parts = [data.conditions, *([] if further is None else [further])]
     conditions = _padded(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts))
-    catalogue = built.catalogue.only(names)
+    catalogue, order = built.catalogue.only(names), tuple(free)
     neutral = _neutral(free, catalogue)
-    lanes = Lanes(large.simulator, large.observation, tuple(free), conditions)
+    own = {name: _forms(large, name, order, (forms or {}).get(name)) for name in names}
+    amplitudes = {name: int(next(iter(found.values())).columns[0]) for name, found in own.items()}
+    groups = _groups(catalogue)
+    parts = [Part(name, groups[name], k, neutral[k]) for name, k in amplitudes.items()]
+    lanes = Lanes(large.simulator, large.observation, order, conditions, parts)
     models = NestedModels(lanes, Box(free), neutral, watch)
     start = None if known is None else models.point({name: known[name] for name in free if name in known})
-    order = tuple(free)
-    own = {
-        name: np.asarray([order.index(f"{name}.{p}") for p in parameters_of(effect)])
-        for name, effect in catalogue.items()
-    }
-    of_effects = {int(k) for columns in own.values() for k in columns}
+    of_effects = {k for k, name in enumerate(order) if owner_of(name) in catalogue}
     size = len(train)
     measured = [
         _measured(large, data, part, rows)
@@ -135,6 +155,32 @@ def problem_of(
         notes=built.naming.left_out(),
         pair=large.pair,
     )
+
+
+def _forms(large: Built, effect: str, order: tuple[str, ...], only: str | None) -> dict[str, FormColumns]:
+    """The forms that a candidate may have, in a model with these parameters."""
+    kind = large.catalogue[effect]
+    found = {}
+    for label, form in large.naming.forms(effect).items():
+        columns = np.asarray([order.index(f"{effect}.{p}") for p in form.parameters(kind)])
+        held = {order.index(f"{effect}.{p}"): value for p, value in form.held.items()}
+        if only is None or label == only:
+            found[label] = FormColumns(form, columns, held)
+    return found
+
+
+def _groups(catalogue: Catalogue) -> dict[str, int]:
+    """Effects that share a program: whole families, and of every group but the last one at least so many effects."""
+    families = dict.fromkeys(effect.family for effect in catalogue.values())
+    found: dict[str, int] = {}
+    number, count = 0, 0
+    for family in families:
+        members = [name for name, effect in catalogue.items() if effect.family == family]
+        found |= dict.fromkeys(members, number)
+        count += len(members)
+        if count >= _GROUP:
+            number, count = number + 1, 0
+    return found
 
 
 def _neutral(free: dict[str, Prior], effects: Catalogue) -> np.ndarray:

@@ -29,7 +29,8 @@ from hsed_jax.plain import shown
 from hsed_jax.python_files import module_of
 from hsed_jax.study import parts
 from hsed_jax.study.build import Built
-from hsed_jax.study.specimens import Naming, by_owner, elements_of
+from hsed_jax.study.elements import elements_of
+from hsed_jax.study.specimens import Naming, by_owner
 from hsed_jax.study.timelines import TOLD, duration_of, measured_records
 
 

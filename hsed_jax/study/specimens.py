@@ -13,82 +13,22 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from hsed_jax.config.mechanics import DRIVER, FORM
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
-from hsed_jax.physics.effects import AbstractSpringEffect, Catalogue
-from hsed_jax.physics.effects.base import AbstractEffect, is_of_sensors
+from hsed_jax.physics.effects import Catalogue
+from hsed_jax.physics.effects.forms import Form, forms_of
 from hsed_jax.physics.elements import Element, number_of_spring
 from hsed_jax.physics.laws import AbstractSpringLaw, Elastic
-from hsed_jax.physics.outputs import SPECIMEN, named, own_name, owner_of
+from hsed_jax.physics.outputs import named, own_name, owner_of
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.physics.parameters import Parameter, parameters_of
 from hsed_jax.physics.specimen import unserved
-from hsed_jax.physics.structures import OWNER, parameter_of, spring_name
+from hsed_jax.physics.structures import OWNER, parameter_of
 from hsed_jax.plain import shown
+from hsed_jax.study.elements import is_of_linear, is_of_specimen
 from hsed_jax.study.parts import check_names, prior, within
-from hsed_jax.study.spring_laws import law_of
-
-
-def elements_of(study: Study, shared: type[AbstractSpringLaw]) -> tuple[Element, ...]:
-    """The specimens of a study; files of laws that are one's own are executed.
-
-    Arguments:
-        study: the study.
-        shared: the law of those that have no model of their own.
-
-    Raises:
-        UserError: a name that none can have, or a file without a law.
-    """
-    several = {} if study.structure is None else study.structure.specimens or {}
-    if not several:
-        return (Element("", shared),)
-    elements = []
-    for name, entry in several.items():
-        where = f"structure.specimens.{name}"
-        if not SPECIMEN.fullmatch(name) or name in (OWNER, "ground") or number_of_spring(name) is not None:
-            raise UserError(
-                f"structure.specimens: {shown(name)} can be no specimen's name; letters, digits and _ are allowed, and not "
-                f"{OWNER}, ground or spring_1"
-            )
-        if entry.model is None:
-            elements.append(Element(name, shared))
-        else:
-            law = law_of(f"{where}.model.spring", entry.model.spring, study.folder)
-            elements.append(Element(name, law, is_apart=True))
-    return tuple(elements)
-
-
-def placed(catalogue: Catalogue, elements: Sequence[Element], springs: int) -> Catalogue:
-    """The effects that may be named: those of the study's catalogue, at each of several specimens, and at linear springs.
-
-    Arguments:
-        catalogue: by their own names.
-        elements: the specimens.
-        springs: number of linear springs.
-
-    Raises:
-        UserError: a specimen has the name of an effect.
-    """
-    entries = list(catalogue.entries)
-    for element in elements:
-        if element.name in catalogue:
-            raise UserError(
-                f"structure.specimens: {element.name} is the name of an effect; give the specimen another one"
-            )
-        if element.name:
-            entries += [(named(element.name, name), e) for name, e in catalogue.entries if _is_of_specimen(e)]
-    for i in range(springs):
-        entries += [(named(spring_name(i), name), e) for name, e in catalogue.entries if _is_of_linear(e)]
-    return Catalogue(tuple(entries))
-
-
-def _is_of_linear(effect: type[AbstractEffect]) -> bool:
-    return issubclass(effect, AbstractSpringEffect) and effect.linear_only
-
-
-def _is_of_specimen(effect: type[AbstractEffect]) -> bool:
-    return issubclass(effect, AbstractSpringEffect) or is_of_sensors(effect)
 
 
 @dataclass(frozen=True)
@@ -110,9 +50,35 @@ class Naming:
             return [Elastic]
         return [element.law for element in self.elements if element.has(owner)]
 
-    def unserved(self, effect: str) -> str:
-        """Why an effect cannot be had, in words; empty where it can."""
-        return next((why for law in self.laws_with(effect) if (why := unserved(self.catalogue[effect], law))), "")
+    def unserved(self, effect: str, form: str | None = None) -> str:
+        """Why an effect cannot be had, in one of its forms or else in its default one, in words; empty where it can."""
+        kind = self.catalogue[effect]
+        return next((why for law in self.laws_with(effect) if (why := unserved(kind, law, form))), "")
+
+    def forms(self, effect: str) -> dict[str, Form]:
+        """The forms that an effect can have, by their labels."""
+        known = forms_of(self.catalogue[effect])
+        return {label: form for label, form in known.items() if not self.unserved(effect, label)}
+
+    def form(self, where: str, effect: str, entries: Mapping[str, Any]) -> Form:
+        """The form in which an effect is given.
+
+        Raises:
+            UserError: it has no such form or driver, or the law cannot have it.
+        """
+        kind = self.catalogue[effect]
+        shapes, drivers = [shape.name for shape in kind.forms], list(kind.drivers)
+        shape = entries.get(FORM, shapes[0] if shapes else "")
+        driver = entries.get(DRIVER, drivers[0] if drivers else "")
+        for key, word, allowed in ((FORM, shape, shapes), (DRIVER, driver, drivers)):
+            if key in entries and word not in allowed:
+                known = f"it has {', '.join(allowed)}" if allowed else f"it has no choice of a {key}"
+                raise UserError(f"{where}.{effect}.{key}: there is no {key} {shown(word)} of {effect}; {known}")
+        label = Form(shape, driver="" if not drivers or driver == drivers[0] else driver).label
+        found = forms_of(kind)[label]
+        if missing := self.unserved(effect, label):
+            raise UserError(f"{where}.{effect}: {missing}")
+        return found
 
     @property
     def candidates(self) -> list[str]:
@@ -121,9 +87,9 @@ class Naming:
 
         def is_one(name: str) -> bool:
             effect, owner = self.catalogue[name], owner_of(name)
-            if number_of_spring(owner) is None and _is_of_linear(effect) and Elastic not in self.laws_with(name):
+            if number_of_spring(owner) is None and is_of_linear(effect) and Elastic not in self.laws_with(name):
                 return False
-            return bool(owner) or not (have_names and _is_of_specimen(effect))
+            return bool(owner) or not (have_names and is_of_specimen(effect))
 
         return [name for name in self.catalogue if is_one(name)]
 
@@ -138,10 +104,12 @@ class Naming:
             for law, names in by_law.items()
         ]
 
-    def parameters(self, effect: str) -> dict[str, Parameter]:
-        """Parameters of an effect under both their names, the dimensionless and the physical one."""
-        known = parameters_of(self.catalogue[effect])
-        return {**known, **{p.physical.name: p for p in known.values() if p.physical is not None}}
+    def parameters(self, effect: str, form: Form) -> dict[str, Parameter]:
+        """Parameters of an effect in a form under both their names, the dimensionless and the physical one."""
+        known = form.parameters(self.catalogue[effect])
+        # What drives it is what a physical form is per.
+        physical = {} if form.driver else {p.physical.name: p for p in known.values() if p.physical is not None}
+        return {**known, **physical}
 
     @cached_property
     def of_laws(self) -> dict[str, Parameter]:
@@ -170,8 +138,9 @@ class Naming:
             elif name in self.of_laws:
                 unit = self.of_laws[name].unit
             else:
-                known = self.parameters(owner)[own]
-                unit = known.unit if own == known.name or known.physical is None else known.physical.unit
+                known = parameters_of(self.catalogue[owner])
+                physical = {p.physical.name: p.physical.unit for p in known.values() if p.physical is not None}
+                unit = known[own].unit if own in known else physical[own]
             exponent = named(owner, "n") if named(owner, "n") in {**constants, **dict.fromkeys(names)} else "n"
             # With n = 1 the unit of β and γ is an ordinary one.
             is_plain = constants.get(exponent, 1.0) == 1 and exponent not in names
@@ -208,15 +177,21 @@ class Naming:
         return found | {name: value for name, value in fixed.items() if name in self.of_laws}
 
     def model_parameters(
-        self, study: Study, of_structure: Mapping[str, Prior], pair: Pair
+        self, study: Study, of_structure: Mapping[str, Prior], pair: Pair, open_forms: Sequence[str] = ()
     ) -> tuple[dict[str, Prior], dict[str, float]]:
         """Free parameters of the model with their priors, those of the structure last, and the fixed ones with their values.
+
+        Arguments:
+            study: the study.
+            of_structure: parameters of the structure.
+            pair: that the specimens are measured in.
+            open_forms: effects of which what tells their forms from one another is free, too.
 
         Raises:
             UserError: a name that stands for nothing, a value that cannot be, or one that is missing.
         """
         free, fixed = {}, {}
-        for name, (where, known, entry) in self._given(study, pair).items():
+        for name, (where, known, entry) in self._given(study, pair, open_forms).items():
             if entry == {}:
                 if known.prior is None:
                     raise UserError(
@@ -241,7 +216,7 @@ class Naming:
             )
         return free, fixed
 
-    def _given(self, study: Study, pair: Pair) -> dict[str, tuple[str, Parameter, Any]]:
+    def _given(self, study: Study, pair: Pair, open_forms: Sequence[str]) -> dict[str, tuple[str, Parameter, Any]]:
         """Everything that the model says or leaves to a default, by name: its place, what is known of it, what is given."""
         said = {name: (f"model.parameters.{name}", entry) for name, entry in study.model.parameters.items()}
         check_names("model.parameters", study.model.parameters, self._sayable)
@@ -253,15 +228,26 @@ class Naming:
         self._check_complete(said, study, pair)
         given = {name: (*said[name][:1], known, said[name][1]) for name, known in self.of_laws.items() if name in said}
         for effect, (where, entries) in effects_of(study).items():
-            forms = self.checked_effect(where, effect, entries)
-            taken = {forms[name].name for name in entries}
-            for name, entry in entries.items():
-                given[f"{effect}.{name}"] = (f"{where}.{effect}.{name}", forms[name], entry)
-            for known in parameters_of(self.catalogue[effect]).values():
-                if known.name not in taken:
-                    assert known.prior is not None
-                    given[f"{effect}.{known.name}"] = ("", known, dict(known.prior))
+            form, allowed = self.checked_effect(where, effect, entries)
+            held = {} if effect in open_forms else form.held
+            values = {name: entry for name, entry in entries.items() if name not in (FORM, DRIVER)}
+            taken = {allowed[name].name for name in values}
+            for name, entry in values.items():
+                given[f"{effect}.{name}"] = (f"{where}.{effect}.{name}", allowed[name], entry)
+            every = parameters_of(self.catalogue[effect])
+            free = self._of_forms(effect) if effect in open_forms else form.parameters(self.catalogue[effect])
+            for name in free:
+                if name not in taken:
+                    given[f"{effect}.{name}"] = ("", every[name], dict(every[name].prior or {}))
+            for name, value in held.items():
+                given[f"{effect}.{name}"] = ("", every[name], value)
         return given
+
+    def _of_forms(self, effect: str) -> list[str]:
+        """The parameters of an effect that are free or held in any form that it can have."""
+        forms, known = self.forms(effect).values(), parameters_of(self.catalogue[effect])
+        told = {name for form in forms for name in (*form.free, *form.held)}
+        return [name for name, parameter in known.items() if name in told or not parameter.shapes]
 
     @property
     def _sayable(self) -> dict[str, Parameter]:
@@ -298,9 +284,11 @@ class Naming:
                     raise UserError(f"{where}.parameters.{missing}: this key is required ({known.meaning})")
         self._check_possible(f"{where}.parameters", truth)
         for effect, values in entry.effects.items():
-            forms = self.checked_effect(f"{where}.effects", effect, values)
+            form, allowed = self.checked_effect(f"{where}.effects", effect, values)
+            truth |= {f"{effect}.{name}": value for name, value in form.held.items()}
             for name, value in values.items():
-                truth[f"{effect}.{name}"] = within(f"{where}.effects.{effect}.{name}", value, forms[name])
+                if name not in (FORM, DRIVER):
+                    truth[f"{effect}.{name}"] = within(f"{where}.effects.{effect}.{name}", value, allowed[name])
         return truth
 
     def _check_possible(self, where: str, highest: Mapping[str, float]) -> None:
@@ -311,28 +299,28 @@ class Naming:
                 own = named(element.name, name)
                 raise UserError(f"{where}.{own if own in highest else name}: {words}")
 
-    def checked_effect(self, where: str, effect: str, entries: Mapping[str, Any]) -> dict[str, Parameter]:
-        """Parameters of an effect under both their names.
+    def checked_effect(self, where: str, effect: str, entries: Mapping[str, Any]) -> tuple[Form, dict[str, Parameter]]:
+        """The form of an effect, and its parameters under both their names.
 
         Raises:
             UserError: there is no such effect or parameter, or the law cannot have the effect.
         """
         if effect not in self.catalogue:
             raise UserError(f"{where}.{effect}: {self.no_such(effect)}")
-        if missing := self.unserved(effect):
-            raise UserError(f"{where}.{effect}: {missing}")
-        if _is_of_specimen(self.catalogue[effect]) and not self.laws_with(effect):
+        form = self.form(where, effect, entries)
+        if is_of_specimen(self.catalogue[effect]) and not self.laws_with(effect):
             each = ", ".join(named(element.name, effect) for element in self.elements)
             raise UserError(f"{where}.{effect}: no specimen shares the model of the study; say of which one, {each}")
-        forms = self.parameters(effect)
-        check_names(f"{where}.{effect}", entries, forms)
-        for name in entries:
-            same = [other for other in entries if forms[other].name == forms[name].name]
+        allowed = self.parameters(effect, form)
+        names = [name for name in entries if name not in (FORM, DRIVER)]
+        check_names(f"{where}.{effect}", dict.fromkeys(names), allowed)
+        for name in names:
+            same = [other for other in names if allowed[other].name == allowed[name].name]
             if len(same) > 1:
                 raise UserError(
                     f"{where}.{effect}: {' and '.join(same)} are two forms of one parameter; give one of them"
                 )
-        return forms
+        return form, allowed
 
     def no_such(self, effect: str) -> str:
         """That there is no such effect, and what there is."""

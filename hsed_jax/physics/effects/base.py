@@ -12,6 +12,7 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
+from hsed_jax.physics.effects.forms import Form, default_form, forms_of
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.states import SharedState
@@ -81,6 +82,8 @@ class AbstractEffect(eqx.Module):
         histories_only: it changes channels but no quantity.
         ground_only: it means nothing where the ground rests.
         shaken_only: it means nothing in a component test, and does nothing there.
+        forms: its formulas, the default one first; none where it has but one.
+        drivers: what may drive it, the default one first; none where there is no choice.
         registered: it is for a catalogue; `register` says so.
     """
 
@@ -92,6 +95,8 @@ class AbstractEffect(eqx.Module):
     histories_only: ClassVar[bool] = False
     shaken_only: ClassVar[bool] = False
     ground_only: ClassVar[bool] = False
+    forms: ClassVar[tuple[Form, ...]] = ()
+    drivers: ClassVar[tuple[str, ...]] = ()
     registered: ClassVar[bool] = False
 
 
@@ -110,9 +115,17 @@ class AbstractSpringEffect(AbstractEffect):
     """
 
     place: ClassVar[Literal["spring", "structure", "test rig"]] = "spring"
-    needs: ClassVar[tuple[SharedState, ...]] = ()
-    states: ClassVar[tuple[str, ...]] = ()
     linear_only: ClassVar[bool] = False
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """None, unless a subclass says so."""
+        return ()
+
+    @property
+    def needs(self) -> tuple[SharedState, ...]:
+        """None, unless a subclass says so."""
+        return ()
 
     @abstractmethod
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
@@ -204,11 +217,12 @@ class Catalogue(Mapping[str, type[AbstractEffect]]):
 
 
 @cache
-def slots_of(effect: type[AbstractSpringEffect]) -> tuple[str, ...]:
-    """The slots that an effect writes to: what it contributes, traced without computing anything."""
+def slots_of(effect: type[AbstractSpringEffect], form: str | None = None) -> tuple[str, ...]:
+    """The slots that an effect writes to in a form, by default the default one: traced without computing anything."""
+    one = forms_of(effect)[form] if form is not None else default_form(effect)
 
     def contributions(value):
-        values = {name: value for name in parameters_of(effect)}
+        values = dict.fromkeys(one.parameters(effect), value) | dict(one.held)
         point = SpringPoint(value, value, value, defaultdict(lambda: value), Scales(*[value] * 4), value)
         return effect(**values).contribute(point)
 

@@ -3,7 +3,10 @@
 from typing import ClassVar, Literal, final
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
-from hsed_jax.physics.parameters import PhysicalForm, parameter
+from hsed_jax.physics.effects.forms import Form
+from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
+from hsed_jax.physics.scales import is_zero
+from hsed_jax.physics.states import LARGEST_ELONGATION, SharedState
 
 
 @register
@@ -14,6 +17,10 @@ class Gap(AbstractSpringEffect):
     name: ClassVar[str] = "gap"
     family: ClassVar[str] = "contact"
     reference: ClassVar[str] = "Ibrahim 2009, section 2.4"
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("fixed", r"s = \delta u_c"),
+        Form("widening", r"s = \delta\max|\Delta u|", "Baber & Noori 1985 (slip)", held={"of_largest": 1.0}),
+    )
 
     delta: Scalar = parameter(
         r"\delta_g",
@@ -25,10 +32,22 @@ class Gap(AbstractSpringEffect):
         prior={"half_normal": 0.2},
         physical=PhysicalForm("width", "m", lambda scales: scales.elongation),
     )
+    of_largest: Scalar = shape_parameter(
+        "w", "whether it widens with the largest elongation", neutral=0.0, lower=0.0, upper=1.0,
+        prior={"uniform": [0.0, 1.0]},
+    )  # fmt: skip
+
+    @property
+    def needs(self) -> tuple[SharedState, ...]:
+        """The largest elongation, where it widens with that."""
+        return () if is_zero(self.of_largest) else (LARGEST_ELONGATION,)
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `slack`."""
-        return {"slack": self.delta * point.scales.elongation}
+        width = point.scales.elongation
+        if not is_zero(self.of_largest):
+            width = width + self.of_largest * (point.memory["largest_elongation"] - width)
+        return {"slack": self.delta * width}
 
 
 @register

@@ -1,14 +1,69 @@
-"""Degradation with absorbed energy: the loop loses stiffness, or strength."""
+"""Degradation with what a specimen has gone through: the loop loses stiffness, or strength, or both."""
 
+from abc import abstractmethod
 from typing import ClassVar, final
 
-from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
-from hsed_jax.physics.parameters import PhysicalForm, parameter
+import jax.numpy as jnp
+
+from hsed_jax.physics.effects.base import Scalar, SpringPoint, register
+from hsed_jax.physics.effects.driven import AbstractDrivenEffect
+from hsed_jax.physics.effects.forms import FREE, Form, raised
+from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
+from hsed_jax.physics.scales import is_zero
+
+# Far beyond anything that is left of a specimen.
+_GONE = 30.0
+
+
+class AbstractDegradation(AbstractDrivenEffect):
+    r"""A factor that grows from one with a driver x: $1 + [e^{\kappa y} - 1]/\kappa$, $y = \delta\max(x - x_0, 0)^p$.
+
+    κ = g − s is zero for linear growth, one for exponential, and where it is negative the factor ends at 1 + 1/|κ|.
+    """
+
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("linear", r"1 + \delta x", "Baber & Wen 1981"),
+        Form("exponential", r"e^{\delta x}", "Sucuoglu & Erberik 2004", held={"growth": 1.0}),
+        Form("saturating", r"1 + (1 - e^{-s\delta x})/s", "FEMA P-440A 2009 (what remains)",
+             free=("saturation",)),
+        Form("power", r"1 + \delta x^p", "Park & Ang 1985; Kunnath, Mander & Fang 1997", free=("power",)),
+        Form("threshold", r"1 + \delta\max(x - x_0, 0)", "Ibarra, Medina & Krawinkler 2005 (onset)", free=("onset",)),
+        Form(FREE, r"1 + (1 - e^{-sy})/s,\ y = \delta\max(x - x_0, 0)^p", free=("saturation", "power", "onset")),
+    )  # fmt: skip
+
+    growth: Scalar = shape_parameter(
+        "g", "whether it grows exponentially", neutral=0.0, lower=0.0, upper=1.0, prior={"uniform": [0.0, 1.0]}
+    )
+    saturation: Scalar = shape_parameter(
+        "s", "inverse of what it gains at most", neutral=0.0, lower=0.0, prior={"half_normal": 1.5}
+    )
+    power: Scalar = shape_parameter("p", "power of the driver", neutral=1.0, lower=0.1, upper=6.0,
+                                    prior={"truncated_normal": {"loc": 1.0, "scale": 1.0, "low": 0.1, "high": 6.0}})  # fmt: skip
+    onset: Scalar = shape_parameter(
+        "x_0", "driver at which it begins", neutral=0.0, lower=0.0, prior={"half_normal": 0.4}
+    )
+
+    @property
+    @abstractmethod
+    def amplitude(self) -> Scalar:
+        """δ."""
+
+    def factor(self, point: SpringPoint) -> Scalar:
+        """The factor at one instant."""
+        x, curvature = self.driven(point), self.growth - self.saturation
+        if not is_zero(self.onset):
+            x = jnp.maximum(x - self.onset, 0.0)
+        y = self.amplitude * raised(x, self.power)
+        if is_zero(curvature):
+            return 1 + y
+        is_straight = jnp.abs(curvature) < 1e-6
+        bent = jnp.where(is_straight, 1.0, curvature)
+        return 1 + jnp.where(is_straight, y, (jnp.exp(jnp.minimum(bent * y, _GONE)) - 1) / bent)
 
 
 @register
 @final
-class StiffnessDegradation(AbstractSpringEffect):
+class StiffnessDegradation(AbstractDegradation):
     r"""Stiffness falls with absorbed energy: $\eta = 1 + \delta\,e/E_c$, and $\dot z \propto 1/\eta$.
 
     In the paper's form $\eta_{ref} = \delta/E_c$ [1/J] (Eq. 15), with e = ∫ r dΔu, the total work of the spring.
@@ -28,14 +83,19 @@ class StiffnessDegradation(AbstractSpringEffect):
         physical=PhysicalForm("eta", "1/J", lambda scales: 1 / scales.energy),
     )
 
+    @property
+    def amplitude(self) -> Scalar:
+        """δ."""
+        return self.delta
+
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """A factor on `eta`."""
-        return {"eta": 1 + self.delta / point.scales.energy * point.memory["energy"]}
+        return {"eta": self.factor(point)}
 
 
 @register
 @final
-class StrengthDegradation(AbstractSpringEffect):
+class StrengthDegradation(AbstractDegradation):
     r"""Strength falls with absorbed energy: $\nu = 1 + \delta\,e/E_c$ multiplies β and γ.
 
     The ultimate force of the element is $[A/(\nu(\beta+\gamma))]^{1/n}$.
@@ -55,6 +115,41 @@ class StrengthDegradation(AbstractSpringEffect):
         physical=PhysicalForm("nu", "1/J", lambda scales: 1 / scales.energy),
     )
 
+    @property
+    def amplitude(self) -> Scalar:
+        """δ."""
+        return self.delta
+
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """A factor on `nu`."""
-        return {"nu": 1 + self.delta / point.scales.energy * point.memory["energy"]}
+        return {"nu": self.factor(point)}
+
+
+@register
+@final
+class PeakSoftening(AbstractDegradation):
+    r"""Stiffness, and with it strength, falls with the largest elongation reached: $a = 1/(1+\delta\max|\Delta u|/u_c)$."""
+
+    name: ClassVar[str] = "peak_softening"
+    family: ClassVar[str] = "stiffness"
+    reference: ClassVar[str] = "Park & Ang 1985"
+    drivers: ClassVar[tuple[str, ...]] = ("largest_elongation",)
+
+    delta: Scalar = parameter(
+        r"\delta_p",
+        "1",
+        "relative loss of stiffness at the characteristic elongation",
+        neutral=0.0,
+        lower=0.0,
+        prior={"half_normal": 1.0},
+        physical=PhysicalForm("softening", "1/m", lambda scales: 1 / scales.elongation),
+    )
+
+    @property
+    def amplitude(self) -> Scalar:
+        """δ."""
+        return self.delta
+
+    def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
+        """A factor on `a`."""
+        return {"a": 1 / self.factor(point)}

@@ -5,7 +5,9 @@ from typing import ClassVar, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
-from hsed_jax.physics.parameters import PhysicalForm, parameter
+from hsed_jax.physics.effects.forms import Form, one_side, raised, sided
+from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
+from hsed_jax.physics.scales import is_zero
 
 # Friction turns over within this share of the characteristic rate: a jump would stall any integrator.
 _STICKING = 0.02
@@ -20,6 +22,13 @@ class ViscousDamping(AbstractSpringEffect):
     family: ClassVar[str] = "damping"
     reference: ClassVar[str] = "Chopra 2017, section 1.4"
     needs_time: ClassVar[bool] = True
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("linear", r"\delta F_c\,\Delta\dot u/v_c"),
+        Form("of elongation", r"\delta F_c\,(|\Delta u|/u_c)\,\Delta\dot u/v_c", "Inaudi & Kelly 1995",
+             held={"of_elongation": 1.0}),
+        Form("opening only", r"\delta F_c\max(\Delta\dot u, 0)/v_c", held={"side": 1.0}),
+        Form("closing only", r"\delta F_c\min(\Delta\dot u, 0)/v_c", held={"side": -1.0}),
+    )  # fmt: skip
 
     delta: Scalar = parameter(
         r"\delta_v",
@@ -29,10 +38,18 @@ class ViscousDamping(AbstractSpringEffect):
         prior={"normal": [0.0, 0.3]},
         physical=PhysicalForm("c", "N*s/m", lambda scales: scales.force / scales.rate),
     )
+    side: Scalar = one_side()
+    of_elongation: Scalar = shape_parameter(
+        "w_u", "whether it grows with the elongation", neutral=0.0, lower=0.0, upper=1.0,
+        prior={"uniform": [0.0, 1.0]},
+    )  # fmt: skip
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
-        return {"force": self.delta * point.scales.force * (point.rate / point.scales.rate)}
+        rate = sided(point.rate / point.scales.rate, self.side)
+        if not is_zero(self.of_elongation):
+            rate = rate * (1 + self.of_elongation * (jnp.abs(point.elongation) / point.scales.elongation - 1))
+        return {"force": self.delta * point.scales.force * rate}
 
 
 @register
@@ -44,6 +61,13 @@ class QuadraticDamping(AbstractSpringEffect):
     family: ClassVar[str] = "damping"
     reference: ClassVar[str] = "Nayfeh & Mook 1979"
     needs_time: ClassVar[bool] = True
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("quadratic", r"\delta F_c|\Delta\dot u|\Delta\dot u/v_c^2"),
+        Form("power", r"\delta F_c|\Delta\dot u/v_c|^p\,\mathrm{sign}\,\Delta\dot u,\ p > 1", "Symans & Constantinou 1998",
+             free=("power",)),
+        Form("opening only", r"\delta F_c\max(\Delta\dot u, 0)^2/v_c^2", held={"side": 1.0}),
+        Form("closing only", r"-\delta F_c\min(\Delta\dot u, 0)^2/v_c^2", held={"side": -1.0}),
+    )  # fmt: skip
 
     delta: Scalar = parameter(
         r"\delta_d",
@@ -53,11 +77,16 @@ class QuadraticDamping(AbstractSpringEffect):
         prior={"normal": [0.0, 0.3]},
         physical=PhysicalForm("c2", "N*s^2/m^2", lambda scales: scales.force / scales.rate**2),
     )
+    power: Scalar = shape_parameter(
+        "p", "power of the rate", neutral=2.0, lower=1.1, upper=6.0, prior={"lognormal": [0.6, 0.4]}
+    )
+    side: Scalar = one_side()
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
         ratio = point.rate / point.scales.rate
-        return {"force": self.delta * point.scales.force * jnp.abs(ratio) * ratio}
+        drag = sided(ratio * raised(jnp.abs(ratio), self.power - 1), self.side)
+        return {"force": self.delta * point.scales.force * drag}
 
 
 @register
@@ -93,11 +122,21 @@ class PowerDamping(AbstractSpringEffect):
 @register
 @final
 class CoulombFriction(AbstractSpringEffect):
-    r"""Dry friction in parallel: $\delta\,F_c\,\tanh(\Delta\dot u/v_s)$, $v_s = 0.02\,v_c$."""
+    r"""Dry friction in parallel: $\delta\,F_c\,\tanh(\Delta\dot u/v_s)$, $v_s = 0.02\,v_c$.
+
+    As the force of a bristle it is $\delta F_c q$, $\dot q = (\Delta\dot u - |\Delta\dot u|\,q)/b u_c$: a spring of that
+    stiffness until it slides.
+    """
 
     name: ClassVar[str] = "coulomb_friction"
     family: ClassVar[str] = "friction"
     reference: ClassVar[str] = "Coulomb 1785"
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("sharp"),
+        Form("regularised", r"\delta F_c\tanh(\Delta\dot u/w v_c)", free=("sticking",)),
+        Form("bristle", r"\delta F_c q,\ \dot q = (\Delta\dot u - |\Delta\dot u|\,q)/b u_c", "Dahl 1968",
+             held={"of_bristle": 1.0}, free=("bristle",)),
+    )  # fmt: skip
 
     delta: Scalar = parameter(
         r"\delta_f",
@@ -108,10 +147,36 @@ class CoulombFriction(AbstractSpringEffect):
         prior={"half_normal": 0.3},
         physical=PhysicalForm("force", "N", lambda scales: scales.force),
     )
+    sticking: Scalar = shape_parameter(
+        "w", "rate at which it turns over, over characteristic rate", neutral=_STICKING, lower=0.005,
+        prior={"lognormal": [-2.3, 1.0]},
+    )  # fmt: skip
+    bristle: Scalar = shape_parameter(
+        "b", "elongation at which it slides over characteristic elongation", neutral=0.05, lower=0.005,
+        prior={"lognormal": [-3.0, 0.8]},
+    )  # fmt: skip
+    of_bristle: Scalar = shape_parameter(
+        "w_b", "whether it is a bristle's", neutral=0.0, lower=0.0, upper=1.0, prior={"uniform": [0.0, 1.0]}
+    )
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
-        return {"force": self.delta * point.scales.force * jnp.tanh(point.rate / (_STICKING * point.scales.rate))}
+        slid = jnp.tanh(point.rate / (self.sticking * point.scales.rate))
+        if not is_zero(self.of_bristle):
+            slid = slid + self.of_bristle * (point.memory["bristle"] - slid)
+        return {"force": self.delta * point.scales.force * slid}
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The force of the bristle, over that at which it slides."""
+        return () if is_zero(self.of_bristle) else ("bristle",)
+
+    def flow(self, point: SpringPoint) -> dict[str, Scalar]:
+        """The rate of the bristle's force over that at which it slides [1/s]."""
+        if is_zero(self.of_bristle):
+            return {}
+        length = self.bristle * point.scales.elongation
+        return {"bristle": (point.rate - jnp.abs(point.rate) * point.memory["bristle"]) / length}
 
 
 @register
@@ -126,6 +191,10 @@ class StribeckFriction(AbstractSpringEffect):
     family: ClassVar[str] = "friction"
     reference: ClassVar[str] = "Constantinou, Mokha & Reinhorn 1990"
     needs_time: ClassVar[bool] = True
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("exponential"),
+        Form("of any speed", r"v_r = r\,v_c", free=("falling",)),
+    )
 
     delta: Scalar = parameter(
         r"\delta_s",
@@ -145,9 +214,13 @@ class StribeckFriction(AbstractSpringEffect):
         upper=1.0,
         prior={"uniform": [0.0, 1.0]},
     )
+    falling: Scalar = shape_parameter(
+        "r", "speed at which it falls over characteristic rate", neutral=0.2, lower=0.02,
+        prior={"lognormal": [-1.6, 0.8]},
+    )  # fmt: skip
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
         ratio = point.rate / point.scales.rate
-        share = self.remaining + (1 - self.remaining) * jnp.exp(-jnp.abs(ratio) / 0.2)
+        share = self.remaining + (1 - self.remaining) * jnp.exp(-jnp.abs(ratio) / self.falling)
         return {"force": self.delta * point.scales.force * share * jnp.tanh(ratio / _STICKING)}

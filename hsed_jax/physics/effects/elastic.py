@@ -5,7 +5,9 @@ from typing import ClassVar, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
-from hsed_jax.physics.parameters import PhysicalForm, parameter
+from hsed_jax.physics.effects.forms import Form, one_side, raised, sided
+from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
+from hsed_jax.physics.scales import is_number
 
 
 @register
@@ -16,6 +18,11 @@ class Hardening(AbstractSpringEffect):
     name: ClassVar[str] = "hardening"
     family: ClassVar[str] = "post-yield"
     reference: ClassVar[str] = "Wen 1976"
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("linear", r"\delta\,\frac{F_c}{u_c}\,\Delta u"),
+        Form("tension only", r"\delta\,\frac{F_c}{u_c}\max(\Delta u, 0)", held={"side": 1.0}),
+        Form("compression only", r"\delta\,\frac{F_c}{u_c}\min(\Delta u, 0)", held={"side": -1.0}),
+    )
 
     delta: Scalar = parameter(
         r"\delta_k",
@@ -26,11 +33,12 @@ class Hardening(AbstractSpringEffect):
         prior={"normal": [0.0, 0.3]},
         physical=PhysicalForm("k", "N/m", lambda scales: scales.force / scales.elongation),
     )
+    side: Scalar = one_side()
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
         force, elongation = point.scales.force, point.scales.elongation
-        return {"force": self.delta * (force / elongation) * point.elongation}
+        return {"force": self.delta * (force / elongation) * sided(point.elongation, self.side)}
 
 
 @register
@@ -41,6 +49,10 @@ class CubicStiffness(AbstractSpringEffect):
     name: ClassVar[str] = "cubic_stiffness"
     family: ClassVar[str] = "post-yield"
     reference: ClassVar[str] = "Duffing 1918"
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("cubic", r"\delta F_c(\Delta u/u_c)^3"),
+        Form("power", r"\delta F_c|\Delta u/u_c|^p\,\mathrm{sign}\,\Delta u", free=("power",)),
+    )
 
     delta: Scalar = parameter(
         r"\delta_3",
@@ -50,11 +62,17 @@ class CubicStiffness(AbstractSpringEffect):
         prior={"normal": [0.0, 0.3]},
         physical=PhysicalForm("k3", "N/m^3", lambda scales: scales.force / scales.elongation**3),
     )
+    power: Scalar = shape_parameter(
+        "p", "power of the elongation", neutral=3.0, lower=1.2, upper=12.0, prior={"lognormal": [1.1, 0.5]}
+    )
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
         ratio = point.elongation / point.scales.elongation
-        return {"force": self.delta * point.scales.force * ratio * ratio * ratio}
+        bent = ratio * ratio * ratio
+        if not is_number(self.power, 3):
+            bent = jnp.sign(ratio) * raised(jnp.abs(ratio), self.power)
+        return {"force": self.delta * point.scales.force * bent}
 
 
 @register
@@ -65,6 +83,10 @@ class QuadraticStiffness(AbstractSpringEffect):
     name: ClassVar[str] = "quadratic_stiffness"
     family: ClassVar[str] = "asymmetry"
     reference: ClassVar[str] = "Nayfeh & Mook 1979"
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("quadratic", r"\delta F_c(\Delta u/u_c)^2"),
+        Form("power", r"\delta F_c|\Delta u/u_c|^p", free=("power",)),
+    )
 
     delta: Scalar = parameter(
         r"\delta_2",
@@ -74,11 +96,15 @@ class QuadraticStiffness(AbstractSpringEffect):
         prior={"normal": [0.0, 0.3]},
         physical=PhysicalForm("k2", "N/m^2", lambda scales: scales.force / scales.elongation**2),
     )
+    power: Scalar = shape_parameter(
+        "p", "power of the elongation", neutral=2.0, lower=0.5, upper=8.0, prior={"lognormal": [0.5, 0.5]}
+    )
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
         ratio = point.elongation / point.scales.elongation
-        return {"force": self.delta * point.scales.force * ratio * ratio}
+        bent = ratio * ratio if is_number(self.power, 2) else raised(jnp.abs(ratio), self.power)
+        return {"force": self.delta * point.scales.force * bent}
 
 
 @register
@@ -89,6 +115,13 @@ class ContactStiffening(AbstractSpringEffect):
     name: ClassVar[str] = "contact_stiffening"
     family: ClassVar[str] = "contact"
     reference: ClassVar[str] = "Anagnostopoulos 1988 (pounding)"
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("linear", r"\delta F_c\,b,\ b = \max(|\Delta u|/u_c - c, 0)"),
+        Form("hertz", r"\delta F_c\,b^{3/2}", "Hertz 1882", held={"power": 1.5}),
+        Form("power", r"\delta F_c\,b^p", free=("power",)),
+        Form("tension only", r"\delta F_c\,b\ (\Delta u > 0)", held={"side": 1.0}),
+        Form("compression only", r"\delta F_c\,b\ (\Delta u < 0)", held={"side": -1.0}),
+    )
 
     delta: Scalar = parameter(
         r"\delta_c",
@@ -108,9 +141,14 @@ class ContactStiffening(AbstractSpringEffect):
         prior={"uniform": [0.0, 1.0]},
         physical=PhysicalForm("gap", "m", lambda scales: scales.elongation),
     )
+    power: Scalar = shape_parameter(
+        "p", "power of what is beyond the clearance", neutral=1.0, lower=0.3, upper=6.0, prior={"lognormal": [0.3, 0.5]}
+    )
+    side: Scalar = one_side()
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
         scales = point.scales
         beyond = jnp.maximum(jnp.abs(point.elongation) - self.clearance * scales.elongation, 0.0)
-        return {"force": self.delta * (scales.force / scales.elongation) * jnp.sign(point.elongation) * beyond}
+        bent = jnp.sign(point.elongation) * raised(beyond / scales.elongation, self.power)
+        return {"force": self.delta * scales.force * sided(bent, self.side)}

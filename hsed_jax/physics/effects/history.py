@@ -6,38 +6,15 @@ import jax
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
-from hsed_jax.physics.parameters import PhysicalForm, parameter
-from hsed_jax.physics.states import LARGEST_ELONGATION, TRAVEL, SharedState
+from hsed_jax.physics.effects.driven import AbstractDrivenEffect
+from hsed_jax.physics.effects.forms import Form
+from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
+from hsed_jax.physics.scales import is_zero
 
 
 @register
 @final
-class PeakSoftening(AbstractSpringEffect):
-    r"""Stiffness falls with the largest elongation reached: $a = 1/(1+\delta\max|\Delta u|/u_c)$."""
-
-    name: ClassVar[str] = "peak_softening"
-    family: ClassVar[str] = "stiffness"
-    reference: ClassVar[str] = "Park & Ang 1985"
-    needs: ClassVar[tuple[SharedState, ...]] = (LARGEST_ELONGATION,)
-
-    delta: Scalar = parameter(
-        r"\delta_p",
-        "1",
-        "relative loss of stiffness at the characteristic elongation",
-        neutral=0.0,
-        lower=0.0,
-        prior={"half_normal": 1.0},
-        physical=PhysicalForm("softening", "1/m", lambda scales: 1 / scales.elongation),
-    )
-
-    def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
-        """A factor on `a`."""
-        return {"a": 1 / (1 + self.delta * point.memory["largest_elongation"] / point.scales.elongation)}
-
-
-@register
-@final
-class Slip(AbstractSpringEffect):
+class Slip(AbstractDrivenEffect):
     r"""A slip-lock element in series, which opens with the largest elongation.
 
     Its compliance is $c(z) = \sqrt{2/\pi}\,\frac{\delta\max|\Delta u|}{\sigma}e^{-z^2/2\sigma^2}$ with $\sigma = w z_u$,
@@ -47,7 +24,12 @@ class Slip(AbstractSpringEffect):
     name: ClassVar[str] = "slip"
     family: ClassVar[str] = "pinching"
     reference: ClassVar[str] = "Baber & Noori 1985; Madan, Reinhorn, Mander & Valles 1997"
-    needs: ClassVar[tuple[SharedState, ...]] = (LARGEST_ELONGATION,)
+    drivers: ClassVar[tuple[str, ...]] = ("largest_elongation", "energy")
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("gaussian"),
+        Form("window", r"c(z) = \frac{\delta\max|\Delta u|}{1.855\,\sigma}e^{-(z/\sigma)^6}",
+             "Sivaselvan & Reinhorn 2000", held={"flat": 1.0}),
+    )  # fmt: skip
 
     delta: Scalar = parameter(
         r"\delta_{sl}",
@@ -62,22 +44,36 @@ class Slip(AbstractSpringEffect):
         "w", "1", "force that locks, over strength", neutral=0.1, lower=0.01, prior={"lognormal": [-2.3, 0.7]}
     )
 
+    flat: Scalar = shape_parameter(
+        "w", "whether the force that locks has a sharp limit", neutral=0.0, lower=0.0, upper=1.0,
+        prior={"uniform": [0.0, 1.0]},
+    )  # fmt: skip
+
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `compliance`."""
         sigma = self.width * point.strength
-        shape = jnp.sqrt(2 / jnp.pi) * jnp.exp(-0.5 * (point.hysteretic / sigma) ** 2) / sigma
-        return {"compliance": self.delta * point.memory["largest_elongation"] * shape}
+        place = (point.hysteretic / sigma) ** 2
+        shape = jnp.sqrt(2 / jnp.pi) * jnp.exp(-0.5 * place) / sigma
+        if not is_zero(self.flat):
+            # ∫ exp(−x⁶) dx = 1.855…
+            shape = shape + self.flat * (jnp.exp(-place * place * place) / (1.8554 * sigma) - shape)
+        length = jnp.maximum(self.driven(point), 0.0) * point.scales.elongation
+        return {"compliance": self.delta * length * shape}
 
 
 @register
 @final
-class Fracture(AbstractSpringEffect):
-    r"""Part of the element is lost at a critical length: $-\delta z\,\mathrm{logistic}((s-s_c)/0.02 s_c)$."""
+class Fracture(AbstractDrivenEffect):
+    r"""Part of the element is lost at a critical path: $-\delta z\,\mathrm{logistic}((s-s_c)/0.02 s_c)$."""
 
     name: ClassVar[str] = "fracture"
     family: ClassVar[str] = "strength"
     reference: ClassVar[str] = "Manson 1953; Coffin 1954; Miner 1945 (exponent one)"
-    needs: ClassVar[tuple[SharedState, ...]] = (TRAVEL,)
+    drivers: ClassVar[tuple[str, ...]] = ("path", "energy", "largest_elongation")
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("sudden"),
+        Form("gradual", r"-\delta z\,\mathrm{logistic}((x - x_c)/w x_c)", free=("width",)),
+    )
 
     delta: Scalar = parameter(
         r"\delta_b",
@@ -97,11 +93,16 @@ class Fracture(AbstractSpringEffect):
         prior={"lognormal": [2.3, 1.0]},
         physical=PhysicalForm("path", "m", lambda scales: scales.elongation),
     )
+    width: Scalar = shape_parameter(
+        "w", "share of the life that the loss takes", neutral=0.02, lower=0.005, prior={"lognormal": [-2.0, 0.8]}
+    )
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
-        used = point.memory["travel"] / (self.life * point.scales.elongation)
-        return {"force": -self.delta * point.hysteretic * jax.nn.sigmoid((used - 1) / 0.02)}
+        scales = point.scales
+        # A path of u_c is so much of the characteristic one, which other drivers are measured by, too.
+        used = self.driven(point) / self.life * (scales.energy / (scales.force * scales.elongation))
+        return {"force": -self.delta * point.hysteretic * jax.nn.sigmoid((used - 1) / self.width)}
 
 
 @register

@@ -5,7 +5,17 @@ from typing import ClassVar, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
-from hsed_jax.physics.parameters import PhysicalForm, parameter
+from hsed_jax.physics.effects.driven import AbstractDrivenEffect
+from hsed_jax.physics.effects.forms import FREE, Form, raised
+from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
+from hsed_jax.physics.scales import is_zero
+from hsed_jax.physics.states import LARGEST_ELONGATION, SharedState
+
+
+def _whether(place: str, neutral: float = 1.0) -> Scalar:
+    return shape_parameter(
+        "w", f"share that goes to {place}", neutral=neutral, lower=0.0, upper=1.0, prior={"uniform": [0.0, 1.0]}
+    )
 
 
 @register
@@ -60,11 +70,19 @@ class LoopShape(AbstractSpringEffect):
 @register
 @final
 class Asymmetry(AbstractSpringEffect):
-    r"""β and γ differ with the sign of the force: $\nu = 1 + \delta\,\mathrm{sign}\,z$."""
+    r"""Strength differs with the sign of the force: β and γ are multiplied by $\nu = 1 + \delta\,\mathrm{sign}\,z$."""
 
     name: ClassVar[str] = "asymmetry"
     family: ClassVar[str] = "asymmetry"
     reference: ClassVar[str] = "Wang & Wen 1998; Song & Der Kiureghian 2006"
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("strength", r"\nu = 1 + \delta\,\mathrm{sign}\,z"),
+        Form("loading", r"\gamma + \delta\beta\,(\mathrm{sign}\,z + \mathrm{sign}\,\Delta\dot u)/2", "Wang & Wen 1998",
+             held={"of_strength": 0.0, "of_loading": 1.0}),
+        Form("stiffness", r"1/\eta = 1 - \delta\,\mathrm{sign}\,z", "Dobson, Noori, Hou, Dimentberg & Baber 1997",
+             held={"of_strength": 0.0, "of_stiffness": 1.0}),
+        Form("stiffness and strength", r"a = 1 - \delta\,\mathrm{sign}\,z", held={"of_strength": 0.0, "of_both": 1.0}),
+    )  # fmt: skip
 
     delta: Scalar = parameter(
         r"\delta_a",
@@ -75,20 +93,40 @@ class Asymmetry(AbstractSpringEffect):
         upper=0.95,
         prior={"truncated_normal": {"loc": 0.0, "scale": 0.3, "low": -0.95, "high": 0.95}},
     )
+    of_strength: Scalar = _whether("ν")
+    of_loading: Scalar = _whether("γ on loading", 0.0)
+    of_stiffness: Scalar = _whether("η", 0.0)
+    of_both: Scalar = _whether("a", 0.0)
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
-        """A factor on `nu`; where z passes zero it multiplies zero, so its jump does no harm."""
-        return {"nu": 1 + self.delta * jnp.sign(point.hysteretic)}
+        """A factor on `nu`, where its jump multiplies a z of zero; or an addend to `gamma`, or a factor on `eta` or `a`."""
+        side = self.delta * jnp.sign(point.hysteretic)
+        found = {}
+        if not is_zero(self.of_strength):
+            found["nu"] = 1 + self.of_strength * side
+        if not is_zero(self.of_loading):
+            found["gamma"] = self.of_loading * 0.5 * (side + self.delta * jnp.sign(point.rate))
+        if not is_zero(self.of_stiffness):
+            found["eta"] = 1 / (1 - self.of_stiffness * side)
+        if not is_zero(self.of_both):
+            found["a"] = 1 - self.of_both * side
+        return found
 
 
 @register
 @final
-class IsotropicHardening(AbstractSpringEffect):
+class IsotropicHardening(AbstractDrivenEffect):
     r"""Strength grows with absorbed energy and saturates: $1/\nu = 1 + \delta\,(1-e^{-e/(wE_c)})$."""
 
     name: ClassVar[str] = "isotropic_hardening"
     family: ClassVar[str] = "hardening"
     reference: ClassVar[str] = "Chaboche 1986"
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("saturating", r"1/\nu = 1 + \delta(1 - e^{-x/w})"),
+        Form("linear", r"1/\nu = 1 + \delta x", "Hill 1950", held={"steady": 1.0, "width": 0.3}),
+        Form("power", r"1/\nu = 1 + \delta x^p", "Swift 1952", held={"steady": 1.0, "width": 0.3}, free=("power",)),
+        Form(FREE, r"1/\nu = 1 + \delta(1 - e^{-x^p/w})", free=("power",)),
+    )
 
     delta: Scalar = parameter(
         r"\delta_i",
@@ -108,11 +146,20 @@ class IsotropicHardening(AbstractSpringEffect):
         physical=PhysicalForm("energy", "J", lambda scales: scales.energy),
     )
 
+    power: Scalar = shape_parameter("p", "power of the driver", neutral=1.0, lower=0.1, upper=6.0,
+                                    prior={"truncated_normal": {"loc": 1.0, "scale": 1.0, "low": 0.1, "high": 6.0}})  # fmt: skip
+    steady: Scalar = shape_parameter(
+        "g", "whether it does not saturate", neutral=0.0, lower=0.0, upper=1.0, prior={"uniform": [0.0, 1.0]}
+    )
+
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """A factor on `nu`."""
         # Total work can dip below zero by elastic energy given back; hardening does not.
-        worked = jnp.maximum(point.memory["energy"], 0.0) / (self.width * point.scales.energy)
-        return {"nu": 1 / (1 + self.delta * -jnp.expm1(-worked))}
+        x = raised(jnp.maximum(self.driven(point), 0.0), self.power)
+        grown = -jnp.expm1(-x / self.width)
+        if not is_zero(self.steady):
+            grown = grown + self.steady * (x - grown)
+        return {"nu": 1 / (1 + self.delta * grown)}
 
 
 @register
@@ -124,6 +171,12 @@ class RateDependence(AbstractSpringEffect):
     family: ClassVar[str] = "rate"
     reference: ClassVar[str] = "Malvar & Crawford 1998"
     needs_time: ClassVar[bool] = True
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("logarithmic", r"a = 1 + \delta\ln(1 + |\Delta\dot u|/v_c)"),
+        Form("power", r"a = 1 + \delta(|\Delta\dot u|/v_c)^p", "Cowper & Symonds 1957", held={"of_power": 1.0},
+             free=("power",)),
+        Form("strength", r"1/\nu = 1 + \delta\ln(1 + |\Delta\dot u|/v_c)", held={"of_both": 0.0, "of_strength": 1.0}),
+    )  # fmt: skip
 
     delta: Scalar = parameter(
         r"\delta_r",
@@ -134,25 +187,54 @@ class RateDependence(AbstractSpringEffect):
         prior={"truncated_normal": {"loc": 0.0, "scale": 0.3, "low": -0.5, "high": 3.0}},
     )
 
+    power: Scalar = shape_parameter(
+        "p", "power of the rate", neutral=0.3, lower=0.05, upper=2.0, prior={"lognormal": [-1.2, 0.7]}
+    )
+    of_power: Scalar = shape_parameter(
+        "w_p", "whether it is a power", neutral=0.0, lower=0.0, upper=1.0, prior={"uniform": [0.0, 1.0]}
+    )
+    of_both: Scalar = _whether("a")
+    of_strength: Scalar = _whether("ν", 0.0)
+
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
-        """A factor on `a`."""
-        return {"a": 1 + self.delta * jnp.log1p(jnp.abs(point.rate) / point.scales.rate)}
+        """A factor on `a`, or on `nu`."""
+        speed = jnp.abs(point.rate) / point.scales.rate
+        grown = jnp.log1p(speed)
+        if not is_zero(self.of_power):
+            grown = grown + self.of_power * (raised(speed, self.power) - grown)
+        found = {}
+        if not is_zero(self.of_both):
+            found["a"] = 1 + self.of_both * self.delta * grown
+        if not is_zero(self.of_strength):
+            found["nu"] = 1 / (1 + self.of_strength * self.delta * grown)
+        return found
 
 
 @register
 @final
-class Pinching(AbstractSpringEffect):
+class Pinching(AbstractDrivenEffect):
     r"""The loop narrows near zero force, more so as energy is absorbed.
 
     $$h = 1-\zeta_1\exp\!\Big(-\frac{(z\,\mathrm{sign}\,\Delta\dot u - q z_u)^2}{\zeta_2^2 z_u^2}\Big),\quad
       \zeta_1 = \zeta_s(1-e^{-p e/E_c}),\quad \zeta_2 = (\psi_0+\delta_\psi e/E_c)(\lambda+\zeta_1)$$
 
-    with $z_u$ the strength of the element; ζ₂ is made dimensionless by it.
+    with $z_u$ the strength of the element; ζ₂ is made dimensionless by it, and e/E_c is the driver.
     """
 
     name: ClassVar[str] = "pinching"
     family: ClassVar[str] = "pinching"
     reference: ClassVar[str] = "Baber & Noori 1985; Foliente 1995"
+    drivers: ClassVar[tuple[str, ...]] = ("energy", "largest_elongation")
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("foliente"),
+        Form("gaussian", r"h = 1 - \zeta_s(1 - e^{-px})\exp(-(z/\psi_0 z_u)^2)", "Baber & Noori 1985",
+             held={"q": 0.0, "spread": 0.0, "ratio": 1.0, "widening": 0.0}),
+        Form("window", r"h = 1 - \zeta_s(1 - e^{-px})\exp(-(z/\psi_0 z_u)^6)", "Sivaselvan & Reinhorn 2000",
+             held={"q": 0.0, "spread": 0.0, "ratio": 1.0, "widening": 0.0, "flatness": 3.0}),
+        Form("elongation", r"h = 1 - \zeta_s(1 - e^{-px})\exp(-(\Delta u/\psi_0 \max|\Delta u|)^2)",
+             "Lowes & Altoontash 2003",
+             held={"q": 0.0, "spread": 0.0, "ratio": 1.0, "widening": 0.0, "of_elongation": 1.0}),
+    )  # fmt: skip
 
     zeta: Scalar = parameter(
         r"\zeta_s", "1", "severity of pinching", neutral=0.0, lower=0.0, upper=0.99, prior={"uniform": [0.0, 0.99]}
@@ -182,10 +264,30 @@ class Pinching(AbstractSpringEffect):
         prior={"lognormal": [-0.7, 0.5]},
     )  # fmt: skip
 
+    widening: Scalar = shape_parameter(
+        "w", "whether the width grows with the severity", neutral=1.0, lower=0.0, upper=1.0,
+        prior={"uniform": [0.0, 1.0]},
+    )  # fmt: skip
+    flatness: Scalar = shape_parameter(
+        "m", "how flat and sharp the window is", neutral=1.0, lower=1.0, upper=4.0, prior={"uniform": [1.0, 4.0]}
+    )
+    of_elongation: Scalar = shape_parameter(
+        "w_u", "whether the tangent drops around no elongation", neutral=0.0, lower=0.0, upper=1.0,
+        prior={"uniform": [0.0, 1.0]},
+    )  # fmt: skip
+
+    @property
+    def needs(self) -> tuple[SharedState, ...]:
+        """The states of its driver, and the largest elongation where that is the measure of elongation."""
+        return super().needs if is_zero(self.of_elongation) else (*super().needs, LARGEST_ELONGATION)
+
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """A factor on `h`."""
-        worked = jnp.maximum(point.memory["energy"], 0.0) / point.scales.energy
+        worked = jnp.maximum(self.driven(point), 0.0)
         severity = self.zeta * -jnp.expm1(-self.p * worked)
-        width = (self.psi + self.spread * worked) * (self.ratio + severity)
+        width = (self.psi + self.spread * worked) * (self.ratio + self.widening * severity)
         place = point.hysteretic * jnp.sign(point.rate) / point.strength - self.q
-        return {"h": 1 - severity * jnp.exp(-((place / width) ** 2))}
+        if not is_zero(self.of_elongation):
+            largest = point.memory["largest_elongation"] + 1e-3 * point.scales.elongation
+            place = place + self.of_elongation * (point.elongation / largest - place)
+        return {"h": 1 - severity * jnp.exp(-raised((place / width) ** 2, self.flatness))}

@@ -165,8 +165,3 @@ class AbstractYieldingLaw(AbstractSpringLaw):
 def still(*names: str) -> Memory:
     """States that are zero in a virgin element."""
     return {name: jnp.zeros(()) for name in names}
-
-
-def is_zero(value: Scalar) -> bool:
-    """Whether a value is the number zero, known while the program is compiled."""
-    return isinstance(value, int | float) and value == 0

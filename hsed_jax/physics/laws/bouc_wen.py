@@ -6,9 +6,10 @@ from typing import ClassVar, final
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, Turn, is_zero, still
+from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, Turn, still
 from hsed_jax.physics.laws.reversal import mended_force
 from hsed_jax.physics.parameters import parameter
+from hsed_jax.physics.scales import is_zero
 
 
 @final

@@ -1,0 +1,225 @@
+r"""Fits of sets of effects, each effect in several forms, and what a set is worth over its forms.
+
+The evidence of a set is the sum of those of its forms, which share its prior probability, $Z_S = \sum_f p(f)\,Z_f$: half of it
+belongs to the default form of each effect and half to the others alike.  So many forms buy nothing, and an effect is compared
+with another whatever formulas the two have.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Int
+from scipy.special import logsumexp
+
+from hsed_jax.diagnosis.evidence import laplace
+from hsed_jax.diagnosis.nested import Descent, Member, NestedModels, Target, Task
+from hsed_jax.diagnosis.problem import FormColumns, Forms
+
+# A fit that another one shows to be improvable by more nats than this goes on from there.
+_CAUGHT = 0.1
+# An amplitude this close to its neutral value, in coordinates of order one, is none.
+_ABSENT = 1e-3
+# Forms this many nats below the best one of their set are given up.
+_HOPELESS = 8.0
+
+Set = frozenset[str]
+Choice = frozenset[tuple[str, str]]
+"""Effects, each with the label of its form."""
+
+
+class Model(NamedTuple):
+    """A set of effects, fitted in one form or several.
+
+    Attributes:
+        effects: the set.
+        forms: of each effect the most probable form, by its label.
+        shares: of each effect the probabilities of its forms.
+        fit: where the fit of the most probable forms ended.
+        fit_log_evidence: log Z of that alone.
+        log_evidence: log Z over the forms.
+        log_posterior: log Z plus the log prior of the set.
+    """
+
+    effects: Set
+    forms: Mapping[str, str]
+    shares: Mapping[str, Mapping[str, float]]
+    fit: Descent
+    fit_log_evidence: float
+    log_evidence: float
+    log_posterior: float
+
+
+class Fits:
+    """What has been fitted.
+
+    Arguments:
+        models: the large model.
+        law: indices of the parameters that every model has.
+        effects: the forms of each candidate.
+    """
+
+    def __init__(self, models: NestedModels, law: Int[np.ndarray, " p"], effects: Mapping[str, Forms]):
+        self.models, self.law, self.effects = models, law, effects
+        self._known: dict[Choice, Descent] = {}
+        self._hopeless: set[Choice] = set()
+        self._evidence: dict[Choice, tuple[Descent, float]] = {}
+
+    def __contains__(self, effects: Set) -> bool:
+        """Whether a set was fitted in any form."""
+        return bool(self.of(effects))
+
+    def of(self, effects: Set) -> list[Choice]:
+        """The forms of a set that were fitted."""
+        return [choice for choice in self._known if names_of(choice) == effects]
+
+    def set_law(self, fit: Descent) -> None:
+        """Take the fit of the model without effects."""
+        self._known[frozenset()] = fit
+
+    def top(self, effects: Set) -> Choice:
+        """The most probable forms of a set that was fitted."""
+        return max(self.of(effects), key=self._worth)
+
+    def best(self, effects: Set) -> Descent:
+        """The fit of the most probable forms of a set."""
+        return self._known[self.top(effects)]
+
+    def model(self, effects: Set, log_prior: float) -> Model:
+        """A set that was fitted, over its forms."""
+        choices = self.of(effects)
+        worths = np.asarray([self._worth(choice) for choice in choices])
+        total = float(np.asarray(logsumexp(worths)))
+        shares: dict[str, dict[str, float]] = {effect: {} for effect in sorted(effects)}
+        for choice, worth in zip(choices, worths, strict=True):
+            for effect, label in choice:
+                share = math.exp(worth - total) if math.isfinite(total) else 1 / len(choices)
+                shares[effect][label] = shares[effect].get(label, 0.0) + share
+        top = choices[int(np.argmax(worths))]
+        return Model(effects, dict(top), shares, self._known[top], self._log_evidence(top), total, total + log_prior)
+
+    def fit(self, target: Target, choices: Iterable[Choice]) -> None:
+        """Fit what has not been fitted, from several starts."""
+        tasks, owners = [], []
+        for number, choice in enumerate(choices):
+            if choice in self._known or choice in self._hopeless:
+                continue
+            for start in self._starts(choice):
+                tasks.append(Task(self.member(choice), start, rivals=number))
+                owners.append(choice)
+        for owner, fit in zip(owners, self.models.fit(target, tasks), strict=True):
+            if owner not in self._known or fit.cost < self._known[owner].cost:
+                self._known[owner] = fit
+
+    def judge(self, target: Target, sets: Sequence[Set]) -> None:
+        """Fit sets again with other errors, each from where it was; forms that are far below others of their set are left."""
+        kept = []
+        for effects in sets:
+            choices = self.of(effects)
+            highest = max(self._worth(choice) for choice in choices)
+            for choice in choices:
+                if self._worth(choice) > highest - _HOPELESS or len(choices) == 1:
+                    kept.append(choice)
+                else:
+                    self._hopeless.add(choice)
+                    del self._known[choice]
+        self._known |= self._go_on(target, {choice: self._known[choice].x for choice in kept})
+        self._reconcile(target, kept)
+
+    def member(self, choice: Choice) -> Member:
+        """The nested model of a choice."""
+        forms = [self._form(pair) for pair in sorted(choice)]
+        held = {column: value for form in forms for column, value in form.held.items()}
+        return self.models.member(np.concatenate([self.law, *(form.columns for form in forms)]).astype(int), held)
+
+    def _form(self, pair: tuple[str, str]) -> FormColumns:
+        effect, label = pair
+        return self.effects[effect][label]
+
+    def _go_on(self, target: Target, starts: Mapping[Choice, np.ndarray]) -> dict[Choice, Descent]:
+        tasks = [Task(self.member(choice), start) for choice, start in starts.items()]
+        return dict(zip(starts, self.models.fit(target, tasks), strict=True))
+
+    def _reconcile(self, target: Target, choices: Sequence[Choice]) -> None:
+        """No model fits worse than one that it contains, nor than a larger one whose further effect is absent: where one does,
+        it was caught on the way, and goes on from there."""
+        for size in sorted({len(c) for c in choices}):
+            caught = {c: x for c in choices if len(c) == size and (x := self._better_start(c, choices)) is not None}
+            self._known |= {c: fit for c, fit in self._go_on(target, caught).items() if fit.cost < self._known[c].cost}
+
+    def _better_start(self, choice: Choice, choices: Sequence[Choice]) -> np.ndarray | None:
+        """Where the fit of another choice shows this model to fit better than it does; None where none does."""
+        here, options = self._known[choice], []
+        for other in choices:
+            if len(other ^ choice) != 1:
+                continue
+            (changed,) = other ^ choice
+            fit, columns = self._known[other], self._form(changed).columns
+            x, absent = fit.x.copy(), self.models.neutral[columns[0]]
+            if changed in choice:
+                x[columns] = here.x[columns]
+                x[columns[0]] = absent
+                options.append((fit.cost - self._log_density(x, columns), x))
+            elif abs(x[columns[0]] - absent) < _ABSENT:
+                options.append((fit.cost + self._log_density(x, columns), x))
+        cost, x = min(options, key=lambda option: option[0], default=(math.inf, here.x))
+        return x if cost < here.cost - _CAUGHT else None
+
+    def _log_density(self, x: np.ndarray, columns: np.ndarray) -> float:
+        return float(self.models.box.log_density(x[None], columns).sum())
+
+    def _starts(self, choice: Choice) -> list[np.ndarray]:
+        """Points to fit from: where other forms of the same effects are, or else the best fitted part with what it lacks at
+        several values."""
+        same = [c for c in self.of(names_of(choice)) if len(c - choice) == 1]
+        if same:
+            near = min(same, key=lambda c: self._known[c].cost)
+            x = self._known[near].x
+            (changed,) = choice - near
+            (instead,) = near - choice
+            columns = self._form(changed).columns
+            new = np.setdiff1d(columns, self._form(instead).columns)
+            starts = np.tile(x, (2, 1))
+            starts[:, new] = self.models.box.quantiles(new, np.tile([[0.3], [0.75]], len(new))) if new.size else x[new]
+            starts[1, columns[0]] = self.models.box.quantiles(columns[:1], np.asarray([[0.5]]))[0, 0]
+            return list(starts)
+        known = max((c for c in self._known if c < choice), key=lambda c: (len(c), -self._known[c].cost))
+        new = np.concatenate([self._form(pair).columns for pair in sorted(choice - known)])
+        shares = _spread(len(new))
+        starts = np.tile(self._known[known].x, (len(shares), 1))
+        starts[:, new] = self.models.box.quantiles(new, shares)
+        return list(starts)
+
+    # What a choice is worth.
+
+    def _worth(self, choice: Choice) -> float:
+        """log Z plus the log prior of its forms."""
+        return self._log_evidence(choice) + sum(self._log_share(pair) for pair in choice)
+
+    def _log_share(self, pair: tuple[str, str]) -> float:
+        others = len(self.effects[pair[0]]) - 1
+        if not others:
+            return 0.0
+        return -math.log(2) if self._form(pair).form.is_default else -math.log(2 * others)
+
+    def _log_evidence(self, choice: Choice) -> float:
+        fit = self._known[choice]
+        if choice not in self._evidence or self._evidence[choice][0] is not fit:
+            self._evidence[choice] = (fit, laplace(fit, self.models))
+        return self._evidence[choice][1]
+
+
+def names_of(choice: Choice) -> Set:
+    """The effects of a choice."""
+    return frozenset(effect for effect, _ in choice)
+
+
+def _spread(parameters: int) -> np.ndarray:
+    """Shares of the priors to start from, (starts, parameters)."""
+    from scipy.stats import qmc
+
+    if parameters == 1:
+        return np.asarray([[0.1], [0.35], [0.65], [0.9]])
+    count = 2 * (parameters + 1)
+    return 0.1 + 0.8 * qmc.Sobol(parameters, scramble=True, rng=1).random_base2(count.bit_length())[:count]

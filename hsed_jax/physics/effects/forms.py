@@ -1,0 +1,138 @@
+"""Forms of an effect: the published formulas of one kind of physics, which share its place in the specimen.
+
+A place is a slot and what drives it.  Every form of an effect is the same expression with some of its parameters held, so that
+one compiled program serves them all; where a parameter is the number that leaves an expression out, the compiler never sees it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import TYPE_CHECKING
+
+import jax.numpy as jnp
+
+from hsed_jax.physics.parameters import Parameter, parameters_of, shape_parameter
+from hsed_jax.physics.scales import Scalar, is_number, is_zero
+from hsed_jax.physics.states import LARGEST_ELONGATION, TRAVEL, SharedState
+
+if TYPE_CHECKING:
+    from hsed_jax.physics.effects.base import AbstractEffect, SpringPoint
+
+FREE = "free"
+"""The form of several shape parameters at once: the same physics in a formula that nobody wrote down."""
+
+
+@dataclass(frozen=True)
+class Form:
+    """One formula of an effect.
+
+    Attributes:
+        name: as in studies and reports, within the effect; empty where an effect has but one formula.
+        equation: LaTeX; empty where the effect's own description has it.
+        reference: where it comes from; empty where it is the effect's.
+        held: parameters that it holds, and at what.
+        free: shape parameters that it leaves free, besides those that the effect has in every form.
+        driver: what drives it; empty where there is no choice.
+        is_default: it is what a study means that names no form.
+    """
+
+    name: str = ""
+    equation: str = ""
+    reference: str = ""
+    held: Mapping[str, float] = field(default_factory=dict)
+    free: tuple[str, ...] = ()
+    driver: str = ""
+    is_default: bool = False
+
+    def parameters(self, effect: "type[AbstractEffect]") -> dict[str, Parameter]:
+        """What is free of an effect in this form."""
+        return {
+            name: known
+            for name, known in parameters_of(effect).items()
+            if name in self.free or not (known.shapes or name in self.held)
+        }
+
+    @property
+    def label(self) -> str:
+        """Name with its driver, where that is not the default one."""
+        return f"{self.name or 'standard'} of {self.driver}" if self.driver else self.name
+
+
+class Driver:
+    """What has been gone through, and makes a specimen another one: of order one, and never falling but for elastic energy.
+
+    Attributes:
+        words: in a sentence.
+        state: of the spring; None where every spring has it.
+    """
+
+    def __init__(self, words: str, state: SharedState | None):
+        self.words, self.state = words, state
+
+
+DRIVERS = {
+    "energy": Driver("absorbed energy", None),
+    "path": Driver("length of the path of the elongation", TRAVEL),
+    "largest_elongation": Driver("largest elongation reached, to either side", LARGEST_ELONGATION),
+}
+
+
+def driven_by(name: str, point: "SpringPoint") -> Scalar:
+    """A driver at one instant, over its characteristic value: $e/E_c$, $s F_c/E_c$ or $\\max|\\Delta u|/u_c$."""
+    scales = point.scales
+    if name == "energy":
+        return point.memory["energy"] / scales.energy
+    if name == "path":
+        return point.memory["travel"] * (scales.force / scales.energy)
+    return point.memory["largest_elongation"] / scales.elongation
+
+
+def raised(value: Scalar, power: Scalar) -> Scalar:
+    """Value to a power, for values that are not negative; one that is counts as zero."""
+    if is_number(power, 1):
+        return value
+    # Far below anything that matters, and above zero, where the power has no derivative.
+    return jnp.exp(power * jnp.log(jnp.maximum(value, 1e-9)))
+
+
+def one_side() -> Scalar:
+    """The parameter that says whether a force acts to both sides."""
+    return shape_parameter(
+        "w", "to both sides (0), or in tension (1) or compression (−1) only", neutral=0.0, lower=-1.0, upper=1.0,
+        prior={"uniform": [-1.0, 1.0]},
+    )  # fmt: skip
+
+
+def sided(value: Scalar, side: Scalar) -> Scalar:
+    """A value to both sides, or with ±1 to the positive or negative one only, and between them to one side more."""
+    if is_zero(side):
+        return value
+    share = 1 + side * jnp.sign(value)
+    return value * jnp.minimum(share, 1.0)
+
+
+@cache
+def forms_of(effect: "type[AbstractEffect]") -> dict[str, Form]:
+    """The forms of an effect by their labels, the default one first: every shape with every driver."""
+    shapes = effect.forms or (Form(),)
+    drivers = effect.drivers or ("",)
+    found = {}
+    for number, driver in enumerate(drivers):
+        # Which driver is a parameter each, but for the first.
+        held = {} if number == 0 else {chosen(number): 1.0}
+        for first, shape in enumerate(shapes):
+            form = replace(
+                shape, driver=driver if number else "", held={**shape.held, **held}, is_default=number == first == 0
+            )
+            found[form.label] = form
+    return found
+
+
+def default_form(effect: "type[AbstractEffect]") -> Form:
+    """The form that is meant where none is named."""
+    return next(iter(forms_of(effect).values()))
+
+
+def chosen(number: int) -> str:
+    """The name of the parameter that says that the driver of this number, from 1, is the one."""
+    return f"driver_{number}"

@@ -1,0 +1,77 @@
+"""The specimens that a study has, and the effects that may be named: of all of them, of each, and of linear springs."""
+
+from collections.abc import Sequence
+
+from hsed_jax.config.schema import Study
+from hsed_jax.errors import UserError
+from hsed_jax.physics.effects import AbstractSpringEffect, Catalogue
+from hsed_jax.physics.effects.base import AbstractEffect, is_of_sensors
+from hsed_jax.physics.elements import Element, number_of_spring
+from hsed_jax.physics.laws import AbstractSpringLaw
+from hsed_jax.physics.outputs import SPECIMEN, named
+from hsed_jax.physics.structures import OWNER, spring_name
+from hsed_jax.plain import shown
+from hsed_jax.study.spring_laws import law_of
+
+
+def elements_of(study: Study, shared: type[AbstractSpringLaw]) -> tuple[Element, ...]:
+    """The specimens of a study; files of laws that are one's own are executed.
+
+    Arguments:
+        study: the study.
+        shared: the law of those that have no model of their own.
+
+    Raises:
+        UserError: a name that none can have, or a file without a law.
+    """
+    several = {} if study.structure is None else study.structure.specimens or {}
+    if not several:
+        return (Element("", shared),)
+    elements = []
+    for name, entry in several.items():
+        where = f"structure.specimens.{name}"
+        if not SPECIMEN.fullmatch(name) or name in (OWNER, "ground") or number_of_spring(name) is not None:
+            raise UserError(
+                f"structure.specimens: {shown(name)} can be no specimen's name; letters, digits and _ are allowed, and not "
+                f"{OWNER}, ground or spring_1"
+            )
+        if entry.model is None:
+            elements.append(Element(name, shared))
+        else:
+            law = law_of(f"{where}.model.spring", entry.model.spring, study.folder)
+            elements.append(Element(name, law, is_apart=True))
+    return tuple(elements)
+
+
+def placed(catalogue: Catalogue, elements: Sequence[Element], springs: int) -> Catalogue:
+    """The effects that may be named: those of the study's catalogue, at each of several specimens, and at linear springs.
+
+    Arguments:
+        catalogue: by their own names.
+        elements: the specimens.
+        springs: number of linear springs.
+
+    Raises:
+        UserError: a specimen has the name of an effect.
+    """
+    entries = list(catalogue.entries)
+    for element in elements:
+        if element.name in catalogue:
+            raise UserError(
+                f"structure.specimens: {element.name} is the name of an effect; give the specimen another one"
+            )
+        if element.name:
+            entries += [(named(element.name, name), e) for name, e in catalogue.entries if is_of_specimen(e)]
+    for i in range(springs):
+        entries += [(named(spring_name(i), name), e) for name, e in catalogue.entries if is_of_linear(e)]
+    return Catalogue(tuple(entries))
+
+
+def is_of_linear(effect: type[AbstractEffect]) -> bool:
+    """Whether an effect is one of linear springs."""
+    return issubclass(effect, AbstractSpringEffect) and effect.linear_only
+
+
+def is_of_specimen(effect: type[AbstractEffect]) -> bool:
+    """Whether each specimen has such an effect of its own."""
+    return issubclass(effect, AbstractSpringEffect) or is_of_sensors(effect)
