@@ -13,8 +13,7 @@ import numpy as np
 import yaml
 from scipy.stats import qmc
 
-from . import effects as effects  # registers its formulas, as .sensors does
-from . import opensees
+from . import degrading, effects, forces, loops, opensees
 from .catalogue import EFFECTS, KINDS, Formula, applicable, formula
 from .sensors import Program, Reading
 from .specimen import DURATION, Frame, Scales, Specimen, pull, shake

@@ -66,24 +66,25 @@ def against_scipy(effect: str | None, name: str, kind: str, size: float = 0.1, t
         return state[1] - state[0], state[3] - state[2]
 
     def flow(t, y):
-        state, peak = y[:-1, None], y[-1]
+        state, reach = y[:-2, None], y[-2:, None]
         u, v = kinematics(t, state)
         sample = (u, v) if kind == "component" else pulse(t, *plan.inputs[0])
-        grows = abs(u) >= peak and u * v > 0
-        return np.append(rates(state, sample, peak)[:, 0], np.abs(np.asarray(v).item()) if grows else 0.0)
+        aside = np.array([u, -u]).ravel()
+        grows = (aside >= reach[:, 0]) * np.maximum(np.array([v, -v]).ravel(), 0.0)
+        return np.concatenate([rates(state, sample, reach)[:, 0], grows])
 
-    units = np.concatenate([UNITS, np.full(specimen.rows - 8, 1e3), [0.1]])
+    units = np.concatenate([UNITS, np.full(specimen.rows - 8, 1e3), [0.1, 0.1]])
     solution = solve_ivp(
-        flow, (0, DURATION), np.zeros(specimen.rows + 1), "DOP853", ours.time, rtol=tolerance, atol=tolerance * units,
+        flow, (0, DURATION), np.zeros(specimen.rows + 2), "DOP853", ours.time, rtol=tolerance, atol=tolerance * units,
         max_step=5e-3,
     )  # fmt: skip
     worst = 0.0
     force, elongation = np.empty(len(ours.time)), np.empty(len(ours.time))
     for i, t in enumerate(solution.t):
-        state, peak = solution.y[:-1, i][:, None], solution.y[-1, i]
+        state, reach = solution.y[:-2, i][:, None], solution.y[-2:, i][:, None]
         u, v = kinematics(t, state)
         elongation[i] = np.asarray(u).item()
-        force[i] = np.asarray(specimen(u, v, state, peak)[0]).item()
+        force[i] = np.asarray(specimen(u, v, state, reach)[0]).item()
     for mine, exact in ((ours.u[:, 0, 0], elongation), (ours.force[:, 0, 0], force)):
         worst = max(worst, float(np.max(np.abs(mine - exact)) / np.max(np.abs(exact))))
     return worst

@@ -1,5 +1,7 @@
 r"""What may be hidden: each effect of the catalogue in its own formula (`same`) and in another of the same physics (`other`).
 
+More formulas of the same physics are in `.degrading`, `.loops` and `.forces`.
+
 A formula has an amplitude δ, neutral at zero, made dimensionless by the characteristic values F_c, u_c, v_c, E_c, and further
 parameters with a range to draw from.  Where it acts: in the specimen (`Slots`), the frame, the imposed motion (component tests)
 or the sensors (histories on the fine grid).
@@ -361,8 +363,7 @@ add(
     place="frame",
     is_signed=True,
 )
-for _name in ("same", "other"):
-    add("ground_motion_gain", _name, _frame(gain=1), 0.9, place="frame", is_signed=True)
+add("ground_motion_gain", "same", _frame(gain=1), 0.9, place="frame", is_signed=True)
 
 # ---- component tests by OpenSees: the material's name ------------------------------------------------------------------
 
