@@ -13,7 +13,11 @@ import numpy as np
 import yaml
 from scipy.stats import qmc
 
-from . import degrading, effects, forces, loops, opensees
+from . import degrading as degrading  # these four register their formulas, as .sensors does
+from . import effects as effects
+from . import forces as forces
+from . import loops as loops
+from . import opensees
 from .catalogue import EFFECTS, KINDS, Formula, applicable, formula
 from .sensors import Program, Reading
 from .specimen import DURATION, Frame, Scales, Specimen, pull, shake
