@@ -8,7 +8,8 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
-from hidden.campaigns import Case, make
+from hidden.campaigns import make
+from hidden.cases import Case
 from hidden_effects import diagnosed, score
 
 
