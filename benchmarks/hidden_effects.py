@@ -46,21 +46,21 @@ def plan() -> dict[str, list[Case]]:
 def _same_formula() -> dict[str, list[Case]]:
     """One effect in the formula of the catalogue."""
     groups: dict[str, list[Case]] = {}
-    for number, effect in enumerate(EFFECTS):
-        hidden = ((effect, "same"),)
-        seen = {kind: applicable(effect, kind) for kind in KINDS}
-        for kind in ("shaken", "component"):
-            if seen[kind]:
+    numbered = list(enumerate(EFFECTS))
+    # There and back, so that an even stride meets other effects in the second kind.
+    for kind, there_or_back in (("shaken", numbered), ("component", numbered[::-1])):
+        for number, effect in there_or_back:
+            if applicable(effect, kind):
+                hidden = ((effect, "same"),)
                 _add(groups, "same formula, medium", Case(kind, hidden, MEDIUM, 0.05, 6, 4, number))
                 _add(groups, "same formula, strong", Case(kind, hidden, STRONG, 0.02, 6, 4, 100 + number))
-        if seen["shaken"]:
-            _add(groups, "same formula, weak", Case("shaken", hidden, WEAK, 0.05, 6, 4, 200 + number))
-            varied = Case("shaken", hidden, MEDIUM, 0.10, 3 + number % 10, 4, 300 + number)
-            _add(groups, "same formula, noise 10 %", varied)
-        if seen["quantities"]:
+    for number, effect in numbered:
+        hidden = ((effect, "same"),)
+        _add(groups, "same formula, weak", Case("shaken", hidden, WEAK, 0.05, 6, 4, 200 + number))
+        varied = Case("shaken", hidden, MEDIUM, 0.10, 3 + number % 10, 4, 300 + number)
+        _add(groups, "same formula, noise 10 %", varied)
+        if applicable(effect, "quantities"):
             _add(groups, "quantities alone, strong", Case("quantities", hidden, STRONG, 0.02, 20, 6, 400 + number))
-    for cases in groups.values():
-        cases.sort(key=_place_of_kind)
     return groups
 
 

@@ -1,4 +1,4 @@
-r"""What may be hidden: each effect of the catalogue in its own formula (`same`) and in others of the same physics, named by what they are.
+r"""What may be hidden: each effect of the catalogue in its own formula (`same`) and in others, named by what they are.
 
 More formulas of the same physics are in `.degrading`, `.loops` and `.forces`.
 
