@@ -23,9 +23,10 @@ def _pinch_with_reversals(x, s, p):
 
 
 def _pinch_on_reloading(x, s, p):
-    """Only while the force grows: h = 1 − δ d/(d + 0.3) exp(−r/w)."""
+    """Only while the force grows: h = 1 − δ d/(d + 0.3) exp(−r/w), from z = 0 on (over 2 % of z_u)."""
     severity = p["delta"] * largest(x) / (largest(x) + 0.3)
-    s.h = s.h * (1 - np.where(x.z * x.v >= 0, severity * np.exp(-_ratio(x) / p["width"]), 0.0))
+    growing = sigmoid(x.z * np.sign(x.v) / (0.01 * x.strength))
+    s.h = s.h * (1 - severity * growing * np.exp(-_ratio(x) / p["width"]))
 
 
 def _pinch_in_two_windows(x, s, p):
