@@ -96,10 +96,10 @@ def _even_log(x, q, p, point):
     return 0.5 * np.log1p((x / 0.4) ** 2)
 
 
-@_beside("quadratic_stiffness", "square and quartic", 3.0, is_signed=True)
-def _square_and_quartic(x, q, p, point):
-    """(x² + x⁴)/2."""
-    return 0.5 * (x**2 + x**4)
+@_beside("quadratic_stiffness", "square and cube", 3.0, is_signed=True)
+def _square_and_cube(x, q, p, point):
+    """0.6 x² + 0.4 |x|³."""
+    return 0.6 * x**2 + 0.4 * np.abs(x) ** 3
 
 
 @_beside("quadratic_stiffness", "table with kinks", 3.0, is_signed=True)

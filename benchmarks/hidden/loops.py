@@ -129,9 +129,8 @@ def _fuller_at_high_force(x, s, p):
 
 
 def _fuller_by_logistic(x, s, p):
-    """Unloading alone, from half the ultimate force on: γ = δ σ, β (1 − δ σ), σ = sigmoid((r − 0.4)/0.1)."""
-    shift = p["delta"] * sigmoid((_ratio(x) - 0.4) / 0.1)
-    s.gamma, s.beta = s.gamma + shift, s.beta - shift
+    """γ = δ (0.3 + 0.7 sigmoid((r − 0.3)/0.08))."""
+    s.gamma = s.gamma + p["delta"] * (0.3 + 0.7 * sigmoid((_ratio(x) - 0.3) / 0.08))
 
 
 def _fuller_with_elongation(x, s, p):
@@ -139,8 +138,8 @@ def _fuller_with_elongation(x, s, p):
     s.gamma = s.gamma + p["delta"] * 0.5 * (1 + np.log1p(3 * largest(x)))
 
 
-add("loop_shape", "rational in force", _fuller_at_high_force, 6.0)
-add("loop_shape", "unloading, logistic in force", _fuller_by_logistic, 0.95)
+add("loop_shape", "rational in force", _fuller_at_high_force, 12.0)
+add("loop_shape", "logistic in force", _fuller_by_logistic, 6.0)
 add("loop_shape", "log of elongation", _fuller_with_elongation, 4.0)
 
 # ---- a support in series: compliance ----------------------------------------------------------------------------------
