@@ -10,7 +10,7 @@ import json
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -20,57 +20,115 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from hidden.campaigns import Case, TooSmall, make
-from hidden.catalogue import EFFECTS, FORMULAS, applicable
+from hidden.campaigns import TooSmall, make
+from hidden.cases import Case
+from hidden.catalogue import EFFECTS, FORMULAS, KINDS, applicable
 from hidden.opensees import is_available
 
 WEAK, MEDIUM, STRONG = 0.03, 0.10, 0.25
 SIZES = {WEAK: "weak", MEDIUM: "medium", STRONG: "strong"}
-_PAIRS = 24
+NOISES = (0.02, 0.05, 0.10)
+_PAIRS, _CONTROLS = 24, 100
 
 
 def plan() -> dict[str, list[Case]]:
-    """The cases, by group."""
-    every = list(EFFECTS)
-    groups: dict[str, list[Case]] = {}
-
-    def add(group: str, *cases: Case) -> None:
-        groups.setdefault(group, []).extend(cases)
-
-    for number, effect in enumerate(every):
-        for formula in ("same", "other"):
-            hidden = ((effect, formula),)
-            for kind in ("shaken", "component"):
-                if applicable(effect, kind):
-                    add(f"{formula} formula, medium", Case(kind, hidden, MEDIUM, 0.05, 6, 4, number))
-                    add(f"{formula} formula, strong", Case(kind, hidden, STRONG, 0.02, 6, 4, 100 + number))
-        if applicable(effect, "shaken"):
-            add("same formula, weak", Case("shaken", ((effect, "same"),), WEAK, 0.05, 6, 4, 200 + number))
-            add(
-                "same formula, noise 10 %",
-                Case("shaken", ((effect, "same"),), MEDIUM, 0.10, 3 + number % 10, 4, 300 + number),
-            )
-        if applicable(effect, "quantities"):
-            add("quantities alone, strong", Case("quantities", ((effect, "same"),), STRONG, 0.02, 20, 6, 400 + number))
-    for number in range(36):
-        kind = ("shaken", "component", "quantities")[number % 3]
-        noise = (0.02, 0.05, 0.10)[number // 3 % 3]
-        add("control: nothing is missing", Case(kind, (), 0.0, noise, 3 + number % 10, 4, 500 + number))
+    """The cases, by group; every n-th of a group is spread evenly over kinds of campaign, effects and their formulas."""
+    groups = _same_formula() | _other_formulas() | _controls()
     if is_available():
-        for number, (effect, formula) in enumerate(FORMULAS):
-            if formula == "opensees":
-                add(
-                    "OpenSees materials, medium",
-                    Case("component", ((effect, formula),), MEDIUM, 0.02, 6, 4, 700 + number),
-                )
+        groups["OpenSees materials, medium"] = [
+            Case("component", ((effect, formula),), MEDIUM, 0.02, 6, 4, 700 + number)
+            for number, (effect, formula) in enumerate(FORMULAS)
+            if formula == "opensees"
+        ]
+    return groups | {"pairs, medium": _pairs()}
+
+
+def _same_formula() -> dict[str, list[Case]]:
+    """One effect in the formula of the catalogue."""
+    groups: dict[str, list[Case]] = {}
+    numbered = list(enumerate(EFFECTS))
+    # There and back, so that an even stride meets other effects in the second kind.
+    for kind, there_or_back in (("shaken", numbered), ("component", numbered[::-1])):
+        for number, effect in there_or_back:
+            if applicable(effect, kind):
+                hidden = ((effect, "same"),)
+                _add(groups, "same formula, medium", Case(kind, hidden, MEDIUM, 0.05, 6, 4, number))
+                _add(groups, "same formula, strong", Case(kind, hidden, STRONG, 0.02, 6, 4, 100 + number))
+    for number, effect in numbered:
+        hidden = ((effect, "same"),)
+        _add(groups, "same formula, weak", Case("shaken", hidden, WEAK, 0.05, 6, 4, 200 + number))
+        varied = Case("shaken", hidden, MEDIUM, 0.10, 3 + number % 10, 4, 300 + number)
+        _add(groups, "same formula, noise 10 %", varied)
+        if applicable(effect, "quantities"):
+            _add(groups, "quantities alone, strong", Case("quantities", hidden, STRONG, 0.02, 20, 6, 400 + number))
+    return groups
+
+
+def _other_formulas() -> dict[str, list[Case]]:
+    """One effect in every formula but the catalogue's and OpenSees', kind by kind and effect by effect.
+
+    The formulas of an effect follow one another from another one on for each effect and kind, so that no stride always meets
+    the same.
+    """
+    groups: dict[str, list[Case]] = {}
+    for turn, kind in enumerate(KINDS):
+        experiments, test = (20, 6) if kind == "quantities" else (6, 4)
+        for number, effect in enumerate(EFFECTS):
+            names = [name for e, name in FORMULAS if e == effect and name not in ("same", "opensees")]
+            if not names or not applicable(effect, kind):
+                continue
+            for place in range(len(names)):
+                index = (place + number + turn) % len(names)
+                hidden, seed = ((effect, names[index]),), 1000 + 10 * number + index
+                for label, size, noise in (("medium", MEDIUM, 0.05), ("strong", STRONG, 0.02)):
+                    case = Case(kind, hidden, size, noise, experiments, test, seed + (1000 if label == "strong" else 0))
+                    _add(groups, f"other formula, {label}", case)
+    return groups
+
+
+def _controls() -> dict[str, list[Case]]:
+    """Nothing is hidden: white noise; noise with a memory that nobody declares; records of few samples."""
+    groups: dict[str, list[Case]] = {}
+    random = np.random.default_rng(1)
+    for number in range(_CONTROLS):
+        experiments, noise = 3 + number % 10, NOISES[number // 3 % 3]
+        _add(
+            groups, "control: nothing is missing", Case(KINDS[number % 3], (), 0.0, noise, experiments, 4, 500 + number)
+        )
+        kind, memory, every = (
+            ("shaken", "component")[number % 2],
+            float(random.uniform(0.2, 0.9)),
+            int(random.integers(5, 11)),
+        )
+        remembering = Case(kind, (), 0.0, noise, experiments, 4, 3000 + number, memory=round(memory, 3))
+        _add(groups, "control: noise with a memory", remembering)
+        coarse = Case(kind, (), 0.0, noise, experiments, 4, 3100 + number, every=every)
+        _add(groups, "control: coarse sampling", coarse)
+    for cases in groups.values():
+        # Kind by kind, and within a kind in no order, in which noise and number of experiments would repeat with the stride.
+        random.shuffle(cases)
+        cases.sort(key=_place_of_kind)
+    return groups
+
+
+def _pairs() -> list[Case]:
     random = np.random.default_rng(0)
-    pairs = groups["pairs, medium"] = []
+    pairs: list[Case] = []
     while len(pairs) < _PAIRS:
         kind = ("shaken", "component")[len(pairs) % 2]
-        one, two = random.choice([e for e in every if applicable(e, kind)], 2, replace=False)
+        one, two = random.choice([e for e in EFFECTS if applicable(e, kind)], 2, replace=False)
         if EFFECTS[one] != EFFECTS[two]:
             pairs.append(Case(kind, ((str(one), "same"), (str(two), "same")), MEDIUM, 0.02, 6, 4, 600 + len(pairs)))
-    return groups
+    return sorted(pairs, key=_place_of_kind)
+
+
+def _place_of_kind(case: Case) -> int:
+    # A group whose kinds alternate would show only one of them to an even stride.
+    return KINDS.index(case.kind)
+
+
+def _add(groups: dict[str, list[Case]], group: str, case: Case) -> None:
+    groups.setdefault(group, []).append(case)
 
 
 def main() -> None:
@@ -81,6 +139,7 @@ def main() -> None:
     parser.add_argument("--stride", type=int, default=1, metavar="N", help="every N-th case of each group")
     parser.add_argument("--resume", action="store_true", help="keep the cases that were scored already")
     parser.add_argument("--markdown", action="store_true", help="print the table of the last results, measure nothing")
+    parser.add_argument("--by", choices=list(SPLITS), help="split the rows of the table by this")
     options = parser.parse_args()
     kept = json.loads(options.output.read_text(encoding="utf-8")) if options.resume or options.markdown else []
     if not options.markdown:
@@ -95,7 +154,7 @@ def main() -> None:
             kept.append(row)
             print(_line(row), file=sys.stderr, flush=True)
             options.output.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
-    print(table(kept))
+    print(table(kept, options.by))
 
 
 def scored(cases: Sequence[tuple[str, Case]]) -> Iterator[dict[str, Any]]:
@@ -156,28 +215,43 @@ def score(found: dict[str, Any], truth: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def table(rows: Sequence[dict[str, Any]]) -> str:
-    """The results as a Markdown table."""
+def table(rows: Sequence[dict[str, Any]], by: str | None = None) -> str:
+    """The results as a Markdown table, a row for each group, or for each part of it where it is split by one of SPLITS."""
     head = (
-        "| group | cases | noise explains it | named first | family first | exact set | ambiguous | unexplained | "
-        "error before → after (noise) | interval covers | s |"
+        "| group | cases | noise explains it | named first | family first | exact set | false alarms | ambiguous | "
+        "unexplained | error before → after (noise) | error raised | interval covers | s |"
     )
-    lines = [head, "|" + " --- |" * 11]
-    for group in dict.fromkeys(row["group"] for row in rows):
-        own = [row for row in rows if row["group"] == group and "skipped" not in row]
-        if not own:
-            continue
+    lines = [head, "|" + " --- |" * 13]
+    parts: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        if "skipped" not in row:
+            parts.setdefault(row["group"] + (f": {SPLITS[by](row['case'])}" if by else ""), []).append(row)
+    for label, own in parts.items():
         # What a refit of the law absorbs down to the noise is there for nobody to see.
         seen = [row for row in own if row["verdict"] != "adequate"]
         errors = np.median(np.asarray([row["error"] for row in own]), axis=0)
         shares = [_share([row[key] for row in seen]) for key in ("first", "family", "exact")]
-        counts = [str(sum(row["verdict"] == verdict for row in own)) for verdict in ("ambiguous", "unexplained")]
+        counts = [sum(row["verdict"] == verdict for row in own) for verdict in ("ambiguous", "unexplained")]
+        # An effect is named that is not there.
+        alarms = sum(bool(set(row["named"]) - {effect for effect, _ in row["case"]["effects"]}) for row in own)
+        raised = sum(row["error"][1] > row["error"][0] for row in own)
         lines.append(
-            f"| {group} | {len(own)} | {len(own) - len(seen)} | {' | '.join(shares)} | {' | '.join(counts)} | "
-            f"{errors[0]:.3f} → {errors[1]:.3f} ({errors[2]:.3f}) | {_share([c for row in own for c in row['covered']])} | "
-            f"{np.median([row['seconds'] for row in own]):.0f} |"
+            f"| {label} | {len(own)} | {len(own) - len(seen)} | {' | '.join(shares)} | {alarms} | "
+            f"{counts[0]} | {counts[1]} | {errors[0]:.3f} → {errors[1]:.3f} ({errors[2]:.3f}) | {raised} | "
+            f"{_share([c for row in own for c in row['covered']])} | {np.median([row['seconds'] for row in own]):.0f} |"
         )
     return "\n".join(lines)
+
+
+def _hidden(case: dict[str, Any]) -> str:
+    return " + ".join(f"{effect} ({formula})" for effect, formula in case["effects"]) or "nothing"
+
+
+SPLITS: dict[str, Callable[[dict[str, Any]], str]] = {
+    "kind": lambda case: case["kind"],
+    "effect": lambda case: " + ".join(effect for effect, _ in case["effects"]) or "nothing",
+    "formula": _hidden,
+}
 
 
 def _share(flags: Sequence[bool]) -> str:
@@ -199,8 +273,9 @@ def _plain(case: Case) -> dict[str, Any]:
 
 def _line(row: dict[str, Any]) -> str:
     case = row["case"]
-    hidden = " + ".join(f"{effect} ({formula})" for effect, formula in case["effects"]) or "nothing"
-    about = f"{row['group']}: {case['kind']}, {hidden}, noise {case['noise']:g}, {case['experiments']} experiments"
+    about = (
+        f"{row['group']}: {case['kind']}, {_hidden(case)}, noise {case['noise']:g}, {case['experiments']} experiments"
+    )
     if "skipped" in row:
         return f"{about}: skipped, {row['skipped']}"
     mark = "ok " if row["exact"] else "(f)" if row["family"] else "-- "

@@ -6,16 +6,16 @@ JSON into `truth` (noise-free histories beside it, .npz).  No code of `hsed_jax`
 
 import csv
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import yaml
-from scipy.stats import qmc
+from scipy.signal import lfilter
 
-from . import effects as effects  # registers its formulas, as .sensors does
 from . import opensees
-from .catalogue import EFFECTS, KINDS, Formula, applicable, formula
+from .cases import Case, Hidden, Measured, Plan, draw, scales_of
+from .catalogue import EFFECTS
 from .sensors import Program, Reading
 from .specimen import DURATION, Frame, Scales, Specimen, pull, shake
 
@@ -26,104 +26,6 @@ QUANTITIES = ("peak_force", "peak_elongation", "dissipated_energy")
 
 class TooSmall(ValueError):
     """At its physical bound the effect changes the response by less than half of what was asked."""
-
-
-@dataclass(frozen=True)
-class Case:
-    """What to hide.
-
-    Attributes:
-        kind: `shaken`, `component` or `quantities`.
-        effects: (effect, formula) each; none is a control.  Of a pair each alone has the size.
-        size: relative change of the response by one effect alone, at the same A and β.
-        noise: standard deviation over the RMS of a channel, or over the value of a quantity.
-        experiments, test: how many to train with, how many to hold out.
-        seed: of everything drawn.
-    """
-
-    kind: str
-    effects: tuple[tuple[str, str], ...]
-    size: float
-    noise: float
-    experiments: int
-    test: int
-    seed: int
-
-
-@dataclass(frozen=True)
-class Hidden:
-    """An effect with its formula, its sign, and its further parameters as drawn."""
-
-    effect: str
-    name: str
-    formula: Formula
-    sign: float
-    drawn: dict[str, float]
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What was drawn for a case: inputs (n, 2), parameters, effects."""
-
-    kind: str
-    inputs: np.ndarray
-    A: float
-    beta: float
-    hidden: tuple[Hidden, ...]
-    seed: int
-    train: int
-
-
-@dataclass(frozen=True)
-class Measured:
-    """Noise-free records (samples, sizes, experiments) and quantities (3, sizes, experiments)."""
-
-    time: np.ndarray
-    u: np.ndarray
-    force: np.ndarray
-    quantities: np.ndarray
-
-    def scales(self, size: int, train: int) -> Scales:
-        """Medians over the training experiments of largest force, largest elongation, high rate, absorbed energy."""
-        return scales_of(self.time, self.u[:, size, :train], self.force[:, size, :train])
-
-
-def scales_of(time, u, force) -> Scales:
-    """Characteristic values of records (samples, experiments), as the package defines them."""
-    rate = np.quantile(np.abs(np.gradient(u, time, axis=0)), 0.98, axis=0)
-    values = np.abs(force).max(0), np.abs(u).max(0), rate, np.abs(np.trapezoid(force, u, axis=0))
-    return Scales(*(float(np.median(v)) for v in values))
-
-
-def draw(case: Case) -> Plan:
-    """Everything random in a case but the noise.
-
-    Raises:
-        ValueError: no such kind, effect or formula, or the effect does not show in this kind.
-    """
-    if case.kind not in KINDS:
-        raise ValueError(f"no kind {case.kind!r}; kinds are {', '.join(KINDS)}")
-    random = np.random.default_rng([case.seed, 1])
-    A, beta = 5e5 * random.uniform(0.8, 1.2), random.uniform(0.8, 1.2)
-    low, high = ([1.5, 0.5], [3.0, 1.5]) if case.kind != "component" else ([0.15, 0.3], [0.45, 0.8])
-    inputs = [
-        qmc.scale(qmc.LatinHypercube(2, rng=random).random(count), low, high)
-        for count in (case.experiments, case.test)
-        if count
-    ]
-    hidden = []
-    for effect, name in case.effects:
-        if effect not in EFFECTS:
-            raise ValueError(f"no effect {effect!r}; effects are {', '.join(EFFECTS)}")
-        if not applicable(effect, case.kind):
-            raise ValueError(f"{effect!r} cannot show in a campaign of kind {case.kind!r}")
-        chosen = formula(effect, name)
-        if chosen.place == "opensees" and (case.kind != "component" or len(case.effects) != 1):
-            raise ValueError(f"{effect!r} by OpenSees is for component tests with this one effect")
-        sign = random.choice([-1.0, 1.0]) if chosen.is_signed else 1.0
-        drawn = {key: float(random.uniform(*bounds)) for key, bounds in chosen.draws.items()}
-        hidden.append(Hidden(effect, name, chosen, float(sign), drawn))
-    return Plan(case.kind, np.concatenate(inputs), A, beta, tuple(hidden), case.seed, case.experiments)
 
 
 def respond(plan: Plan, deltas, scales: Scales, experiments: int, step: float) -> Measured:
@@ -267,18 +169,27 @@ def make(case: Case, folder: Path, truth: Path) -> None:
             float(change(one, respond(one, row, scales, count, COARSE))[-1])
             for one, row in zip(alone, table, strict=True)
         ]
-    random = np.random.default_rng([case.seed, 3])
-    noisy = _noisy(measured, plan, case.noise, random)
+    measured = measured.sampled(case.every)
+    noisy = _noisy(measured, plan, case, np.random.default_rng([case.seed, 3]))
     _write_campaign(case, plan, noisy, Path(folder))
     observed = scales_of(noisy["time"], noisy["u"][:, : plan.train], noisy["force"][:, : plan.train])
     _write_truth(case, plan, deltas, reached, together, scales, observed, measured, Path(truth))
 
 
-def _noisy(measured: Measured, plan: Plan, noise: float, random) -> dict[str, np.ndarray]:
+def coloured(random: np.random.Generator, shape: tuple[int, ...], memory: float) -> np.ndarray:
+    """Gaussian noise of variance one along axis 0, stationary, each sample correlated by `memory` with the one before."""
+    white = random.standard_normal(shape)
+    if memory == 0:
+        return white
+    white[1:] *= np.sqrt(1 - memory**2)
+    return lfilter([1.0], [1.0, -memory], white, axis=0)
+
+
+def _noisy(measured: Measured, plan: Plan, case: Case, random) -> dict[str, np.ndarray]:
     """What the laboratory reads, by name: records (samples, experiments), quantities (3, experiments)."""
 
     def disturbed(values):
-        return values + noise * np.sqrt(np.mean(values**2, axis=0)) * random.standard_normal(values.shape)
+        return values + case.noise * np.sqrt(np.mean(values**2, axis=0)) * coloured(random, values.shape, case.memory)
 
     u, force, q = measured.u[:, -1], measured.force[:, -1], measured.quantities[:, -1]
     return {
@@ -286,7 +197,7 @@ def _noisy(measured: Measured, plan: Plan, noise: float, random) -> dict[str, np
         # Of a component test the elongation is the command, known exactly.
         "u": u if plan.kind == "component" else disturbed(u),
         "force": disturbed(force),
-        "quantities": q * (1 + noise * random.standard_normal(q.shape)),
+        "quantities": q * (1 + case.noise * random.standard_normal(q.shape)),
     }
 
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from .campaigns import FINE, Case, TooSmall, amplitude, draw, respond
+from .campaigns import FINE, TooSmall, amplitude, respond
+from .cases import Case, Measured, Plan, draw
 from .catalogue import FORMULAS
 from .sensors import Program
 from .specimen import DURATION, Frame, Scales, Specimen, driven_rates, modal_damping, pulse, shake, shaken_rates
@@ -48,8 +49,12 @@ def against_scipy(effect: str | None, name: str, kind: str, size: float = 0.1, t
             delta, scales = amplitude(plan, size, scales)
         except TooSmall:
             return None
-    ours = respond(plan, [[delta]], scales, 1, FINE)
-    x, y = plan.inputs[0]
+    return difference(plan, delta, scales, respond(plan, [[delta]], scales, 1, FINE), tolerance)
+
+
+def difference(plan: Plan, delta: float, scales: Scales, ours: Measured, tolerance: float = 1e-8) -> float:
+    """Largest difference of the first experiment, last size of `ours` from DOP853, over the largest values."""
+    kind, (x, y) = plan.kind, plan.inputs[0]
     specimen = Specimen(np.full(1, plan.A), np.full(1, plan.beta), scales)
     frame = Frame.nominal()
     for item in plan.hidden:
@@ -66,25 +71,26 @@ def against_scipy(effect: str | None, name: str, kind: str, size: float = 0.1, t
         return state[1] - state[0], state[3] - state[2]
 
     def flow(t, y):
-        state, peak = y[:-1, None], y[-1]
+        state, reach = y[:-2, None], y[-2:, None]
         u, v = kinematics(t, state)
         sample = (u, v) if kind == "component" else pulse(t, *plan.inputs[0])
-        grows = abs(u) >= peak and u * v > 0
-        return np.append(rates(state, sample, peak)[:, 0], np.abs(np.asarray(v).item()) if grows else 0.0)
+        aside = np.array([u, -u]).ravel()
+        grows = (aside >= reach[:, 0]) * np.maximum(np.array([v, -v]).ravel(), 0.0)
+        return np.concatenate([rates(state, sample, reach)[:, 0], grows])
 
-    units = np.concatenate([UNITS, np.full(specimen.rows - 8, 1e3), [0.1]])
+    units = np.concatenate([UNITS, np.full(specimen.rows - 8, 1e3), [0.1, 0.1]])
     solution = solve_ivp(
-        flow, (0, DURATION), np.zeros(specimen.rows + 1), "DOP853", ours.time, rtol=tolerance, atol=tolerance * units,
+        flow, (0, DURATION), np.zeros(specimen.rows + 2), "DOP853", ours.time, rtol=tolerance, atol=tolerance * units,
         max_step=5e-3,
     )  # fmt: skip
     worst = 0.0
     force, elongation = np.empty(len(ours.time)), np.empty(len(ours.time))
     for i, t in enumerate(solution.t):
-        state, peak = solution.y[:-1, i][:, None], solution.y[-1, i]
+        state, reach = solution.y[:-2, i][:, None], solution.y[-2:, i][:, None]
         u, v = kinematics(t, state)
         elongation[i] = np.asarray(u).item()
-        force[i] = np.asarray(specimen(u, v, state, peak)[0]).item()
-    for mine, exact in ((ours.u[:, 0, 0], elongation), (ours.force[:, 0, 0], force)):
+        force[i] = np.asarray(specimen(u, v, state, reach)[0]).item()
+    for mine, exact in ((ours.u[:, -1, 0], elongation), (ours.force[:, -1, 0], force)):
         worst = max(worst, float(np.max(np.abs(mine - exact)) / np.max(np.abs(exact))))
     return worst
 

@@ -1,4 +1,6 @@
-r"""What may be hidden: each effect of the catalogue in its own formula (`same`) and in another of the same physics (`other`).
+r"""What may be hidden: each effect of the catalogue in its own formula (`same`) and in others, named by what they are.
+
+More formulas of the same physics are in `.degrading`, `.loops` and `.forces`.
 
 A formula has an amplitude δ, neutral at zero, made dimensionless by the characteristic values F_c, u_c, v_c, E_c, and further
 parameters with a range to draw from.  Where it acts: in the specimen (`Slots`), the frame, the imposed motion (component tests)
@@ -73,16 +75,23 @@ def _harden_path(x, s, p):
 ENERGY_WIDTH = {"width": ("energy", "J", lambda c: c.energy)}
 LENGTH = {"life": ("path", "m", lambda c: c.elongation)}
 add("stiffness_degradation", "same", _degrade_linear, 30.0, PER_ENERGY)
-add("stiffness_degradation", "other", _degrade_exponential, 10.0, PER_ENERGY)
+add("stiffness_degradation", "exponential in hysteretic work", _degrade_exponential, 10.0, PER_ENERGY)
 add("strength_degradation", "same", _weaken_linear, 50.0, ("nu", "1/J", PER_ENERGY[2]))
-add("strength_degradation", "other", _weaken_exponential, 30.0, ("nu", "1/J", PER_ENERGY[2]))
+add("strength_degradation", "exponential in hysteretic work", _weaken_exponential, 30.0, ("nu", "1/J", PER_ENERGY[2]))
 add("peak_softening", "same", _peak_hyperbola, 30.0, ("softening", "1/m", lambda c: 1 / c.elongation))
-add("peak_softening", "other", _peak_power, 3.0)
+add("peak_softening", "power", _peak_power, 3.0)
 add("fracture", "same", _fracture_path, 0.9, draws={"life": (3.0, 6.0)}, also=LENGTH)
-add("fracture", "other", _fracture_energy, 0.9, draws={"life": (0.3, 0.7)}, also={"life": ENERGY_WIDTH["width"]})
+add(
+    "fracture",
+    "gradual, in hysteretic work",
+    _fracture_energy,
+    0.9,
+    draws={"life": (0.3, 0.7)},
+    also={"life": ENERGY_WIDTH["width"]},
+)
 add("isotropic_hardening", "same", _harden_energy, 20.0, draws={"width": (0.1, 0.5)}, also=ENERGY_WIDTH)
 add(
-    "isotropic_hardening", "other", _harden_path, 20.0, draws={"width": (0.7, 3.0)}, also={"width": LENGTH["life"]}
+    "isotropic_hardening", "with the path", _harden_path, 20.0, draws={"width": (0.7, 3.0)}, also={"width": LENGTH["life"]}
 )  # fmt: skip
 
 # ---- shape of the loop ------------------------------------------------------------------------------------------------
@@ -144,15 +153,15 @@ def _fullness(x, s, p):
 
 PINCH = {"p": (3.0, 8.0), "q": (0.0, 0.05), "psi": (0.08, 0.15)}
 add("pinching", "same", _pinch_gauss, 0.99, ("zeta", "1", lambda _: 1.0), draws=PINCH)
-add("pinching", "other", _pinch_window, 0.97, draws={"width": (0.04, 0.08)})
+add("pinching", "window of force", _pinch_window, 0.97, draws={"width": (0.04, 0.08)})
 add("slip", "same", _slip_gauss, 1.0, draws={"width": (0.03, 0.08)})
-add("slip", "other", _slip_linear, 1.0, draws={"width": (0.03, 0.08)})
+add("slip", "piecewise linear", _slip_linear, 1.0, draws={"width": (0.03, 0.08)})
 add("asymmetry", "same", _asymmetric_strength, 0.95, is_signed=True)
-add("asymmetry", "other", _asymmetric_stiffness, 0.8, is_signed=True)
+add("asymmetry", "stiffness and strength", _asymmetric_stiffness, 0.8, is_signed=True)
 add("yield_sharpness", "same", _sharp_power, 6.0)
-add("yield_sharpness", "other", _sharp_sinh, 8.0)
+add("yield_sharpness", "sinh", _sharp_sinh, 8.0)
 add("loop_shape", "same", _gamma, 4.0)
-add("loop_shape", "other", _fullness, 0.95)
+add("loop_shape", "unloading alone", _fullness, 0.95)
 
 # ---- elastic forces and contact ---------------------------------------------------------------------------------------
 
@@ -221,18 +230,24 @@ def _series_stiffening(x, s, p):
 
 CLEARANCE = {"draws": {"clearance": (0.3, 0.6)}, "also": {"clearance": ("gap", "m", lambda c: c.elongation)}}
 add("hardening", "same", _linear, 5.0, STIFFNESS)
-add("hardening", "other", _kinematic, 20.0, STIFFNESS)
+add("hardening", "kinematic", _kinematic, 20.0, STIFFNESS)
 add("cubic_stiffness", "same", _power_elastic(3), 5.0, ("k3", "N/m^3", lambda c: c.force / c.elongation**3))
-add("cubic_stiffness", "other", _power_elastic(2.4), 5.0)
+add("cubic_stiffness", "power 2.4", _power_elastic(2.4), 5.0)
 add("quadratic_stiffness", "same", _square, 2.0, ("k2", "N/m^2", lambda c: c.force / c.elongation**2), is_signed=True)
-add("quadratic_stiffness", "other", _one_sided, 1.0, STIFFNESS, is_signed=True)
+add("quadratic_stiffness", "one-sided, rounded", _one_sided, 1.0, STIFFNESS, is_signed=True)
 add("contact_stiffening", "same", _stop(1), 50.0, STIFFNESS, **CLEARANCE)
-add("contact_stiffening", "other", _stop(1.5), 50.0, **CLEARANCE)
+add("contact_stiffening", "Hertz", _stop(1.5), 50.0, **CLEARANCE)
 add("gap", "same", _gap_sharp, 0.8, ("width", "m", lambda c: c.elongation))
-add("gap", "other", _gap_smooth, 0.8, ("width", "m", lambda c: c.elongation))
+add("gap", "smooth", _gap_smooth, 0.8, ("width", "m", lambda c: c.elongation))
 add("gap", "series", _gap_series, 0.8, ("width", "m", lambda c: c.elongation))
 add("support_flexibility", "same", _series_linear, 5.0, ("compliance", "m/N", lambda c: c.elongation / c.force))
-add("support_flexibility", "other", _series_stiffening, 10.0, ("compliance", "m/N", lambda c: c.elongation / c.force))
+add(
+    "support_flexibility",
+    "stiffening",
+    _series_stiffening,
+    10.0,
+    ("compliance", "m/N", lambda c: c.elongation / c.force),
+)
 
 # ---- forces that depend on the rate -----------------------------------------------------------------------------------
 
@@ -288,24 +303,24 @@ def _maxwell(shares):
 
 
 add("viscous_damping", "same", _dashpot(lambda r, p: r), 10.0, VISCOUS)
-add("viscous_damping", "other", _dashpot(lambda r, p: _rounded_power(r, 0.85)), 10.0, FORCE)
+add("viscous_damping", "power 0.85", _dashpot(lambda r, p: _rounded_power(r, 0.85)), 10.0, FORCE)
 add(
     "quadratic_damping", "same", _dashpot(lambda r, p: np.abs(r) * r), 10.0,
     ("c2", "N*s^2/m^2", lambda c: c.force / c.rate**2),
 )  # fmt: skip
-add("quadratic_damping", "other", _dashpot(lambda r, p: np.abs(r) ** 0.8 * r), 10.0, FORCE)
+add("quadratic_damping", "power 1.8", _dashpot(lambda r, p: np.abs(r) ** 0.8 * r), 10.0, FORCE)
 add(
     "power_damping", "same", _dashpot(lambda r, p: np.maximum(np.abs(r), 1e-3) ** (p["alpha"] - 1) * r), 5.0, FORCE,
     draws={"alpha": (0.3, 0.7)},
 )  # fmt: skip
-add("power_damping", "other", _dashpot(lambda r, p: np.arcsinh(r / 0.1) / np.arcsinh(10)), 5.0, FORCE)
+add("power_damping", "arsinh", _dashpot(lambda r, p: np.arcsinh(r / 0.1) / np.arcsinh(10)), 5.0, FORCE)
 add("coulomb_friction", "same", _dashpot(lambda r, p: np.tanh(r / 0.02)), 3.0, FORCE)
-add("coulomb_friction", "other", _dashpot(lambda r, p: r / np.hypot(r, 0.03)), 3.0, FORCE)
+add("coulomb_friction", "rounded", _dashpot(lambda r, p: r / np.hypot(r, 0.03)), 3.0, FORCE)
 add("coulomb_friction", "dahl", _dahl, 3.0, FORCE, states=1)
 add("stribeck_friction", "same", _dashpot(_stribeck), 3.0, FORCE, draws={"remaining": (0.2, 0.6)})
-add("stribeck_friction", "other", _dashpot(_stribeck_gauss), 3.0, FORCE, draws={"remaining": (0.2, 0.6)})
+add("stribeck_friction", "Gauss", _dashpot(_stribeck_gauss), 3.0, FORCE, draws={"remaining": (0.2, 0.6)})
 add("rate_dependence", "same", _rate_log, 10.0)
-add("rate_dependence", "other", _rate_power, 5.0)
+add("rate_dependence", "Cowper-Symonds", _rate_power, 5.0)
 add(
     "relaxation",
     "same",
@@ -317,7 +332,7 @@ add(
     states=1,
 )
 add(
-    "relaxation", "other", _maxwell([(0.5, 1.0), (0.5, 6.0)]), 10.0, STIFFNESS, draws={"tau": (0.3, 0.8)},
+    "relaxation", "two times", _maxwell([(0.5, 1.0), (0.5, 6.0)]), 10.0, STIFFNESS, draws={"tau": (0.3, 0.8)},
     also={"tau": TIME}, states=2,
 )  # fmt: skip
 
@@ -348,21 +363,20 @@ def _frame(**names):
 
 
 add("damping_error", "same", _damping_scaled, 10.0, place="frame")
-add("damping_error", "other", _damping_stiffness, 10.0, place="frame")
+add("damping_error", "proportional to stiffness", _damping_stiffness, 10.0, place="frame")
 add("mass_error", "same", _frame(m1=1, m2=1), 0.6, place="frame", is_signed=True)
-add("mass_error", "other", _frame(m1=1), 0.8, ("mass", "kg", lambda _: MASSES[0]), place="frame", is_signed=True)
+add("mass_error", "one mass", _frame(m1=1), 0.8, ("mass", "kg", lambda _: MASSES[0]), place="frame", is_signed=True)
 add("support_stiffness_error", "same", _frame(k1=1, k2=1), 0.8, place="frame", is_signed=True)
 add(
     "support_stiffness_error",
-    "other",
+    "one spring",
     _frame(k1=1),
     0.9,
     ("k", "N/m", lambda _: SPRINGS[0]),
     place="frame",
     is_signed=True,
 )
-for _name in ("same", "other"):
-    add("ground_motion_gain", _name, _frame(gain=1), 0.9, place="frame", is_signed=True)
+add("ground_motion_gain", "same", _frame(gain=1), 0.9, place="frame", is_signed=True)
 
 # ---- component tests by OpenSees: the material's name ------------------------------------------------------------------
 

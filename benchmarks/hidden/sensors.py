@@ -129,13 +129,33 @@ def _drive_gain(program, delta):
 RATE = ("drift", "N/s", lambda c: c.force / 10.0)
 SENSOR = {"place": "sensor"}
 add("actuator_delay", "same", _delayed, 2.0, TIME, drive=_drive_lead, **SENSOR)
-add("actuator_delay", "other", _lagged, 2.0, TIME, drive=_drive_lag, **SENSOR)
+add("actuator_delay", "first-order lag", _lagged, 2.0, TIME, drive=_drive_lag, **SENSOR)
 add("time_offset", "same", _force_later(0.0), 2.0, TIME, **SENSOR)
-add("time_offset", "other", _force_later(0.2), 2.0, TIME, **SENSOR)
-for _name in ("same", "other"):
-    add("force_gain", _name, _scaled_force, 0.9, is_signed=True, **SENSOR)
-    add("elongation_gain", _name, _scaled_elongation, 0.9, drive=_drive_gain, is_signed=True, **SENSOR)
+add("time_offset", "with jitter", _force_later(0.2), 2.0, TIME, **SENSOR)
+add("force_gain", "same", _scaled_force, 0.9, is_signed=True, **SENSOR)
+add("elongation_gain", "same", _scaled_elongation, 0.9, drive=_drive_gain, is_signed=True, **SENSOR)
 add("force_offset", "same", _added_force(np.ones_like), 1.0, OFFSET, is_signed=True, **SENSOR)
-add("force_offset", "other", _added_force(lambda t: -np.expm1(-t / 0.3)), 1.0, OFFSET, is_signed=True, **SENSOR)
+add("force_offset", "settling", _added_force(lambda t: -np.expm1(-t / 0.3)), 1.0, OFFSET, is_signed=True, **SENSOR)
 add("force_drift", "same", _added_force(lambda t: t / 10.0), 2.0, RATE, is_signed=True, **SENSOR)
-add("force_drift", "other", _added_force(lambda t: (t / 10.0) ** 2), 2.0, OFFSET, is_signed=True, **SENSOR)
+add("force_drift", "square", _added_force(lambda t: (t / 10.0) ** 2), 2.0, OFFSET, is_signed=True, **SENSOR)
+add(
+    "force_drift", "log", _added_force(lambda t: np.log1p(t / 2.0) / np.log(6.0)), 2.0, OFFSET, is_signed=True, **SENSOR
+)
+add(
+    "force_drift",
+    "from 4 s on",
+    _added_force(lambda t: np.maximum(t - 4.0, 0.0) / 6.0),
+    2.0,
+    OFFSET,
+    is_signed=True,
+    **SENSOR,
+)
+add(
+    "force_drift",
+    "logistic",
+    _added_force(lambda t: 1 / (1 + np.exp((5.0 - t) / 0.8))),
+    2.0,
+    OFFSET,
+    is_signed=True,
+    **SENSOR,
+)

@@ -44,13 +44,18 @@ class Point:
         energy: total work ∫ r du [J].
         hysteretic: work of the hysteretic force ∫ z du [J].
         path: length of the path of u [m].
-        peak: largest |u| so far [m].
+        high, low: largest u and largest −u so far [m].
         A, beta: parameters of the specimen.
         scales: characteristic values.
         w: the extra states of the effect that is asked, shape (k, lanes).
     """
 
-    __slots__ = ("A", "beta", "energy", "hysteretic", "path", "peak", "scales", "u", "v", "w", "z")
+    __slots__ = ("A", "beta", "energy", "high", "hysteretic", "low", "path", "scales", "u", "v", "w", "z")
+
+    @property
+    def peak(self):
+        """Largest |u| so far [m]."""
+        return np.maximum(self.high, self.low)
 
     @property
     def strength(self):
@@ -86,10 +91,14 @@ class Specimen:
         """Number of states."""
         return EXTRA + sum(count for *_, count in self.acts)
 
-    def __call__(self, u, v, state, peak) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
-        """Force r [N], slope dz/du [N/m] (before the product with v), and the derivatives of the extra states."""
+    def __call__(self, u, v, state, reach) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
+        """Force r [N], slope dz/du [N/m] (before the product with v), and the derivatives of the extra states.
+
+        `reach` is the largest u and the largest −u so far [m], zero at least, shape (2, lanes).
+        """
         x, s = Point(), Slots()
-        x.u, x.v, x.z, x.peak = u, v, state[Z], np.maximum(peak, np.abs(u))
+        x.u, x.v, x.z = u, v, state[Z]
+        x.high, x.low = np.maximum(reach[0], u), np.maximum(reach[1], -u)
         x.energy, x.hysteretic, x.path = state[ENERGY], state[HYSTERETIC], state[PATH]
         x.A, x.beta, x.scales = self.A, self.beta, self.scales
         row = EXTRA
@@ -155,13 +164,13 @@ class Run:
 
 
 def shaken_rates(specimen: Specimen, frame: Frame):
-    """The right-hand side (state, ground acceleration, peak) -> rates, and the force as function of the same."""
+    """The right-hand side (state, ground acceleration, reach) -> rates, and the force as function of the same."""
 
-    def rates(state, ground, peak):
+    def rates(state, ground, reach):
         out = np.empty_like(state)
         p, q, v1, v2 = state[U1], state[U2], state[V1], state[V2]
         v = v2 - v1
-        r, slope, more = specimen(q - p, v, state, peak)
+        r, slope, more = specimen(q - p, v, state, reach)
         ground = frame.gain * ground
         out[U1], out[U2] = v1, v2
         out[V1] = (r - frame.c11 * v1 - frame.c12 * v2 - frame.k1 * p) / frame.m1 - ground
@@ -173,12 +182,12 @@ def shaken_rates(specimen: Specimen, frame: Frame):
 
 
 def driven_rates(specimen: Specimen):
-    """The right-hand side (state, (u, v), peak) -> rates of the specimen alone."""
+    """The right-hand side (state, (u, v), reach) -> rates of the specimen alone."""
 
-    def rates(state, imposed, peak):
+    def rates(state, imposed, reach):
         out = np.zeros_like(state)
         u, v = imposed
-        r, slope, more = specimen(u, v, state, peak)
+        r, slope, more = specimen(u, v, state, reach)
         _memory(out, state, v, r, slope, more)
         return out
 
@@ -213,19 +222,19 @@ def pull(specimen: Specimen, program, step: float = 1e-3, duration: float = DURA
 
 def _integrate(rates, specimen, samples, step, steps, kinematics) -> Run:
     lanes = specimen.A.size
-    state, peak = np.zeros((specimen.rows, lanes)), np.zeros(lanes)
+    state, reach = np.zeros((specimen.rows, lanes)), np.zeros((2, lanes))
     kept = np.empty((4, steps + 1, lanes))
     with np.errstate(all="ignore"):
         for i in range(steps + 1):
             u, v = kinematics(state, samples[2 * i])
-            peak = np.maximum(peak, np.abs(u))
-            kept[:, i] = u, v, specimen(u, v, state, peak)[0], state[ENERGY]
+            reach = np.maximum(reach, [u, -u])
+            kept[:, i] = u, v, specimen(u, v, state, reach)[0], state[ENERGY]
             if i == steps:
                 break
             first, middle, last = samples[2 * i : 2 * i + 3]
-            a = rates(state, first, peak)
-            b = rates(state + 0.5 * step * a, middle, peak)
-            c = rates(state + 0.5 * step * b, middle, peak)
-            d = rates(state + step * c, last, peak)
+            a = rates(state, first, reach)
+            b = rates(state + 0.5 * step * a, middle, reach)
+            c = rates(state + 0.5 * step * b, middle, reach)
+            d = rates(state + step * c, last, reach)
             state = state + step / 6 * (a + 2 * (b + c) + d)
     return Run(step * np.arange(steps + 1), *kept)
