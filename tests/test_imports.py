@@ -142,11 +142,12 @@ def test_the_checker_catches_private_jax():
                 "tinygp",
                 "xarray",
                 "matplotlib",
+                "altair",
             },
         ),
         (
             "import hsed_jax.runs.folder, hsed_jax.reporting.report, hsed_jax.reporting.side_by_side, hsed_jax.study.own_effects",
-            {"scipy.stats", "scipy.interpolate", "numpyro", "diffrax", "optimistix", "tinygp", "pint"},
+            {"scipy.stats", "scipy.interpolate", "numpyro", "diffrax", "optimistix", "tinygp", "pint", "altair"},
         ),
     ],
     ids=["check", "report"],
