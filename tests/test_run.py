@@ -445,7 +445,7 @@ def quick(built, monkeypatch):
         return other
 
     monkeypatch.setattr("hsed_jax.runs.workflow.Built", twin)
-    monkeypatch.setattr("hsed_jax.reporting.run_figures.draw", lambda *_: None)
+    monkeypatch.setattr("hsed_jax.runs.figures.draw", lambda *_: None)
 
     def go(folder, *overrides, **flags):
         study = load_study(built.study.written(), ["steps=[design]", *overrides])
