@@ -7,6 +7,7 @@ from itertools import pairwise
 import matplotlib.text
 import numpy as np
 import pytest
+import xarray as xr
 from numpy.testing import assert_allclose
 
 from hsed_jax.criticism.compare import compare
@@ -296,6 +297,19 @@ def test_captions_name_what_the_panels_show():
     caption = drawn("two outputs")["overlay_E1"].caption
     assert "a) force, b) elongation, c) hysteresis loop" in caption and "Shaded" not in caption
     assert "Shaded: the part of the record that is scored." in drawn("imposed, rows")["overlay_E1"].caption
+
+
+def test_the_error_map_holds_the_error_of_every_experiment_and_a_kriging_through_them():
+    campaign, comparison, _ = case("quantities")
+    found = error_map(comparison, campaign)
+    size = np.asarray([e.quantities["peak_force"] for e in campaign])
+    is_train = np.asarray([e.split == "train" for e in campaign])
+    assert_allclose(found["squared_error"], (0.1 * size) ** 2 / size[is_train].var(), rtol=1e-9)
+    assert found["split"].values.tolist() == [e.split for e in campaign]
+    assert found["V_P"].attrs["units"] == "cm/s"
+    at = {name: ("experiment", found["at"].values[:, i]) for i, name in enumerate(found["input"].values)}
+    near = found["squared_error_mean"].interp({name: xr.Variable(*points) for name, points in at.items()})
+    assert_allclose(near, found["squared_error"], atol=0.05 * float(found["squared_error"].max()))
 
 
 def test_the_table_has_the_worst_first_and_dashes_for_what_is_not_known():

@@ -42,9 +42,9 @@ def excitations(model: AbstractModel, space: InputSpace, pair: Pair) -> xr.Datas
         pair: that the specimens are measured in.
 
     Returns:
-        `time` and the channel (realisation, sample), and for ground motions the pseudo-acceleration `spectrum`
-        (realisation, period) at 5 % damping.  The first realisation is at the middle of the inputs' distributions, the others
-        are spread as these are.
+        The channel (realisation, sample), in single precision, `time` (sample) or, where how long it lasts depends on the
+        inputs, (realisation, sample), and for ground motions the pseudo-acceleration `spectrum` (realisation, period) at 5 %
+        damping.  The first realisation is at the middle of the inputs' distributions, the others are spread as these are.
     """
     assert model.excitation is not None and model.timeline is not None
     excitation = model.excitation
@@ -63,10 +63,10 @@ def excitations(model: AbstractModel, space: InputSpace, pair: Pair) -> xr.Datas
     declared = space.declared(np.concatenate([middle, space.spread(_REALISATIONS)]))
     time, found = motions({k: jnp.asarray(v) for k, v in space.si(declared).items()})
     ((channel, values),) = found.items()
-    dims = ("realisation", "sample")
+    dims, time = ("realisation", "sample"), np.asarray(time)
     table: dict[str, Any] = {
-        "time": (dims, np.asarray(time), _TIME),
-        channel: (dims, np.asarray(values), _said(pair, channel)),
+        "time": ("sample", time[0], _TIME) if (time == time[0]).all() else (dims, time, _TIME),
+        channel: (dims, np.asarray(values, dtype=np.float32), _said(pair, channel)),
     }
     coords = _at(space, declared, "realisation")
     if channel == "ground_acceleration":

@@ -16,9 +16,9 @@ CHANNELS = ("elongation", "force", "energy")
 
 def excitations(stored: xr.Dataset, pair: Pair) -> Picture:
     """Fig. 3: what the inputs' distributions make of the excitation."""
-    time = stored["time"].values
     (channel,) = (str(name) for name in stored.data_vars if name not in ("time", "spectrum"))
     values = stored[channel].values
+    time = np.broadcast_to(stored["time"].values, values.shape)
     if channel != "ground_acceleration":
         return excitation_figures.histories(channel, time, values, pair)
     spectra = stored["spectrum"].values
