@@ -42,7 +42,7 @@ def excitations(model: AbstractModel, space: InputSpace, pair: Pair) -> xr.Datas
         pair: that the specimens are measured in.
 
     Returns:
-        The channel (realisation, sample), in single precision, `time` (sample) or, where how long it lasts depends on the
+        In single precision the channel (realisation, sample); `time` (sample) or, where how long it lasts depends on the
         inputs, (realisation, sample), and for ground motions the pseudo-acceleration `spectrum` (realisation, period) at 5 %
         damping.  The first realisation is at the middle of the inputs' distributions, the others are spread as these are.
     """
@@ -65,7 +65,7 @@ def excitations(model: AbstractModel, space: InputSpace, pair: Pair) -> xr.Datas
     ((channel, values),) = found.items()
     dims, time = ("realisation", "sample"), np.asarray(time)
     table: dict[str, Any] = {
-        "time": ("sample", time[0], _TIME) if (time == time[0]).all() else (dims, time, _TIME),
+        "time": ("sample", time[0], _TIME) if (time == time[0]).all() else (dims, time.astype(np.float32), _TIME),
         channel: (dims, np.asarray(values, dtype=np.float32), _said(pair, channel)),
     }
     coords = _at(space, declared, "realisation")
