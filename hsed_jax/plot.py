@@ -16,6 +16,8 @@ from matplotlib.backends.registry import BackendFilter, backend_registry
 from hsed_jax.analysis.calibration import Calibration, compare, locate
 from hsed_jax.analysis.remedy import Improvement
 from hsed_jax.config.schema import Study
+from hsed_jax.criticism.error_map import error_map as error_map_of
+from hsed_jax.design import over_inputs
 from hsed_jax.diagnosis.findings import Diagnosis
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
@@ -28,9 +30,10 @@ from hsed_jax.reporting import (
     posterior_figures,
     request_figures,
 )
-from hsed_jax.reporting.outcome import Outcome
 from hsed_jax.reporting.style import Picture
+from hsed_jax.runs import figures as run_figures
 from hsed_jax.runs.ask_tell import AskTell
+from hsed_jax.runs.outcome import Outcome
 from hsed_jax.runs.workflow import Run
 from hsed_jax.study.build import Built
 
@@ -51,7 +54,8 @@ def ground_motions(study: Study) -> np.ndarray:
     built = Built(study)
     if built.excitation is None or not built.space.names:
         raise UserError(f"the study {study.study!r} has no excitation with inputs to draw")
-    return _several(design_figures.excitations(built.planned_simulator, built.space))
+    found = over_inputs.excitations(built.planned_simulator, built.space, built.pair)
+    return _several(design_figures.excitations(found, built.pair))
 
 
 # What a calibrated model makes of its measurements.
@@ -74,7 +78,7 @@ def histories(calibration: Calibration, experiment: str, campaign: Campaign | No
     comparison, campaign = _compared(calibration, campaign, "histories")
     if campaign[experiment].status != "completed":
         raise UserError(f"the experiment {experiment!r} is {campaign[experiment].status}; there is nothing to draw")
-    for _, split, prediction in misfit_maps.splits(comparison):
+    for _, split, prediction in comparison.splits():
         ids = [one.id for one in prediction.experiments]
         if experiment in ids:
             errors = split.per_experiment.get(experiment, {})
@@ -154,7 +158,9 @@ def error_map(calibration: Calibration, campaign: Campaign | None = None) -> Axe
     """
     campaign = calibration.campaign if campaign is None else campaign
     missing = "the error is drawn over one or two inputs that vary, and the campaign has none or more"
-    return _one(_there(misfit_maps.error_map(compare(calibration, campaign), campaign), missing))
+    if (found := error_map_of(compare(calibration, campaign), campaign)) is None:
+        raise UserError(missing)
+    return _one(misfit_maps.error_map(found))
 
 
 def measured_against_predicted(calibration: Calibration, campaign: Campaign | None = None) -> np.ndarray:
@@ -275,7 +281,7 @@ def expected_improvement(run: Run) -> Axes:
     Raises:
         UserError: the run has no steps of a design.
     """
-    return _one(design_figures.expected_improvement(_design(run)))
+    return _one(run_figures.expected_improvement(_design(run)))
 
 
 def exploration(run: Run) -> Axes | np.ndarray:
@@ -289,7 +295,7 @@ def exploration(run: Run) -> Axes | np.ndarray:
     """
     outcome = _design(run)
     assert outcome.state is not None
-    axes = _several(design_figures.exploration(outcome, outcome.state))
+    axes = _several(run_figures.exploration(outcome, outcome.state))
     return axes[0] if axes.size == 1 else axes
 
 
@@ -302,7 +308,7 @@ def estimates(run: Run) -> np.ndarray:
     Raises:
         UserError: the run has no steps of a design.
     """
-    return _several(design_figures.estimates(_design(run)))
+    return _several(run_figures.estimates(_design(run)))
 
 
 def _design(run: Run) -> Outcome:

@@ -86,6 +86,26 @@ def test_module_imports_downwards_only_and_nothing_private_and_is_short(path):
     assert len(source.splitlines()) <= 400
 
 
+BEYOND_REPORTING = (
+    "jax",
+    "numpyro",
+    "scipy",
+    "hsed_jax.inference",
+    "hsed_jax.design",
+    "hsed_jax.laboratories",
+    "hsed_jax.physics.simulator",
+)
+RESULTS = {"hsed_jax.inference.fit.Fit"}
+
+
+@pytest.mark.parametrize(
+    "path", [path for path in MODULES if path.parent.name == "reporting"], ids=lambda path: path.name
+)
+def test_reporting_draws_and_computes_nothing(path):
+    names = {name for _, name in imported(path.read_text(encoding="utf-8"), dotted(path)) if name not in RESULTS}
+    assert [name for name in names if any(f"{name}.".startswith(f"{room}.") for room in BEYOND_REPORTING)] == []
+
+
 @pytest.mark.parametrize(
     ("source", "module"),
     [
@@ -142,11 +162,12 @@ def test_the_checker_catches_private_jax():
                 "tinygp",
                 "xarray",
                 "matplotlib",
+                "altair",
             },
         ),
         (
             "import hsed_jax.runs.folder, hsed_jax.reporting.report, hsed_jax.reporting.side_by_side, hsed_jax.study.own_effects",
-            {"scipy.stats", "scipy.interpolate", "numpyro", "diffrax", "optimistix", "tinygp", "pint"},
+            {"scipy.stats", "scipy.interpolate", "numpyro", "diffrax", "optimistix", "tinygp", "pint", "altair"},
         ),
     ],
     ids=["check", "report"],

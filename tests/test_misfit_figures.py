@@ -7,9 +7,11 @@ from itertools import pairwise
 import matplotlib.text
 import numpy as np
 import pytest
+import xarray as xr
 from numpy.testing import assert_allclose
 
 from hsed_jax.criticism.compare import compare
+from hsed_jax.criticism.error_map import error_map
 from hsed_jax.criticism.locate import Location, locate
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.measurements import Campaign, Channel, Experiment, Record
@@ -17,7 +19,7 @@ from hsed_jax.reporting import misfit_figures
 from hsed_jax.reporting.cycle_figures import cycles
 from hsed_jax.reporting.diagnosis_figures import before_after
 from hsed_jax.reporting.misfit_figures import misfit_pictures
-from hsed_jax.reporting.misfit_maps import error_map, residual_coordinates
+from hsed_jax.reporting.misfit_maps import residual_coordinates
 
 INPUTS = {"V_P": "cm/s", "T_P": "s", "scale": "-"}
 
@@ -139,7 +141,7 @@ def case(name):
 @functools.cache
 def drawn(name):
     campaign, comparison, location = case(name)
-    return dict(misfit_pictures(comparison, location, campaign))
+    return dict(misfit_pictures(comparison, location, error_map(comparison, campaign), campaign))
 
 
 def texts(picture):
@@ -181,7 +183,7 @@ def test_of_many_experiments_the_worst_are_shown(monkeypatch):
     campaign, comparison, _ = histories(8, 7, 40)
     for name in ("overlay", "error_map"):
         monkeypatch.setattr(misfit_figures, name, lambda *_: "drawn")
-    pictures = dict(misfit_pictures(comparison, None, campaign))
+    pictures = dict(misfit_pictures(comparison, None, None, campaign))
     overlays = {name.removeprefix("overlay_") for name in pictures if name.startswith("overlay_")}
     assert len(overlays) == 12
     for split in (comparison.train, comparison.test):
@@ -271,7 +273,7 @@ def test_what_diverged_is_kept_off_the_axes():
     train = comparison.train_prediction
     wild = replace(train, predicted=1e155 * train.predicted)
     broken = compare(wild, comparison.test_prediction, np.ones(2, dtype=bool), 2, [])
-    for name, picture in misfit_pictures(broken, locate(wild, campaign), campaign):
+    for name, picture in misfit_pictures(broken, locate(wild, campaign), error_map(broken, campaign), campaign):
         for panel in picture.figure.axes:
             assert np.abs([*panel.get_xlim(), *panel.get_ylim()]).max() < 1e3, name
     assert "diverged" in texts(misfit_figures.error_table(broken, campaign))
@@ -295,6 +297,19 @@ def test_captions_name_what_the_panels_show():
     caption = drawn("two outputs")["overlay_E1"].caption
     assert "a) force, b) elongation, c) hysteresis loop" in caption and "Shaded" not in caption
     assert "Shaded: the part of the record that is scored." in drawn("imposed, rows")["overlay_E1"].caption
+
+
+def test_the_error_map_holds_the_error_of_every_experiment_and_a_kriging_through_them():
+    campaign, comparison, _ = case("quantities")
+    found = error_map(comparison, campaign)
+    size = np.asarray([e.quantities["peak_force"] for e in campaign])
+    is_train = np.asarray([e.split == "train" for e in campaign])
+    assert_allclose(found["squared_error"], (0.1 * size) ** 2 / size[is_train].var(), rtol=1e-9)
+    assert found["split"].values.tolist() == [e.split for e in campaign]
+    assert found["V_P"].attrs["units"] == "cm/s"
+    at = {name: ("experiment", found["at"].values[:, i]) for i, name in enumerate(found["input"].values)}
+    near = found["squared_error_mean"].interp({name: xr.Variable(*points) for name, points in at.items()})
+    assert_allclose(near, found["squared_error"], atol=0.05 * float(found["squared_error"].max()))
 
 
 def test_the_table_has_the_worst_first_and_dashes_for_what_is_not_known():

@@ -22,8 +22,8 @@ from hsed_jax.design.sequential import DesignState, Trial
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.nuts import Chains, Convergence
 from hsed_jax.measurements import Campaign, Channel, Experiment, Record, write_campaign
-from hsed_jax.reporting.outcome import Outcome
 from hsed_jax.runs.ask_tell import AskTell
+from hsed_jax.runs.outcome import Outcome
 from hsed_jax.runs.requests import Expected
 from hsed_jax.runs.workflow import Run
 from hsed_jax.study.build import Built

@@ -501,6 +501,23 @@ def test_the_residual_is_shown_along_what_the_reader_chooses(opened):
     assert heard == []
 
 
+def test_the_time_axes_zoom_together_and_the_pointer_tells_the_values(opened):
+    page, heard, _ = opened()
+    cells = page.locator("#chart-histories svg [class*=voronoi]").first
+    cells.scroll_into_view_if_needed()
+    box = cells.bounding_box()
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.wait_for_selector("#vg-tooltip-element.visible")
+    assert "as it was" in page.inner_text("#vg-tooltip-element")
+    before = paths(page, "histories")
+    page.keyboard.down("Shift")
+    page.mouse.wheel(0, -400)
+    page.wait_for_timeout(500)
+    after = paths(page, "histories")
+    assert [a == b for a, b in zip(before, after, strict=True)] == 3 * [True] + 6 * [False]  # the loop has no time
+    assert heard == []
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_the_page_follows_the_system_until_the_reader_says_otherwise(opened, scheme):
     page, _, _ = opened(color_scheme=scheme)

@@ -23,6 +23,7 @@ from hsed_jax.interruptions import Interrupted
 from hsed_jax.laboratories.base import ExperimentFailed
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.measurements import Experiment, read_campaign, write_campaign
+from hsed_jax.reporting import design_figures
 from hsed_jax.run import run_main
 from hsed_jax.runs.ask_tell import AskTell
 from hsed_jax.runs.conduct import Conduct
@@ -185,6 +186,33 @@ def test_results_open_as_a_tree_with_units(whole):
         np.testing.assert_array_equal(observed["peak_force"], [e["quantities"]["peak_force"] for e in events])
         summary = json.loads(summary_text(whole))
         assert float(tree["posterior"]["A"].mean()) == pytest.approx(summary["calibration"]["posterior"]["A"]["mean"])
+
+
+def test_what_the_figures_show_is_in_the_results(whole):
+    with xr.open_datatree(whole / "results.nc", engine="h5netcdf") as tree:
+        shown = tree["illustrations"]
+        driven = shown["excitation"].to_dataset().load()
+        assert driven["ground_acceleration"].attrs["units"] == "m/s^2" and driven["V_P"].attrs["units"] == "cm/s"
+        assert (driven["V_P"].values[0], driven["T_P"].values[0]) == pytest.approx((225.0, 1.0))
+        step = np.diff(driven["time"].values)
+        velocity = np.cumsum(driven["ground_acceleration"].values[:, 1:] * step, axis=1)
+        np.testing.assert_allclose(100 * np.abs(velocity).max(axis=1), driven["V_P"], rtol=0.02)
+        specimen, model, same = (
+            shown[f"responses/{of}"].to_dataset().load() for of in ("specimen", "model", "model_at_truth")
+        )
+        # The specimen degrades, which the model lacks.
+        assert np.abs(same["force"]).max() > 1.05 * np.abs(specimen["force"][0]).max()
+        # With the parameters that were estimated, it is nearer.
+        for channel in ("force", "elongation"):
+            far, near = (np.sqrt(((one[channel][0] - specimen[channel][0]) ** 2).mean()) for one in (same, model))
+            assert near < far, channel
+        alone = shown["estimates_alone"].to_dataset().load()
+        assert alone["unit"].values.tolist() == ["N/m", "1/m"] and alone["map"].shape == (2, 13, 13)
+        assert alone["map"].values[0].min() > 2e5 and alone["map"].values[0].max() < 5e5  # softer than when it was new
+    axes = design_figures.responses(specimen, model, "").figure.axes
+    measured, predicted = axes[0].get_lines()
+    np.testing.assert_allclose(1e3 * measured.get_ydata(), specimen["force"][1])
+    np.testing.assert_allclose(1e3 * predicted.get_ydata(), model["force"][1])
 
 
 def test_arviz_opens_the_results(whole):
@@ -445,7 +473,7 @@ def quick(built, monkeypatch):
         return other
 
     monkeypatch.setattr("hsed_jax.runs.workflow.Built", twin)
-    monkeypatch.setattr("hsed_jax.reporting.run_figures.draw", lambda *_: None)
+    monkeypatch.setattr("hsed_jax.runs.figures.draw", lambda *_: None)
 
     def go(folder, *overrides, **flags):
         study = load_study(built.study.written(), ["steps=[design]", *overrides])

@@ -4,7 +4,7 @@ r"""How far the model is from the measurements, against what the noise alone wou
 outputs averaged in the square.  `noise_floor` is the same figure for the noise.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -65,6 +65,12 @@ class Comparison(Tabular):
     notes: list[str]
     train_prediction: Prediction
     test_prediction: Prediction | None
+
+    def splits(self) -> Iterator[tuple[str, Split, Prediction]]:
+        """The splits that were compared: `train`, and `test` where there is one."""
+        yield "train", self.train, self.train_prediction
+        if self.test is not None and self.test_prediction is not None:
+            yield "test", self.test, self.test_prediction
 
     def summary(self) -> dict[str, Any]:
         """The key `comparison` of `summary.json`."""

@@ -1,36 +1,39 @@
-"""The interactive charts of a report, as Vega-Lite specifications.
+"""The interactive charts of a report: each function draws one with Altair and returns it as Vega-Lite.
 
 Data stay outside: a chart names its table (`page_tables`) and the page puts it there.  Colours are CSS variables of the page, so
 that light, dark and print need no second chart.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from functools import reduce
+from operator import or_
 from typing import Any
 
-from hsed_jax.reporting.page_tables import Axis
+import altair as alt
+from altair import theme
+
+from hsed_jax.reporting.page_tables import SERIES, Axis
 
 Specification = dict[str, Any]
 
 INK, FAINT, GRID, BLUE, RED = (f"var(--{name})" for name in ("ink", "faint", "grid", "blue", "red"))
-SERIES = {"measured": "measured", "before": "as it was", "after": "improved"}
-"""What is drawn, by its key in the tables, in words."""
 
 _COLOURS = {"measured": INK, "as it was": RED, "improved": BLUE, "noise": FAINT}
 _DASHES = {"measured": [1, 0], "as it was": [7, 3], "improved": [1, 0]}
-_SHAPES = {"domain": ["train", "test"], "range": ["circle", "square"]}
 _ZOOM = "wheel![event.shiftKey]"  # the wheel alone moves the page
 _WIDTH = 880
-_CONFIG: Specification = {
-    "font": "system-ui, sans-serif",
-    "view": {"stroke": None},
-    "axis": {
-        "labelColor": INK, "titleColor": INK, "gridColor": GRID, "domainColor": FAINT, "tickColor": FAINT,
-        "titleFontWeight": "normal", "labelFontSize": 11, "titleFontSize": 12,
-    },
-    "legend": {"labelColor": INK, "titleColor": INK, "titleFontWeight": "normal", "labelFontSize": 12, "orient": "top"},
-    "title": {"color": INK, "fontWeight": "normal", "fontSize": 13, "anchor": "start"},
-    "header": {"labelColor": INK, "titleColor": INK, "labelFontSize": 12},
-}  # fmt: skip
+_TITLES: Any = {"labelColor": INK, "titleColor": INK, "titleFontWeight": "normal"}
+_CONFIG = alt.Config(
+    font="system-ui, sans-serif",
+    view=alt.ViewConfig(stroke=None),
+    axis=alt.AxisConfig(**_TITLES, gridColor=GRID, domainColor=FAINT, tickColor=FAINT, labelFontSize=11, titleFontSize=12),
+    legend=alt.LegendConfig(**_TITLES, labelFontSize=12, orient="top"),
+    title=alt.TitleConfig(color=INK, fontWeight="normal", fontSize=13, anchor="start"),
+    header=alt.HeaderConfig(labelColor=INK, titleColor=INK, labelFontSize=12),
+)  # fmt: skip
+_FREE = alt.Scale(zero=False)
+_CHOSEN = alt.param(name="experiment", value="")
+_IS_CHOSEN = alt.datum.experiment == _CHOSEN
 
 
 def errors_over_inputs(inputs: Sequence[tuple[str, str]], largest: float, models: Sequence[str]) -> Specification:
@@ -41,33 +44,30 @@ def errors_over_inputs(inputs: Sequence[tuple[str, str]], largest: float, models
         largest: error of any model; all are drawn on its scale.
         models: `before`, and `after` where there is one.
     """
-    chosen = "datum.experiment == experiment"
-    point = {"type": "point", "filled": True, "stroke": INK, "opacity": 1, "cursor": "pointer"}
-    common = {
-        "tooltip": _tooltip(["experiment", "split"], [*(name for name, _ in inputs), "error"]),
-        "shape": _field("split", "N", scale=_SHAPES, title=None),
-        "strokeWidth": {"condition": {"test": chosen, "value": 3}, "value": 0.8},
-    }  # fmt: skip
+    titles = {name: f"{name} [{unit}]" for name, unit in inputs}
+    look: Any = {"filled": True, "stroke": INK, "opacity": 1, "cursor": "pointer"}
+    said: Any = {
+        "tooltip": _tooltip(["experiment", "split"], [*titles, "error"]),
+        "shape": _split(),
+        "strokeWidth": alt.when(_IS_CHOSEN).then(alt.value(3)).otherwise(alt.value(0.8)),
+    }
     if len(inputs) == 2:
-        x, y = (_field(name, title=f"{name} [{unit}]", scale={"zero": False, "padding": 16}) for name, unit in inputs)
-        error = _field("error", scale={"scheme": "yelloworangered", "domain": [0, largest]}, legend={"orient": "right"})
-        size = _field("error", scale={"range": [60, 500], "domain": [0, largest]}, legend={"orient": "right"})
-        drawn = {"mark": point, "encoding": {"x": x, "y": y, "color": error, "size": size, **common}}
-        drawn |= {"width": 0.6 * _WIDTH, "height": 320}
+        right, apart = alt.Legend(orient="right"), alt.Scale(zero=False, padding=16)
+        x, y = (of(name, title=title, scale=apart) for of, (name, title) in zip((_x, _y), titles.items(), strict=True))
+        shades = alt.Scale(scheme="yelloworangered", domain=[0, largest])
+        sizes = alt.Scale(range=[60, 500], domain=[0, largest])
+        error = [_number(of, "error", scale=s, legend=right) for of, s in ((alt.Color, shades), (alt.Size, sizes))]
+        drawn = alt.Chart(width=0.6 * _WIDTH, height=320).mark_point(**look).encode(x, y, *error, **said)
     else:
-        against = [_field(name, title=f"{name} [{unit}]", scale={"zero": False}) for name, unit in inputs]
-        y = _field("error", scale={"domain": [0, largest]})
-        drawn = _side_by_side(
-            [
-                {"mark": point | {"size": 90, "fill": BLUE}, "encoding": {"x": x, "y": y, **common}, "height": 230}
-                for x in against or [_field("experiment", "N", axis={"labelAngle": 0})]
-            ],
-            across=3,
-        )
+        against = [_x(name, title=title, scale=_FREE) for name, title in titles.items()]
+        y = _y("error", scale=alt.Scale(domain=[0, largest]))
+        points = alt.Chart(height=230).mark_point(**look, size=90, fill=BLUE).encode(y, **said)
+        each = against or [_word(alt.X, "experiment", axis=alt.Axis(labelAngle=0))]
+        drawn = _side_by_side([points.encode(x) for x in each], across=3)
     names = [SERIES[model] for model in models]
-    shown = {"name": "model", "value": names[0], "bind": {"input": "select", "options": names, "name": "Model"}}
-    transform = [_named("model"), {"filter": "datum.series == model"}]
-    return _chart("experiments", "Error of every experiment", drawn, transform, [shown, _CHOSEN])
+    model = alt.param(name="model", value=names[0], bind=alt.binding_select(options=names, name="Model"))
+    drawn = drawn.transform_calculate(series=_named("model")).transform_filter(alt.datum.series == model)
+    return _chart("experiments", "Error of every experiment", drawn, model, _CHOSEN)
 
 
 def residual_along(
@@ -80,35 +80,23 @@ def residual_along(
         noise: over the RMS of the output, by output.
         models: `before`, and `after` where there is one.
     """
-    x = _field("from", title=None, scale={"zero": False, "nice": False})
-    y = _field("residual", title="RMS residual / RMS measured")
-    color = _color([SERIES[model] for model in models])
-    tooltip = _tooltip(["series"], ["from", "to", "residual"])
+    along = alt.param(
+        name="along", value=coordinates[0], bind=alt.binding_select(options=list(coordinates), name="Along")
+    )
+    y, color = _y("residual", title="RMS residual / RMS measured"), _color([SERIES[model] for model in models])
+    x = _x("from", title=None, scale=alt.Scale(zero=False, nice=False))
+    bars = alt.Chart().mark_rule(strokeWidth=2.5).encode(x, alt.X2("to"), y, color)
+    middles = alt.Chart().mark_point(size=30, filled=True, opacity=1)
+    middles = middles.encode(_x("at"), y, color, tooltip=_tooltip(["series"], ["from", "to", "residual"]))
     panels = []
     for name in outputs:
-        layers: list[Specification] = [
-            {
-                "mark": {"type": "rule", "strokeWidth": 2.5},
-                "encoding": {"x": x, "x2": {"field": "to"}, "y": y, "color": color},
-            },
-            {
-                "mark": {"type": "point", "size": 30, "filled": True, "opacity": 1},
-                "encoding": {"x": _field("at"), "y": y, "color": color, "tooltip": tooltip},
-            },
-        ]
+        layers = [bars, middles]
         if name in noise:
-            rule = {"type": "rule", "color": INK, "strokeDash": [2, 3]}
-            layers.append({"mark": rule, "encoding": {"y": {"datum": noise[name]}}})
-        chosen = {"and": ["datum.coordinate == along", {"field": "output", "equal": name}]}
-        panels.append({"transform": [{"filter": chosen}], "layer": layers, "height": 220, "title": name})
-    along = {
-        "name": "along",
-        "value": coordinates[0],
-        "bind": {"input": "select", "options": list(coordinates), "name": "Along"},
-    }
-    return _chart(
-        "residual", "RMS residual along a coordinate", _side_by_side(panels, across=2), [_named("model")], [along]
-    )
+            layers.append(alt.Chart().mark_rule(color=INK, strokeDash=[2, 3]).encode(y=alt.YDatum(noise[name])))
+        chosen = (alt.datum.coordinate == along) & (alt.datum.output == name)
+        panels.append(alt.layer(*layers, height=220, title=name).transform_filter(chosen))
+    drawn = _side_by_side(panels, across=2).transform_calculate(series=_named("model"))
+    return _chart("residual", "RMS residual along a coordinate", drawn, along)
 
 
 def histories(
@@ -129,225 +117,208 @@ def histories(
         loops: specimens whose force and elongation are both known, by what stands before the names of their outputs.
         windows: whether there are experiments of which a part is scored; it is shaded.
     """
-    keys = ["measured", *models]
+    show = {
+        key: alt.param(name=f"show_{key}", value=True, bind=alt.binding_checkbox(name=SERIES[key]))
+        for key in ("measured", *models)
+    }
     width, height = (0.5 if loops else 0.88) * _WIDTH, max(150, 330 // len(outputs))
-    last = outputs[-1]
-    panels: list[Specification] = [
-        {
-            "layer": [
-                *([_WINDOW] if windows else []),
-                *_history(axes[name].label, name, time, keys, index, name == last),
-            ],
-            "width": width,
-            "height": height,
-        }
+    over_time = [
+        alt.layer(
+            *([_window()] if windows else []),
+            *_history(axes[name].label, name, time, show, index, name == outputs[-1]),
+            width=width,
+            height=height,
+        )
         for index, name in enumerate(outputs)
     ]
-    drawn: Specification = {"vconcat": panels}
     # One zoom of the time axis for all outputs.
-    linked = {"name": "zoom", "select": {"type": "interval", "encodings": ["x"], "zoom": _ZOOM}, "bind": "scales"}
-    params: list[Specification] = [linked | {"views": [f"lines_{index}" for index in range(len(outputs))]}]
-    drawn_loops = []
-    for number, owner in enumerate(loops):
-        along, force = f"{owner}elongation", f"{owner}force"
-        imposed = f"datum['{along}_' + datum.key]"
-        elongation = f"isValid({imposed}) ? {imposed} : datum['{along}_measured']"
-        pan = {"name": f"pan_{number}", "select": {"type": "interval", "zoom": _ZOOM}, "bind": "scales"}
-        tall = (height + 40) * len(outputs) - 40 if len(outputs) > 1 else height
-        pairs = {
-            # An elongation that was imposed is the same for all.
-            "transform": [*_folded(force, keys), {"calculate": elongation, "as": "elongation"}],
-            "mark": {"type": "line", "strokeWidth": 1.1, "clip": True},
-            "encoding": {
-                "x": _field("elongation", title=axes[along].label),
-                "y": _field("value", title=axes[force].label),
-                **_look(keys),
-            },
-            "params": [pan],
-            "width": 0.36 * _WIDTH,
-            "height": (tall + 40) / len(loops) - 40,
-        }
-        drawn_loops.append(pairs)
-    if drawn_loops:
-        drawn = {"hconcat": [{"vconcat": drawn_loops} if len(loops) > 1 else drawn_loops[0], drawn]}
-    params += [
-        {"name": f"show_{key}", "value": True, "bind": {"input": "checkbox", "name": SERIES[key]}} for key in keys
-    ]
-    only = [{"filter": "datum.experiment == experiment"}]
-    return _chart(
-        "samples", "Measured and predicted response of the chosen experiment", drawn, only, [*params, _CHOSEN]
+    linked = alt.TopLevelSelectionParameter(
+        name="zoom",
+        select=alt.IntervalSelectionConfig(type="interval", encodings=["x"], zoom=_ZOOM),
+        bind="scales",
+        views=[f"samples_{index}" for index in range(len(outputs))],
     )
+    drawn = alt.vconcat(*over_time)
+    if loops:
+        tall = ((height + 40) * len(outputs)) / len(loops) - 40
+        of_loops = [_loop(axes, owner, show, number, tall) for number, owner in enumerate(loops)]
+        drawn = alt.hconcat(*of_loops if len(loops) == 1 else [alt.vconcat(*of_loops)], drawn)
+    drawn = drawn.transform_filter(_IS_CHOSEN)
+    told = "Measured and predicted response of the chosen experiment"
+    return _chart("samples", told, drawn, linked, *show.values(), _CHOSEN)
 
 
-def _history(title: str, name: str, time: str, keys: Sequence[str], index: int, last: bool) -> list[Specification]:
+def _history(
+    title: str, name: str, time: str, show: Mapping[str, alt.Parameter], index: int, last: bool
+) -> list[alt.Chart]:
     """Layers of one output over time: bands, lines, and the values under the pointer."""
-    x = _field("time", title=time if last else None, scale={"nice": False})
+    x = _x("time", title=time if last else None, scale=alt.Scale(nice=False))
     bands = [
-        {
-            "transform": [{"filter": f"show_{key}"}],
-            "mark": {"type": "area", "color": _COLOURS[SERIES[key]], "opacity": 0.18, "clip": True},
-            "encoding": {"x": x, "y": _field(f"{name}_{key}_low", title=title), "y2": {"field": f"{name}_{key}_high"}},
-        }
-        for key in keys[1:]
+        alt.Chart()
+        .mark_area(color=_COLOURS[SERIES[key]], opacity=0.18, clip=True)
+        .encode(x, _y(f"{name}_{key}_low", title=title), alt.Y2(f"{name}_{key}_high"))
+        .transform_filter(show[key])
+        for key in list(show)[1:]
     ]
-    lines = {
-        "name": f"lines_{index}",
-        "transform": _folded(name, keys),
-        "mark": {"type": "line", "strokeWidth": 1.4, "clip": True},
-        "encoding": {"x": x, "y": _field("value", title=title), **_look(keys)},
-    }
-    under = f"under_{index}"
-    nearest = {"type": "point", "nearest": True, "on": "pointerover", "clear": "pointerout", "encodings": ["x"]}
-    values = [_field(f"{name}_{key}", title=SERIES[key], format=".4g") for key in keys]
-    spots = {
-        # Invisible, one per sample: what is nearest to the pointer.
-        "mark": {"type": "point", "opacity": 0, "clip": True},
-        "params": [{"name": under, "select": nearest}],
-        "encoding": {
-            "x": x,
-            "y": _field(f"{name}_measured", title=title),
-            "tooltip": [_field("time", title=time), *values],
-        },
-    }
-    rule = {
-        "mark": {"type": "rule", "color": FAINT, "clip": True},
-        "encoding": {"x": x, "opacity": {"condition": {"param": under, "empty": False, "value": 1}, "value": 0}},
-    }
+    lines = _folded(alt.Chart(), name, show).mark_line(strokeWidth=1.4, clip=True)
+    lines = lines.encode(x, _y("value", title=title), *_look(show))
+    under = alt.selection_point(
+        name=f"under_{index}", nearest=True, on="pointerover", clear="pointerout", encodings=["x"]
+    )
+    values = [_number(alt.Tooltip, f"{name}_{key}", title=SERIES[key], format=".4g") for key in show]
+    # Invisible, one per sample: what is nearest to the pointer.  A selection takes every layer that has a name, hence only this.
+    spots = alt.Chart(name=f"samples_{index}").mark_point(opacity=0, clip=True).add_params(under)
+    spots = spots.encode(
+        x, _y(f"{name}_measured", title=title), tooltip=[_number(alt.Tooltip, "time", title=time), *values]
+    )
+    seen = alt.when(under, empty=False).then(alt.value(1)).otherwise(alt.value(0))
+    rule = alt.Chart().mark_rule(color=FAINT, clip=True).encode(x, opacity=seen)
     return [*bands, lines, rule, spots]
+
+
+def _loop(
+    axes: Mapping[str, Axis], owner: str, show: Mapping[str, alt.Parameter], number: int, height: float
+) -> alt.Chart:
+    """Force over elongation of one specimen; an elongation that was imposed is the same for all."""
+    along, force = f"{owner}elongation", f"{owner}force"
+    imposed = f"datum['{along}_' + datum.key]"
+    elongation = f"isValid({imposed}) ? {imposed} : datum['{along}_measured']"
+    pan = alt.selection_interval(name=f"pan_{number}", zoom=_ZOOM, bind="scales")
+    x, y = _x("elongation", title=axes[along].label), _y("value", title=axes[force].label)
+    chart = _folded(alt.Chart(name=f"loop_{number}", width=0.36 * _WIDTH, height=height), force, show)
+    chart = chart.transform_calculate(elongation=elongation).add_params(pan)
+    return chart.mark_line(strokeWidth=1.1, clip=True).encode(x, y, *_look(show))
+
+
+def _window() -> alt.Chart:
+    """The part of the record that is scored."""
+    shaded = alt.Chart(alt.NamedData(name="windows")).mark_rect(color=FAINT, opacity=0.15, clip=True)
+    return shaded.encode(alt.X("from", type="quantitative"), alt.X2("to")).transform_filter(_IS_CHOSEN)
 
 
 def quantities(axes: Mapping[str, Axis], names: Sequence[str], models: Sequence[str]) -> Specification:
     """Predicted against measured quantities with 90 % bands; the experiment that the page chooses stands out."""
     color, panels = _color([SERIES[model] for model in models]), []
+    said: Any = {
+        "tooltip": _tooltip(["experiment", "split", "series"], ["measured", "predicted"]),
+        "shape": _split(),
+        "size": alt.when(_IS_CHOSEN).then(alt.value(240)).otherwise(alt.value(45)),
+    }
     for name in names:
         words, _, unit = axes[name]
-        x = _field("measured", title=f"{words}, measured [{unit}]", scale={"zero": False})
-        y = _field("predicted", title=f"predicted [{unit}]", scale={"zero": False})
-        tooltip = _tooltip(["experiment", "split", "series"], ["measured", "predicted"])
-        layers = [
-            {"mark": {"type": "line", "color": FAINT, "strokeWidth": 1}, "encoding": {"x": x, "y": _field("measured")}},
-            {
-                "mark": {"type": "rule", "opacity": 0.45},
-                "encoding": {"x": x, "y": _field("low"), "y2": {"field": "high"}, "color": color},
-            },
-            {
-                "mark": {"type": "point", "filled": True, "opacity": 1},
-                "encoding": {
-                    "x": x, "y": y, "color": color, "tooltip": tooltip, "shape": _field("split", "N", scale=_SHAPES, title=None),
-                    "size": {"condition": {"test": "datum.experiment == experiment", "value": 240}, "value": 45},
-                },
-            },
-        ]  # fmt: skip
-        panels.append({"transform": [{"filter": {"field": "quantity", "equal": name}}], "layer": layers, "height": 230})
-    return _chart(
-        "quantities",
-        "Predicted against measured quantities",
-        _side_by_side(panels, across=3),
-        [_named("model")],
-        [_CHOSEN],
-    )
+        x = _x("measured", title=f"{words}, measured [{unit}]", scale=_FREE)
+        y = _y("predicted", title=f"predicted [{unit}]", scale=_FREE)
+        equal = alt.Chart().mark_line(color=FAINT, strokeWidth=1).encode(x, _y("measured"))
+        bands = alt.Chart().mark_rule(opacity=0.45).encode(x, _y("low"), alt.Y2("high"), color)
+        points = alt.Chart().mark_point(filled=True, opacity=1).encode(x, y, color, **said)
+        panels.append(alt.layer(equal, bands, points, height=230).transform_filter(alt.datum.quantity == name))
+    drawn = _side_by_side(panels, across=3).transform_calculate(series=_named("model"))
+    return _chart("quantities", "Predicted against measured quantities", drawn, _CHOSEN)
 
 
 def errors_by_run() -> Specification:
     """The normalised error of every run, before and after, on fitted and held-out experiments."""
-    order = ["train", "test", "noise"]
-    drawn = {
-        "mark": {"type": "bar", "height": 10},
-        "encoding": {
-            "x": _field("error", title="normalised error"), "y": _field("split", "N", title=None, sort=order),
-            "yOffset": {"field": "series"}, "color": _color(["as it was", "improved", "noise"]),
-            "row": _field("run", "N", title=None, header={"labelAngle": 0, "labelAlign": "left", "labelOrient": "top"}),
-            "tooltip": _tooltip(["run", "split", "series"], ["error"]),
-        },
-        "width": 0.7 * _WIDTH,
-        "height": {"step": 12},
-    }  # fmt: skip
-    return _chart("errors", "Normalised error of the runs", drawn, [], [])
+    above = alt.Header(labelAngle=0, labelAlign="left", labelOrient="top")
+    drawn = (
+        alt.Chart(width=0.7 * _WIDTH, height=alt.Step(12))
+        .mark_bar(height=10)
+        .encode(
+            _x("error", title="normalised error"),
+            _word(alt.Y, "split", title=None, sort=["train", "test", "noise"]),
+            alt.YOffset("series:N"),
+            _color(["as it was", "improved", "noise"]),
+            _word(alt.Row, "run", title=None, header=above),
+            tooltip=_tooltip(["run", "split", "series"], ["error"]),
+        )
+    )
+    return _chart("errors", "Normalised error of the runs", drawn)
 
 
 def intervals(names: Sequence[str]) -> Specification:
     """Posterior means and 90 % intervals: a panel per parameter, a row per run and model."""
-    color, panels = _color(["as it was", "improved"]), []
-    for name in names:
-        y = {"y": _field("run", "N", title=None), "yOffset": {"field": "series"}, "color": color}
-        tooltip = _tooltip(["run", "series"], ["mean", "low", "high"])
-        x = _field("low", title=None, scale={"zero": False}, axis={"format": ".3~g", "tickCount": 5})
-        layers = [
-            {
-                "mark": {"type": "rule", "strokeWidth": 3},
-                "encoding": {"x": x, "x2": {"field": "high"}, **y, "tooltip": tooltip},
-            },
-            {
-                "mark": {"type": "point", "filled": True, "size": 60, "opacity": 1},
-                "encoding": {"x": _field("mean"), **y, "tooltip": tooltip},
-            },
-        ]
-        chosen = [{"filter": {"field": "parameter", "equal": name}}]
-        panels.append({"transform": chosen, "layer": layers, "height": {"step": 16}, "title": name})
-    return _chart("parameters", "Parameters of the runs, 90 % intervals", _side_by_side(panels, across=2), [], [])
-
-
-_CHOSEN: Specification = {"name": "experiment", "value": ""}
-_WINDOW: Specification = {
-    "data": {"name": "windows"},
-    "transform": [{"filter": "datum.experiment == experiment"}],
-    "mark": {"type": "rect", "color": FAINT, "opacity": 0.15, "clip": True},
-    "encoding": {"x": {"field": "from", "type": "quantitative"}, "x2": {"field": "to"}},
-}
+    y = _word(alt.Y, "run", title=None), alt.YOffset("series:N"), _color(["as it was", "improved"])
+    tooltip = _tooltip(["run", "series"], ["mean", "low", "high"])
+    low = _x("low", title=None, scale=_FREE, axis=alt.Axis(format=".3~g", tickCount=5))
+    bars = alt.Chart().mark_rule(strokeWidth=3).encode(low, alt.X2("high"), *y, tooltip=tooltip)
+    means = alt.Chart().mark_point(filled=True, size=60, opacity=1).encode(_x("mean"), *y, tooltip=tooltip)
+    panels = [
+        alt.layer(bars, means, height=alt.Step(16), title=name).transform_filter(alt.datum.parameter == name)
+        for name in names
+    ]
+    return _chart("parameters", "Parameters of the runs, 90 % intervals", _side_by_side(panels, across=2))
 
 
 def _chart(
-    table: str, description: str, drawn: Specification, transform: list[Specification], params: list[Specification]
+    table: str, description: str, drawn: Any, *params: alt.Parameter | alt.TopLevelSelectionParameter
 ) -> Specification:
-    return {
-        "$schema": "https://vega.github.io/schema/vega-lite/v6.json",
-        "description": description,
-        "background": "transparent",
-        "config": _CONFIG,
-        "data": {"name": table},
-        "transform": transform,
-        "params": params,
-        **drawn,
-    }
+    """What the page embeds: a chart of a table that the page has, with what the reader may choose."""
+    look: Any = {"description": description, "background": "transparent", "config": _CONFIG}
+    drawn = drawn.properties(data=alt.NamedData(name=table), **look)
+    own = [] if drawn.params is alt.Undefined else drawn.params  # selections with a place in one of the panels
+    drawn.params = [*(given.param if isinstance(given, alt.Parameter) else given for given in params), *own]
+    with theme.enable("none"):  # whatever else the process draws
+        return drawn.to_dict()
 
 
-def _side_by_side(panels: list[Specification], across: int) -> Specification:
+def _side_by_side(panels: Sequence[Any], across: int) -> alt.ConcatChart:
     width = _WIDTH / min(len(panels), across) - 80
-    return {"concat": [panel | {"width": width} for panel in panels], "columns": across}
+    return alt.concat(*(panel.properties(width=width) for panel in panels), columns=across)
 
 
-def _field(name: str, kind: str = "Q", **more: Any) -> Specification:
+def _number(channel: Any, name: str, **more: Any) -> Any:
+    """A channel (`alt.X`, `alt.Size`, ...) that shows a column of numbers under its own name."""
     # Brackets and dots in a name mean something to Vega.
     plain = name.replace("\\", "\\\\").replace(".", "\\.").replace("[", "\\[").replace("]", "\\]")
-    return {"field": plain, "type": {"Q": "quantitative", "N": "nominal"}[kind], **({"title": name} | more)}
+    return channel(field=plain, **({"type": "quantitative", "title": name} | more))
 
 
-def _tooltip(words: Sequence[str], numbers: Sequence[str]) -> list[Specification]:
-    return [*(_field(name, "N") for name in words), *(_field(name, format=".4g") for name in numbers)]
+def _word(channel: Any, name: str, **more: Any) -> Any:
+    return _number(channel, name, type="nominal", **more)
 
 
-def _color(names: Sequence[str]) -> Specification:
-    return _field("series", "N", title=None, scale={"domain": list(names), "range": [_COLOURS[name] for name in names]})
+def _x(name: str, **more: Any) -> alt.X:
+    return _number(alt.X, name, **more)
 
 
-def _look(keys: Sequence[str]) -> Specification:
-    """Colour and dashes of each series, its samples in order of time."""
-    names = [SERIES[key] for key in keys]
-    dashes = _field("series", "N", title=None, scale={"domain": names, "range": [_DASHES[name] for name in names]})
-    return {"color": _color(names), "strokeDash": dashes, "order": {"field": "time", "type": "quantitative"}}
+def _y(name: str, **more: Any) -> alt.Y:
+    return _number(alt.Y, name, **more)
 
 
-def _folded(output: str, keys: Sequence[str]) -> list[Specification]:
-    """A row per sample and shown series, its value of an output in `value`."""
+def _split() -> alt.Shape:
+    return _word(alt.Shape, "split", title=None, scale=alt.Scale(domain=["train", "test"], range=["circle", "square"]))
+
+
+def _tooltip(words: Sequence[str], numbers: Sequence[str]) -> list[alt.Tooltip]:
     return [
-        {"fold": [f"{output}_{key}" for key in keys], "as": ["column", "value"]},
-        {"calculate": f"slice(datum.column, {len(output) + 1})", "as": "key"},
-        _named("key"),
-        {"filter": " || ".join(f"(datum.key == '{key}' && show_{key})" for key in keys)},
+        *(_word(alt.Tooltip, name) for name in words),
+        *(_number(alt.Tooltip, name, format=".4g") for name in numbers),
     ]
 
 
-def _named(column: str) -> Specification:
+def _color(names: Sequence[str]) -> alt.Color:
+    scale = alt.Scale(domain=list(names), range=[_COLOURS[name] for name in names])
+    return _word(alt.Color, "series", title=None, scale=scale)
+
+
+def _look(keys: Iterable[str]) -> tuple[alt.Color, alt.StrokeDash, alt.Order]:
+    """Colour and dashes of each series, its samples in order of time."""
+    names = [SERIES[key] for key in keys]
+    scale = alt.Scale(domain=names, range=[_DASHES[name] for name in names])
+    return _color(names), _word(alt.StrokeDash, "series", title=None, scale=scale), alt.Order("time:Q")
+
+
+def _folded(chart: alt.Chart, output: str, show: Mapping[str, alt.Parameter]) -> alt.Chart:
+    """A row per sample and shown series, its value of an output in `value`."""
+    shown = [(alt.datum.key == key) & chosen for key, chosen in show.items()]
+    return (
+        chart.transform_fold([f"{output}_{key}" for key in show], as_=["column", "value"])
+        .transform_calculate(key=f"slice(datum.column, {len(output) + 1})")
+        .transform_calculate(series=_named("key"))
+        .transform_filter(reduce(or_, shown))
+    )
+
+
+def _named(column: str) -> str:
     """The name of a series in words, from the column that has its key."""
     names = ", ".join(f"{key}: '{name}'" for key, name in SERIES.items())
-    return {"calculate": f"{{{names}}}[datum.{column}]", "as": "series"}
+    return f"{{{names}}}[datum.{column}]"

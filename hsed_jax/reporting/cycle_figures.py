@@ -13,7 +13,6 @@ from hsed_jax.physics.outputs import named
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
 from hsed_jax.reporting.misfit_figures import badness, hysteresis_loops
-from hsed_jax.reporting.misfit_maps import splits
 from hsed_jax.reporting.style import Picture
 
 _MOST = 3
@@ -84,7 +83,7 @@ def cycles(comparison: Comparison, campaign: Campaign, before: Comparison | None
 def _experiments(comparison: Comparison, campaign: Campaign) -> list[tuple[str, str, str]]:
     """Split, id and specimen of every loop of an experiment, held-out ones first, the largest errors of the force first."""
     found = []
-    for name, split, prediction in splits(comparison):
+    for name, split, prediction in comparison.splits():
         for row, experiment in enumerate(prediction.experiments):
             errors = split.per_experiment.get(experiment.id, {})
             for owner, loop in hysteresis_loops(prediction, row, campaign).items():
@@ -98,7 +97,7 @@ def _read(models: Mapping[str, Comparison], split: str, id: str, owner: str, cam
     """The cycles of one experiment as they were measured and as each model has them; diverged ones left out."""
     read = {}
     for model, comparison in models.items():
-        prediction = next(p for name, _, p in splits(comparison) if name == split)
+        prediction = next(p for name, _, p in comparison.splits() if name == split)
         row = [e.id for e in prediction.experiments].index(id)
         loop = hysteresis_loops(prediction, row, campaign)[owner]
         there, force, ours, predicted = (channel[np.isfinite(loop[0] + loop[1])] for channel in loop)

@@ -1,7 +1,7 @@
 """The figures of a diagnosis and of what became of the model: the candidates, the fall of the error, before and after."""
 
 import textwrap
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Container, Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,8 +16,6 @@ from hsed_jax.physics.outputs import named, owner_of
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
 from hsed_jax.reporting.misfit_figures import hysteresis_loops, words_of_loop
-from hsed_jax.reporting.misfit_maps import splits
-from hsed_jax.reporting.outcome import Outcome
 from hsed_jax.reporting.style import Picture
 
 _SHOWN = 12
@@ -28,26 +26,6 @@ _BEFORE = {"color": style.RED, "linestyle": (0, (6, 1.2, 1, 1.2)), "linewidth": 
            "zorder": 2}  # fmt: skip
 _AFTER = {"color": style.BLUE, "linestyle": "-", "linewidth": 1.2, "label": "improved model", "zorder": 2.5}
 _MEASURED = {**style.MEASURED, "label": "measured", "linewidth": 0.9}
-
-
-def diagnosis_pictures(outcome: Outcome) -> Iterator[tuple[str, Picture]]:
-    """Every figure of the diagnosis and the improvement that there is material for, with the name of its file."""
-    diagnosis, trail = outcome.diagnosis, outcome.trail
-    if diagnosis is not None and diagnosis.ranking:
-        yield "ranking", ranking(diagnosis)
-    if trail is not None and len(trail.steps) > 1:
-        yield "error_fall", error_fall(trail)
-    if outcome.comparison is not None and outcome.improved_comparison is not None:
-        picture = before_after(outcome.comparison, outcome.improved_comparison, outcome.campaign)
-        if picture is not None:
-            yield "before_after", picture
-    if outcome.fit is not None and outcome.improved is not None:
-        truth = {} if outcome.laboratory is None else outcome.laboratory.parameters
-        picture = parameters_before_after(
-            outcome.fit.summary(), outcome.improved.summary(), outcome.improved.units, truth, outcome.catalogue
-        )
-        if picture is not None:
-            yield "parameters_before_after", picture
 
 
 @style.in_house_style
@@ -188,7 +166,7 @@ def before_after(before: Comparison, after: Comparison, campaign: Campaign) -> P
     split, id, old, new = found
     both, pair = [], campaign.pair
     for comparison in (before, after):
-        prediction = dict((name, p) for name, _, p in splits(comparison))[split]
+        prediction = dict((name, p) for name, _, p in comparison.splits())[split]
         both.append((prediction, [e.id for e in prediction.experiments].index(id)))
     (first, row), (second, other) = both
     names = first.outputs
@@ -232,8 +210,8 @@ def before_after(before: Comparison, after: Comparison, campaign: Campaign) -> P
 
 def _most_improved(before: Comparison, after: Comparison) -> tuple[str, str, float, float] | None:
     """Split, experiment, error before and after of the largest fall; of the test split if that has errors."""
-    later = {name: split for name, split, _ in splits(after)}
-    for name, split, _ in sorted(splits(before), key=lambda entry: entry[0] != "test"):
+    later = {name: split for name, split, _ in after.splits()}
+    for name, split, _ in sorted(before.splits(), key=lambda entry: entry[0] != "test"):
         falls = []
         for id, errors in split.per_experiment.items():
             if name in later and id in later[name].per_experiment:
@@ -288,7 +266,7 @@ def _scatter(before: Comparison, after: Comparison, pair: Pair) -> Picture:
         known = [
             (look, split, _quantity(prediction, name))
             for comparison, look in ((before, "as it was"), (after, "improved"))
-            for split, _, prediction in splits(comparison)
+            for split, _, prediction in comparison.splits()
         ]
         divisor, unit = style.readable(pair.output(name).unit, *(v for *_, values in known for v in values[:2]))
         for look, split, values in known:

@@ -4,21 +4,22 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.collections import LineCollection
 
-from hsed_jax.physics.outputs import output
+from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
 from hsed_jax.reporting.style import Picture
 
 
 @style.in_house_style
-def histories(channel: str, times: Float[np.ndarray, "n m"], values: Float[np.ndarray, "n m"]) -> Picture:
+def histories(channel: str, times: Float[np.ndarray, "n m"], values: Float[np.ndarray, "n m"], pair: Pair) -> Picture:
     """Fig. 3 of forces or elongations: random realisations in grey, the one at the central inputs in red.
 
     Arguments:
         channel: what is drawn.
         times: [s], the first row at the central inputs; how long an imposed elongation lasts depends on its inputs.
         values: SI.
+        pair: that the specimens are measured in.
     """
-    divisor, unit = style.readable(output(channel).unit, values)
+    divisor, unit = style.readable(pair.output(channel).unit, values)
     count, scaled = len(values) - 1, values / divisor
     figure = style.new_figure(2.9)
     panel = figure.subplots()
@@ -31,9 +32,9 @@ def histories(channel: str, times: Float[np.ndarray, "n m"], values: Float[np.nd
     panel.plot([], [], color=style.GREY, label=f"{count} random realisations")
     panel.plot(times[0], scaled[0], color=style.RED, linewidth=1.8, label="central inputs")
     panel.margins(x=0.0)
-    panel.set(xlabel="Time [s]", ylabel=style.channel_label(channel, unit))
+    panel.set(xlabel="Time [s]", ylabel=style.channel_label(channel, unit, pair))
     style.legend(figure, panel)
-    what = output(channel).meaning
+    what = pair.output(channel).meaning
     return Picture(
         figure,
         f"What drives the experiments: {what}.  Grey: {count} random realisations of the inputs; red: central inputs.",

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 
 import numpy as np
+import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.transforms import Bbox
 
@@ -13,7 +14,7 @@ from hsed_jax.measurements import Campaign
 from hsed_jax.physics.outputs import named, own_name, owner_of
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
-from hsed_jax.reporting.misfit_maps import error_map, residual_coordinates, splits
+from hsed_jax.reporting.misfit_maps import error_map, residual_coordinates
 from hsed_jax.reporting.style import Picture
 
 _OVERLAYS = 6
@@ -32,16 +33,17 @@ _COLUMNS: dict[str, tuple[str, float, str]] = {
 
 
 def misfit_pictures(
-    comparison: Comparison, location: Location | None, campaign: Campaign
+    comparison: Comparison, location: Location | None, errors_over_inputs: xr.Dataset | None, campaign: Campaign
 ) -> Iterator[tuple[str, Picture]]:
     """Every figure of the misfit that there is material for, with the name of its file.
 
     Arguments:
         comparison: a calibrated model against its measurements.
         location: where the misfit is.
+        errors_over_inputs: as `hsed_jax.criticism.error_map` gives it.
         campaign: the experiments compared.
     """
-    for _, split, prediction in splits(comparison):
+    for _, split, prediction in comparison.splits():
         if prediction.groups.size == len(prediction.outputs):
             continue
         errors = split.per_experiment
@@ -53,7 +55,7 @@ def misfit_pictures(
         yield "measured_against_predicted", measured_against_predicted(comparison, campaign)
     others = {
         "residual_coordinates": None if location is None else residual_coordinates(location, campaign),
-        "error_map": error_map(comparison, campaign),
+        "error_map": None if errors_over_inputs is None else error_map(errors_over_inputs),
         "error_table": error_table(comparison, campaign),
     }
     yield from ((name, picture) for name, picture in others.items() if picture is not None)
@@ -171,7 +173,7 @@ def loops(comparison: Comparison, campaign: Campaign) -> Picture | None:
         The picture; None where force and elongation are not both known.
     """
     found = []
-    for name, part, prediction in splits(comparison):
+    for name, part, prediction in comparison.splits():
         for row, experiment in enumerate(prediction.experiments):
             if experiment.id not in part.per_experiment:
                 continue
@@ -206,7 +208,7 @@ def measured_against_predicted(comparison: Comparison, campaign: Campaign) -> Pi
     said = []
     for panel, name in zip(panels, names, strict=True):
         known = {}
-        for split, _, prediction in splits(comparison):
+        for split, _, prediction in comparison.splits():
             columns = prediction.columns(name)
             used = prediction.used[:, columns][:, 0]
             tables = (prediction.measured, prediction.shown, prediction.mean, prediction.sd)
@@ -241,7 +243,7 @@ def error_table(comparison: Comparison, campaign: Campaign) -> Picture | None:
     """The errors of each experiment and output, worst first; None where no experiment has errors of its own."""
     found = [
         (id, name, output, values)
-        for name, split, _ in splits(comparison)
+        for name, split, _ in comparison.splits()
         for id, outputs in split.per_experiment.items()
         for output, values in outputs.items()
     ]

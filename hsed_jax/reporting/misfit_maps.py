@@ -1,27 +1,18 @@
 """Where the misfit lies: over the coordinates of the samples, and over the inputs of the experiments."""
 
-from collections.abc import Iterator
-
-import jax
-import jax.numpy as jnp
 import numpy as np
+import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hsed_jax.criticism.compare import Comparison, Split
 from hsed_jax.criticism.coordinates import UNITS, Samples
 from hsed_jax.criticism.locate import Location, Place
-from hsed_jax.criticism.prediction import Prediction
-from hsed_jax.design.kriging import fit_kriging
-from hsed_jax.measurements import Campaign, Experiment
+from hsed_jax.measurements import Campaign
 from hsed_jax.reporting import style
 from hsed_jax.reporting.style import Picture
 
 _BINS = 10
 _WORDS = 8
-# Fewer experiments tell no map, and with more Kriging takes minutes.
-_FEWEST, _MOST = 5, 300
-_GRID = 61
 _NAMED = 3
 _ALPHA = 0.6
 _LABEL = {"facecolor": "white", "alpha": 0.6, "linewidth": 0, "pad": 0.6}
@@ -33,13 +24,6 @@ _AXES = {
     "speed": "Elongation rate",
 }
 _MARKERS = {"train": "o", "test": "s"}
-
-
-def splits(comparison: Comparison) -> Iterator[tuple[str, Split, Prediction]]:
-    """The splits that were compared: `train`, and `test` where there is one."""
-    yield "train", comparison.train, comparison.train_prediction
-    if comparison.test is not None and comparison.test_prediction is not None:
-        yield "test", comparison.test, comparison.test_prediction
 
 
 @style.in_house_style
@@ -176,44 +160,35 @@ def _bars_by_word(panel: Axes, words: np.ndarray, share: np.ndarray, place: Plac
 
 
 @style.in_house_style
-def error_map(comparison: Comparison, campaign: Campaign) -> Picture | None:
+def error_map(found: xr.Dataset) -> Picture:
     """Squared error of each experiment over the inputs, and what Kriging makes of it in between.
 
     Arguments:
-        comparison: of at least two experiments.
-        campaign: the units of its inputs.
-
-    Returns:
-        The picture; None unless one or two inputs vary.
+        found: as `hsed_jax.criticism.error_map` gives it, of one or two inputs.
     """
-    found = list(_squared_errors(comparison))
-    inputs = {n: np.asarray([campaign.unit(n).from_si(e.inputs[n]) for e, _, _ in found]) for n in campaign.inputs}
-    inputs = {name: values for name, values in inputs.items() if values.size and np.ptp(values) > 0}
-    if len(inputs) not in (1, 2):
-        return None
-    points = np.stack(list(inputs.values()), axis=1)
-    errors = np.asarray([error for _, _, error in found])
-    sets = np.asarray([split for _, split, _ in found])
-    labels = [style.label(name, campaign.unit(name).text) for name in inputs]
-    figure = style.new_figure(4.2 if len(inputs) == 2 else 3.0)
+    names = found["input"].values.tolist()
+    points, errors = found["at"].values, found["squared_error"].values
+    ids = found["experiment"].values.tolist()
+    labels = [style.label(name, found[name].attrs["units"]) for name in names]
+    figure = style.new_figure(4.2 if len(names) == 2 else 3.0)
     panel = figure.subplots()
-    (_errors_over_a_plane if len(inputs) == 2 else _errors_along_a_line)(figure, panel, points, errors, sets)
+    (_errors_over_a_plane if len(names) == 2 else _errors_along_a_line)(figure, panel, found)
     panel.set_xlabel(labels[0])
-    panel.set_ylabel(labels[1] if len(inputs) == 2 else "Squared error [–]")
-    _name_largest(panel, np.stack([points[:, 0], points[:, 1] if len(inputs) == 2 else errors], axis=1), errors, found)
+    panel.set_ylabel(labels[1] if len(names) == 2 else "Squared error [–]")
+    _name_largest(panel, np.stack([points[:, 0], points[:, 1] if len(names) == 2 else errors], axis=1), errors, ids)
     style.legend(figure, panel)
-    told = len(found) >= _FEWEST
+    told = "squared_error_mean" in found
     return Picture(
         figure,
         "Squared error of each experiment, relative to the variance of what was measured, over the inputs; the largest "
         "are named."
         + ("  Between the experiments, the mean and the standard deviation of a Kriging model." if told else ""),
-        f"{len(found)} experiments over {', '.join(inputs)}; squared error between {style.amount(float(errors.min()))} "
-        f"and {style.amount(float(errors.max()))}, the largest in {found[int(np.argmax(errors))][0].id.replace('$', '')}.",
+        f"{len(ids)} experiments over {', '.join(names)}; squared error between {style.amount(float(errors.min()))} "
+        f"and {style.amount(float(errors.max()))}, the largest in {ids[int(np.argmax(errors))].replace('$', '')}.",
     )
 
 
-def _name_largest(panel: Axes, places: np.ndarray, errors: np.ndarray, found: list) -> None:
+def _name_largest(panel: Axes, places: np.ndarray, errors: np.ndarray, ids: list[str]) -> None:
     """Write the names of the experiments with the largest errors beside them, but no name over another."""
     near = 0.07 * np.maximum(np.ptp(places, axis=0), 1e-300)
     named: list[int] = []
@@ -223,57 +198,22 @@ def _name_largest(panel: Axes, places: np.ndarray, errors: np.ndarray, found: li
         named.append(i)
         left = places[i, 0] > places[:, 0].mean()  # the name goes inwards, where there is room
         panel.annotate(
-            style.plain(found[i][0].id, 24), (places[i, 0], places[i, 1]), (-9 if left else 9, 0), fontsize=7, zorder=5,
+            style.plain(ids[i], 24), (places[i, 0], places[i, 1]), (-9 if left else 9, 0), fontsize=7, zorder=5,
             textcoords="offset points", ha="right" if left else "left", va="center_baseline", bbox=_LABEL,
         )  # fmt: skip
 
 
-def _squared_errors(comparison: Comparison) -> Iterator[tuple[Experiment, str, float]]:
-    """Every experiment, its split and its squared error, averaged over the outputs; where there is one."""
-    reference = comparison.train.per_output
-    for name, split, prediction in splits(comparison):
-        histories = prediction.groups.size > len(prediction.outputs)
-        for experiment in prediction.experiments:
-            squares = []
-            for output, values in split.per_experiment.get(experiment.id, {}).items():
-                # A history is relative to itself; a quantity to its spread over the training experiments, in both splits.
-                scale = values["scale"] if histories else reference.get(output, values)["scale"]
-                squares.append((values["nrmse"] * values["scale"] / scale) ** 2)
-            if squares and np.isfinite(squares).all():
-                yield experiment, name, float(np.mean(squares))
-
-
-def _kriged(points: np.ndarray, errors: np.ndarray, grid: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:
-    """Kriging mean and sd of the squared errors on a grid of the inputs; None where experiments are too few or many."""
-    if not _FEWEST <= errors.size <= _MOST:
-        return None
-    low, span = points.min(axis=0), np.ptp(points, axis=0)
-    mesh = np.stack(np.meshgrid(*grid, indexing="ij"), axis=-1)
-    key, known = jax.random.key(0), jnp.ones(errors.size, dtype=bool)
-    model = fit_kriging(jnp.asarray((points - low) / span), jnp.asarray(errors), known, key=key)
-    mean, variance = model.predict(jnp.asarray((mesh.reshape(-1, low.size) - low) / span))
-    # A squared error is not negative, a Gaussian process does not know.
-    mean, sd = np.maximum(np.asarray(mean), 0.0), np.sqrt(np.asarray(variance))
-    return mean.reshape(mesh.shape[:-1]), sd.reshape(mesh.shape[:-1])
-
-
-def _grid_of(points: np.ndarray) -> list[np.ndarray]:
-    """A grid a little larger than the range of the experiments, along each input."""
-    low, span = points.min(axis=0), np.ptp(points, axis=0)
-    return [np.linspace(a - 0.06 * s, a + 1.06 * s, _GRID) for a, s in zip(low, span, strict=True)]
-
-
-def _errors_over_a_plane(figure: Figure, panel: Axes, points: np.ndarray, errors: np.ndarray, sets: np.ndarray) -> None:
-    grid = _grid_of(points)
-    kriged = _kriged(points, errors, grid)
-    everything = errors if kriged is None else np.append(errors, kriged[0])
-    levels = style.levels(np.ma.asarray(everything))
+def _errors_over_a_plane(figure: Figure, panel: Axes, found: xr.Dataset) -> None:
+    points, errors, sets = (found[name].values for name in ("at", "squared_error", "split"))
+    x, y = (found[name].values for name in found["input"].values.tolist())
+    is_known = "squared_error_mean" in found
+    levels = style.levels(np.ma.asarray(np.append(errors, found["squared_error_mean"]) if is_known else errors))
     shades = {"vmin": levels[0], "vmax": levels[-1], "cmap": style.COLOUR_MAP}
-    if kriged is not None:
-        mean, sd = kriged
-        panel.contourf(*grid, mean.T, levels, alpha=0.75, **shades)
+    if is_known:
+        sd = found["squared_error_sd"].values
+        panel.contourf(x, y, found["squared_error_mean"].values.T, levels, alpha=0.75, **shades)
         if np.ptp(sd) > 1e-6 * float(errors.max(initial=0.0)):
-            lines = panel.contour(*grid, sd.T, 4, colors="white", linewidths=0.6, linestyles="-")
+            lines = panel.contour(x, y, sd.T, 4, colors="white", linewidths=0.6, linestyles="-")
             panel.clabel(lines, fontsize=6, fmt="%.2g")
             panel.plot([], [], color=style.GREY, linewidth=0.6, label="standard deviation of the map")
     sizes = 20 + 130 * np.sqrt(errors / max(float(errors.max()), 1e-300))
@@ -286,23 +226,23 @@ def _errors_over_a_plane(figure: Figure, panel: Axes, points: np.ndarray, errors
             )  # fmt: skip
             panel.plot([], [], marker, ms=6, mfc="white", mec=style.BLACK, mew=0.9, label=split)
             mappable = drawn
-    panel.set(xlim=grid[0][[0, -1]], ylim=grid[1][[0, -1]])
+    panel.set(xlim=x[[0, -1]], ylim=y[[0, -1]])
     panel.grid(False)
     figure.colorbar(mappable, ax=panel, label="Squared error [–]")
 
 
-def _errors_along_a_line(figure: Figure, panel: Axes, points: np.ndarray, errors: np.ndarray, sets: np.ndarray) -> None:
-    grid = _grid_of(points)
-    kriged = _kriged(points, errors, grid)
-    if kriged is not None:
-        mean, sd = kriged
+def _errors_along_a_line(figure: Figure, panel: Axes, found: xr.Dataset) -> None:
+    points, errors, sets = (found[name].values for name in ("at", "squared_error", "split"))
+    x = found[found["input"].values.item()].values
+    if "squared_error_mean" in found:
+        mean, sd = found["squared_error_mean"].values, found["squared_error_sd"].values
         band = np.maximum(mean - 1.645 * sd, 0.0), mean + 1.645 * sd
-        panel.fill_between(grid[0], *band, color=style.BLUE, alpha=0.2, linewidth=0, label="90 % band")
-        panel.plot(grid[0], mean, color=style.BLUE, linewidth=1.3, label="Kriging mean")
+        panel.fill_between(x, *band, color=style.BLUE, alpha=0.2, linewidth=0, label="90 % band")
+        panel.plot(x, mean, color=style.BLUE, linewidth=1.3, label="Kriging mean")
     for split, marker in _MARKERS.items():
         one = sets == split
         if one.any():
             fill = style.BLACK if split == "train" else "white"
             panel.plot(points[one, 0], errors[one], marker, ms=5, mfc=fill, mec=style.BLACK, zorder=3, label=split)
-    panel.set_xlim(*grid[0][[0, -1]])
+    panel.set_xlim(*x[[0, -1]])
     panel.set_ylim(bottom=0.0)

@@ -50,12 +50,14 @@ def _library() -> str:
 
     It takes a second to make, and is kept for the next page where a file can be written.
     """
-    kept = cache_folder() / f"vega-{version('vl-convert-python')}.js"
+    kept = cache_folder() / f"vega-{version('altair')}-{version('vl-convert-python')}.js"
     with suppress(OSError):
         return kept.read_text(encoding="utf-8")
+    from altair import SCHEMA_VERSION
     from vl_convert import javascript_bundle
 
-    script = javascript_bundle("window.vegaEmbed = vegaEmbed;").replace("</script", "<\\/script")
+    spoken = SCHEMA_VERSION.rpartition(".")[0]  # "v6.4": what the charts are written in
+    script = javascript_bundle("window.vegaEmbed = vegaEmbed;", spoken).replace("</script", "<\\/script")
     with suppress(OSError):
         kept.parent.mkdir(parents=True, exist_ok=True)
         write_whole(kept, script, draft=f".{os.getpid()}")

@@ -9,8 +9,8 @@ import numpy as np
 from hsed_jax.criticism.prediction import error_cell
 from hsed_jax.physics.outputs import loops, named
 from hsed_jax.plain import dump_yaml
-from hsed_jax.reporting import charts, style
 from hsed_jax.reporting import page_tables as tables
+from hsed_jax.reporting import style
 from hsed_jax.reporting.asked import asked
 from hsed_jax.reporting.digest import diverged, error_text, key_figures, sentence, verdict, warnings
 from hsed_jax.reporting.finished import FinishedRun
@@ -59,6 +59,8 @@ def report_page(run: FinishedRun) -> str:
 
 def _charts(run: FinishedRun) -> tuple[dict[str, Any], dict[str, tables.Table]]:
     """Specifications and tables of the interactive charts that there is material for."""
+    from hsed_jax.reporting import charts  # Altair takes seconds to load: only who writes a page waits for it
+
     drawn: dict[str, Any] = {}
     data = {"experiments": tables.experiments_table(run)}
     if data["experiments"]:

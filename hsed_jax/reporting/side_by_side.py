@@ -5,15 +5,16 @@ from typing import Any
 
 import yaml
 
-from hsed_jax.reporting import charts
 from hsed_jax.reporting.digest import key_figures, verdict, warnings
 from hsed_jax.reporting.finished import SPLITS, FinishedRun
 from hsed_jax.reporting.page import render
-from hsed_jax.reporting.page_tables import columns
+from hsed_jax.reporting.page_tables import SERIES, columns
 
 
 def comparison_page(runs: Sequence[FinishedRun]) -> str:
     """The page of several runs side by side."""
+    from hsed_jax.reporting import charts  # Altair takes seconds to load: only who writes a page waits for it
+
     names = _distinct(runs)
     named = list(zip(names, runs, strict=True))
     errors = [row for name, run in named for row in _errors(name, run)]
@@ -42,7 +43,7 @@ def _errors(name: str, run: FinishedRun) -> Iterator[dict[str, Any]]:
         for split in SPLITS:
             if split in comparison:
                 error = comparison[split].get("error")
-                yield {"run": name, "split": split, "series": charts.SERIES[model], "error": error}
+                yield {"run": name, "split": split, "series": SERIES[model], "error": error}
     if "before" in run.comparisons:
         floor = run.comparisons["before"]["train"]["noise_floor"]
         yield {"run": name, "split": "noise", "series": "noise", "error": floor}
@@ -51,7 +52,7 @@ def _errors(name: str, run: FinishedRun) -> Iterator[dict[str, Any]]:
 def _parameters(name: str, run: FinishedRun) -> Iterator[dict[str, Any]]:
     for model, part in (("before", "calibration"), ("after", "improvement")):
         for parameter, s in run.summary.get(part, {}).get("posterior", {}).items():
-            row = {"run": name, "series": charts.SERIES[model], "parameter": parameter}
+            row = {"run": name, "series": SERIES[model], "parameter": parameter}
             yield row | {"mean": s["mean"], "low": s["q05"], "high": s["q95"]}
 
 

@@ -11,16 +11,16 @@ from typing import get_args
 
 import numpy as np
 
-from hsed_jax.runs.conduct import Asked, Conduct
-from hsed_jax.study.build import Built
 from hsed_jax.config.load import load_study
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
 from hsed_jax.laboratories.base import ExperimentFailed
 from hsed_jax.measurements import Campaign, Experiment, parse_unit
 from hsed_jax.measurements.experiment import Status
-from hsed_jax.runs.requests import Columns, Expected, Requests
+from hsed_jax.runs.conduct import Asked, Conduct
 from hsed_jax.runs.folder import RunFolder, laboratory_folder
+from hsed_jax.runs.requests import Columns, Expected, Requests
+from hsed_jax.study.build import Built
 from hsed_jax.tables import Table, Tabular
 
 

@@ -6,14 +6,14 @@ it, and replaying the journal gives the same state to the last bit, in one proce
 
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from hsed_jax.study.build import Built
+from hsed_jax.analysis.remedy import discriminate, verdict_of
 from hsed_jax.design.sequential import DesignState, Trial
 from hsed_jax.design.space import Point
 from hsed_jax.design.stopping import StopRules, stop_reason
@@ -21,8 +21,8 @@ from hsed_jax.errors import UserError
 from hsed_jax.inference.fit import summarise
 from hsed_jax.laboratories.base import Measured, experiment_id
 from hsed_jax.measurements import Campaign, Experiment, Record, read_campaign, write_campaign, write_experiment
-from hsed_jax.analysis.remedy import discriminate, verdict_of
 from hsed_jax.runs.folder import RunFolder
+from hsed_jax.study.build import Built
 
 _DRAWS = 64
 """Draws of the parameters that are kept with each step; enough for bands."""

@@ -14,8 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
-from hsed_jax.runs.conduct import Asked, Conduct
-from hsed_jax.study.build import Built
 from hsed_jax.errors import UserError
 from hsed_jax.laboratories.answer import QUANTITIES, RECORD, is_answered, left, read_quantities, read_record
 from hsed_jax.laboratories.base import ExperimentFailed, Measured
@@ -23,6 +21,8 @@ from hsed_jax.laboratories.request import Request
 from hsed_jax.measurements import Record, parse_unit
 from hsed_jax.physics.outputs import EQ_18, further, is_driver, of_each
 from hsed_jax.physics.simulator import Conditions
+from hsed_jax.runs.conduct import Asked, Conduct
+from hsed_jax.study.build import Built
 
 BAND = (0.05, 0.5, 0.95)
 """Quantiles of what is expected, over the parameters as they are known."""

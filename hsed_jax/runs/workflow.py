@@ -7,16 +7,13 @@ from typing import Any
 from tqdm import tqdm
 
 from hsed_jax.analysis.calibration import Calibration, calibrate_built, compare, locate
-from hsed_jax.runs.conduct import Asked, Conduct
-from hsed_jax.study.build import Built
-from hsed_jax.study.records import forecast
+from hsed_jax.analysis.remedy import Improvement, diagnose, improve
 from hsed_jax.config.schema import Study
-from hsed_jax.study.specimens import effects_of
 from hsed_jax.criticism import locate as locating
 from hsed_jax.criticism.compare import Comparison
-from hsed_jax.diagnosis.findings import Diagnosis
 from hsed_jax.criticism.improve import Trail, step_of
 from hsed_jax.criticism.locate import Location
+from hsed_jax.diagnosis.findings import Diagnosis
 from hsed_jax.errors import UserError
 from hsed_jax.interruptions import Interrupted, answered_by
 from hsed_jax.laboratories.base import ExperimentFailed, Measured
@@ -24,11 +21,14 @@ from hsed_jax.laboratories.folder import Awaited
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.measurements import Campaign, stop_at_errors, write_campaign
 from hsed_jax.physics.scales import Scales
-from hsed_jax.runs.progress import Progress
-from hsed_jax.analysis.remedy import Improvement, diagnose, improve
-from hsed_jax.reporting.outcome import Outcome, summary
-from hsed_jax.runs.requests import Requests
+from hsed_jax.runs.conduct import Asked, Conduct
 from hsed_jax.runs.folder import RunFolder, laboratory_folder, read_run
+from hsed_jax.runs.outcome import Outcome, summary
+from hsed_jax.runs.progress import Progress
+from hsed_jax.runs.requests import Requests
+from hsed_jax.study.build import Built
+from hsed_jax.study.records import forecast
+from hsed_jax.study.specimens import effects_of
 
 
 class Waiting(Interrupted):
@@ -124,8 +124,9 @@ class Run:
     def __call__(self) -> dict[str, Any]:
         """Run the steps; returns the content of `summary.json`."""
         from hsed_jax.reporting.report import report_page
-        from hsed_jax.reporting.results import results_tree
-        from hsed_jax.reporting.run_figures import draw
+        from hsed_jax.runs.figures import draw
+        from hsed_jax.runs.illustrations import illustrations
+        from hsed_jax.runs.results import results_tree
 
         try:
             with answered_by(self._stopped):
@@ -135,12 +136,15 @@ class Run:
                     self.tell(self, step)
                 self._under_way = "report"
                 outcome = self.outcome("complete")
-                self.store.write_results(results_tree(outcome))
                 content = summary(outcome)
                 self.store.write_summary(content)
                 if self.figures:
                     with self._watch("figures") as watch:
-                        draw(outcome, self.store.figures, watch.report)
+                        tables = illustrations(outcome, watch.report)
+                        self.store.write_results(results_tree(outcome, tables))
+                        draw(outcome, tables, self.store.figures, watch.report)
+                else:
+                    self.store.write_results(results_tree(outcome, {}))
                 self.store.finish()
                 if self.figures:
                     self.store.write_report(report_page(read_run(self.store.path)))

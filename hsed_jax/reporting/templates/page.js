@@ -46,7 +46,7 @@
   const embed = async (name, specification) => {
     const datasets = { ...specification.datasets };
     for (const table of named(specification)) if (table in tables) datasets[table] = tables[table];
-    const params = specification.params.map((param) => (param.name === "experiment" ? { ...param, value: first } : param));
+    const params = (specification.params || []).map((param) => (param.name === "experiment" ? { ...param, value: first } : param));
     const options = { renderer: "svg", actions: { export: true, source: false, compiled: false, editor: false }, downloadFileName: name };
     const { view } = await vegaEmbed(`#chart-${name}`, { ...specification, params, datasets }, options);
     views[name] = view;

@@ -1,5 +1,6 @@
 """What a run has come to: everything its summary, results and figures are made from."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -65,6 +66,11 @@ class Outcome:
     improved: Fit | None
     improved_comparison: Comparison | None
     scales: Scales | None
+
+    @property
+    def truth(self) -> Mapping[str, float]:
+        """The parameters of the virtual specimen, SI; empty where there is none."""
+        return {} if self.laboratory is None else self.laboratory.parameters
 
     @property
     def estimates(self) -> np.ndarray:

@@ -5,23 +5,23 @@ The groups `posterior`, `sample_stats` and `observed_data` are ArviZ's, so ArviZ
 diagnosis.
 """
 
-import jax.numpy as jnp
+from collections.abc import Mapping
+
 import numpy as np
 import xarray as xr
 
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.locate import Location
+from hsed_jax.design.over_inputs import surrogate
 from hsed_jax.diagnosis.findings import Diagnosis
 from hsed_jax.inference.fit import Fit
 from hsed_jax.physics.pairs import Pair
-from hsed_jax.reporting.outcome import Outcome
-
-_GRID = 41
+from hsed_jax.runs.outcome import Outcome
 
 
-def results_tree(outcome: Outcome) -> xr.DataTree:
-    """Collect the results of a run; groups of steps that did not run are absent."""
-    groups: dict[str, xr.Dataset] = {}
+def results_tree(outcome: Outcome, illustrations: Mapping[str, xr.Dataset]) -> xr.DataTree:
+    """Collect the results of a run, with what was computed for its figures; groups of steps that did not run are absent."""
+    groups = dict(illustrations)
     if outcome.fit is not None:
         groups |= _posterior(outcome.fit)
     groups["observed_data"] = _observed(outcome)
@@ -37,7 +37,8 @@ def results_tree(outcome: Outcome) -> xr.DataTree:
         groups |= _predictions(outcome.improved_comparison, "predictions_improved", outcome.campaign.pair)
     if outcome.steps:
         groups["design"] = _design(outcome)
-        groups["surrogate"] = _surrogate(outcome)
+        assert outcome.design is not None and outcome.state is not None
+        groups["surrogate"] = surrogate(outcome.design, outcome.state, outcome.steps[-1])
     tree = xr.DataTree.from_dict(groups)
     tree.attrs["study"] = outcome.study
     return tree
@@ -156,30 +157,3 @@ def _design(outcome: Outcome) -> xr.Dataset:
     for statistic in ("mean", "sd", "q05", "q95", "ess_bulk", "rhat"):
         table[statistic] = (("step", "parameter"), [[step["posterior"][n][statistic] for n in names] for step in steps])
     return xr.Dataset(table, {"step": np.arange(len(steps)), "parameter": names})
-
-
-def _surrogate(outcome: Outcome) -> xr.Dataset:
-    """The last Kriging of the discrepancy on a grid of the inputs (up to two) or at its training points."""
-    design, state = outcome.design, outcome.state
-    assert state is not None and design is not None
-    last = outcome.steps[-1]
-    kriging = design.surrogate(state, last["discrepancy"], last["kriging"]["lengths"], last["kriging"]["nugget"])
-    space = design.space
-    hyper = {
-        "length": ("input", np.asarray(kriging.lengths)),
-        "nugget": ((), float(kriging.nugget)),
-        "process_variance": ((), float(kriging.process_variance)),
-    }
-    if len(space.names) > 2:
-        return xr.Dataset(hyper, {"input": list(space.names)})
-    axis = (np.arange(_GRID) + 0.5) / _GRID
-    mesh = np.stack(np.meshgrid(*[axis] * len(space.names), indexing="ij"), axis=-1)
-    mean, variance = kriging.predict(jnp.asarray(mesh.reshape(-1, len(space.names))))
-    along = space.declared(np.repeat(axis[:, None], len(space.names), axis=1))
-    coords: dict = {name: (name, along[:, i], {"units": space.units[name]}) for i, name in enumerate(space.names)}
-    shape = (_GRID,) * len(space.names)
-    maps = {
-        "discrepancy_mean": (space.names, np.asarray(mean).reshape(shape)),
-        "discrepancy_sd": (space.names, np.sqrt(np.asarray(variance)).reshape(shape)),
-    }
-    return xr.Dataset(hyper | maps, coords | {"input": list(space.names)})

@@ -1,0 +1,61 @@
+"""What a run computes for its figures alone, by group of `results.nc`: its figures are drawn from these and from its results."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import xarray as xr
+
+from hsed_jax.criticism.error_map import error_map
+from hsed_jax.design.over_inputs import estimates_alone, excitations, responses
+from hsed_jax.laboratories.virtual import VirtualLaboratory
+from hsed_jax.physics.outputs import of_each
+from hsed_jax.physics.simulator import Simulator
+from hsed_jax.reporting.design_figures import CHANNELS
+from hsed_jax.runs.outcome import Outcome
+
+EXCITATION = "illustrations/excitation"
+ESTIMATES_ALONE = "illustrations/estimates_alone"
+ERROR_MAP = "illustrations/error_map"
+SPECIMEN, MODEL, MODEL_AT_TRUTH = (f"illustrations/responses/{of}" for of in ("specimen", "model", "model_at_truth"))
+_AT = (0.5, 0.85, 0.3)
+"""Where responses are shown: in the middle of the inputs' distributions, and at two quantiles far apart."""
+
+
+def illustrations(outcome: Outcome, report: Callable[[str], None] = lambda name: None) -> dict[str, xr.Dataset]:
+    """Compute what the outcome has the material for; `report` hears the name of each group before it is made."""
+    made = {}
+    for name, compute in _computations(outcome):
+        report(name)
+        if (table := compute()) is not None:
+            made[name] = table
+    return made
+
+
+def _computations(outcome: Outcome) -> Iterator[tuple[str, Callable[[], xr.Dataset | None]]]:
+    space, laboratory, model, pair = outcome.space, outcome.laboratory, outcome.model, outcome.campaign.pair
+    if laboratory is not None and model.excitation is not None and space.names:
+        yield EXCITATION, lambda: excitations(model, space, pair)
+        yield from _responses(outcome, laboratory)
+    # Calibrations by the thousand: of a program each would be a day's work.
+    is_quick = isinstance(model, Simulator) and len(space.names) == 2
+    if is_quick and (design := outcome.design) is not None and laboratory is not None and not laboratory.channels:
+        yield ESTIMATES_ALONE, lambda: estimates_alone(design, laboratory, outcome.units)
+    if (comparison := outcome.comparison) is not None:
+        yield ERROR_MAP, lambda: error_map(comparison, outcome.campaign)
+
+
+def _responses(outcome: Outcome, laboratory: VirtualLaboratory) -> Iterator[tuple[str, Callable[[], xr.Dataset]]]:
+    """The specimen, the calibrated model, and, where the model differs by effects alone, that with the specimen's parameters."""
+    space, model, simulator = outcome.space, outcome.model, laboratory.simulator
+    cube = np.repeat(np.asarray(_AT)[:, None], len(space.names), axis=1)
+    channels, pair = of_each(model.owners, CHANNELS), outcome.campaign.pair
+    is_same = isinstance(model, Simulator) and not model.effects and model.elements == simulator.elements
+    if is_same or outcome.fit is not None:
+        yield SPECIMEN, lambda: responses(simulator, laboratory.parameters, space, cube, channels, pair)
+    if is_same:
+        of_effects = tuple(f"{effect}." for effect in simulator.effects)
+        truth = {n: value for n, value in laboratory.parameters.items() if not n.startswith(of_effects)}
+        yield MODEL_AT_TRUTH, lambda: responses(model, truth, space, cube[:1], channels, pair)
+    if outcome.fit is not None:
+        estimates = {n: value for n, value in outcome.fit.map.items() if not n.startswith("error.")}
+        yield MODEL, lambda: responses(model, estimates, space, cube, channels, pair)
