@@ -1,6 +1,6 @@
 """Effects that come with what a specimen has gone through: absorbed energy, length of path, largest elongation."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, SpringPoint
 from hsed_jax.physics.effects.forms import DRIVERS, chosen, driven_by
@@ -9,7 +9,7 @@ from hsed_jax.physics.scales import Scalar, is_zero
 from hsed_jax.physics.states import SharedState
 
 
-def _share(number: int) -> Scalar:
+def _share(number: int) -> Any:
     return shape_parameter(
         rf"w_{number}", "share of another driver", neutral=0.0, lower=0.0, upper=1.0, prior={"uniform": [0.0, 1.0]}
     )

@@ -7,7 +7,7 @@ one compiled program serves them all; where a parameter is the number that leave
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
 
@@ -95,7 +95,7 @@ def raised(value: Scalar, power: Scalar) -> Scalar:
     return jnp.exp(power * jnp.log(jnp.maximum(value, 1e-9)))
 
 
-def one_side() -> Scalar:
+def one_side() -> Any:
     """The parameter that says whether a force acts to both sides."""
     return shape_parameter(
         "w", "to both sides (0), or in tension (1) or compression (−1) only", neutral=0.0, lower=-1.0, upper=1.0,

@@ -1,6 +1,6 @@
 """The shape of the loop: sharpness, fullness, asymmetry, growth of strength, dependence on rate, pinching."""
 
-from typing import ClassVar, final
+from typing import Any, ClassVar, final
 
 import jax.numpy as jnp
 
@@ -12,7 +12,7 @@ from hsed_jax.physics.scales import is_zero
 from hsed_jax.physics.states import LARGEST_ELONGATION, SharedState
 
 
-def _whether(place: str, neutral: float = 1.0) -> Scalar:
+def _whether(place: str, neutral: float = 1.0) -> Any:
     return shape_parameter(
         "w", f"share that goes to {place}", neutral=neutral, lower=0.0, upper=1.0, prior={"uniform": [0.0, 1.0]}
     )
