@@ -14,7 +14,7 @@ from hsed_jax.diagnosis.diagnose import diagnose
 from hsed_jax.diagnosis.lanes import Lanes
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
-from hsed_jax.diagnosis.problem import Problem
+from hsed_jax.diagnosis.problem import FormColumns, Problem
 from hsed_jax.diagnosis.rivals import look_alikes_of, separation
 from hsed_jax.diagnosis.scores import score_p_value
 from hsed_jax.diagnosis.search import Search
@@ -22,6 +22,7 @@ from hsed_jax.inference.likelihood import Error
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Channel, Experiment, Noise, Record
 from hsed_jax.physics.effects import EFFECTS as CATALOGUE
+from hsed_jax.physics.effects.forms import Form
 from hsed_jax.physics.scales import Scales
 from hsed_jax.study.build import Built
 from hsed_jax.study.candidates import problem_of
@@ -32,7 +33,8 @@ N, J, K, SIGMA = 6, 40, 8, 0.5
 RANDOM = np.random.default_rng(11)
 # White, so that nothing is like anything else: (2 + K, N, J).
 FUNCTIONS = RANDOM.standard_normal((2 + K, N, J))
-EFFECTS = {f"effect_{k}": np.array([2 + k]) for k in range(K)}
+COLUMNS = {f"effect_{k}": np.array([2 + k]) for k in range(K)}
+EFFECTS = {name: {"": FormColumns(Form(is_default=True), columns, {})} for name, columns in COLUMNS.items()}
 LAW = np.arange(2)
 
 
@@ -80,7 +82,7 @@ def data_of(seed, **amplitudes):
     theta = np.zeros(2 + K)
     theta[:2] = 1.5, -0.7
     for name, value in amplitudes.items():
-        theta[EFFECTS[name]] = value
+        theta[COLUMNS[name]] = value
     noise = SIGMA * np.random.default_rng(seed).standard_normal((N, J))
     return np.einsum("k,knj->nj", theta, FUNCTIONS) + noise
 
@@ -100,7 +102,7 @@ def test_the_effect_that_is_there_is_named():
         assert search.all()[0].effects == search.best
         inside = [f"effect_{number}" in m.effects for m in search.all()]
         assert search.probabilities(search.all())[inside].sum() > 0.999
-        amplitude = search.models.theta(model.fit.x, model.fit.free)[2 + number]
+        amplitude = search.models.theta(model.fit.x, model.fit.member)[2 + number]
         assert amplitude == pytest.approx(0.5, abs=4 * SIGMA / math.sqrt(N * J))
 
 
@@ -181,19 +183,19 @@ def test_an_effect_that_raises_the_error_of_what_nothing_is_fitted_to_is_not_nam
 
 def test_no_model_fits_worse_than_one_that_it_contains_or_than_a_larger_one_without_its_effect():
     search = found_in(data_of(0, effect_3=0.5))
-    none, larger = frozenset(), frozenset({"effect_3"})
-    good = {s: search._fits[s] for s in (none, larger)}
-    for stuck, other in ((larger, none), (none, frozenset({"effect_1"}))):
+    known, none, larger = search._fits._known, frozenset(), frozenset({("effect_3", "")})
+    good = {choice: known[choice] for choice in (none, larger)}
+    for stuck, other in ((larger, none), (none, frozenset({("effect_1", "")}))):
         x = good[stuck].x.copy()
         x[LAW] += 1.0
-        search._fits[stuck] = replace(good[stuck], x=x, cost=good[none].cost + 50.0)
+        known[stuck] = replace(good[stuck], x=x, cost=good[none].cost + 50.0)
         if other != none:
             absent = good[none].x.copy()
-            absent[EFFECTS["effect_1"]] = 0.0
-            cost = good[none].cost - search._log_density(absent, EFFECTS["effect_1"])
-            search._fits[other] = replace(search._fits[other], x=absent, cost=cost)
-        search._reconcile(list(search._fits))
-        assert search._fits[stuck].cost == pytest.approx(good[stuck].cost, abs=0.1)
+            absent[COLUMNS["effect_1"]] = 0.0
+            cost = good[none].cost - search._fits._log_density(absent, COLUMNS["effect_1"])
+            known[other] = replace(known[other], x=absent, cost=cost)
+        search._fits._reconcile(search.target, list(known))
+        assert known[stuck].cost == pytest.approx(good[stuck].cost, abs=0.1)
 
 
 def test_the_plain_fit_starts_where_a_calibration_ended_and_says_where_that_was_not_the_best():
@@ -233,6 +235,49 @@ def test_sets_of_one_size_share_their_probability():
         assert priors[size] == pytest.approx(-math.log(2 ** (size + 1) * math.comb(K, size)))
 
 
+# --- forms: two functions of one effect, of which either may be its formula ----------------------------------------------
+
+FORMS = {
+    "effect_0": {
+        "one": FormColumns(Form("one", is_default=True), np.array([2]), {3: 0.0}),
+        "two": FormColumns(Form("two"), np.array([3]), {2: 0.0}),
+    },
+    **{name: forms for name, forms in EFFECTS.items() if name not in ("effect_0", "effect_1")},
+}
+
+
+def with_forms(values):
+    models = NestedModels(Dictionary(FUNCTIONS), BOX, np.zeros(2 + K))
+    search = Search(models, measured_of(values), LAW, FORMS, lambda fit: False)
+    search.start()
+    search.run()
+    return search
+
+
+def test_an_effect_is_named_by_any_of_its_forms_and_the_form_is_told():
+    search = with_forms(data_of(0, effect_1=0.5))
+    model = search.model({"effect_0"})
+    assert search.best == {"effect_0"}
+    assert model.forms == {"effect_0": "two"} and model.shares["effect_0"]["two"] > 0.999
+
+
+def test_evidence_of_an_effect_is_that_of_its_forms_by_their_shares():
+    values = data_of(4, effect_0=0.06, effect_1=0.06)
+    search = with_forms(values)
+    model, sigma = search.model({"effect_0"}), float(search.errors[0])
+
+    def exact(columns):
+        X = FUNCTIONS[columns].reshape(len(columns), -1).T
+        covariance = X @ np.diag([9.0, 9.0, 1.0][: len(columns)]) @ X.T + sigma**2 * np.eye(N * J)
+        return stats.multivariate_normal(np.zeros(N * J), covariance).logpdf(values.ravel())
+
+    heights = np.array([exact([0, 1, 2]), exact([0, 1, 3])])
+    gain = model.log_evidence - search.model(()).log_evidence
+    assert gain == pytest.approx(np.logaddexp(*heights) - math.log(2) - exact([0, 1]), abs=0.05)
+    shares = np.exp(heights - np.logaddexp(*heights))
+    assert [model.shares["effect_0"][label] for label in ("one", "two")] == pytest.approx(list(shares), abs=0.02)
+
+
 def by_hand(values, used, free, sigma, weights):
     """Ridge regression with the priors, by its normal equations."""
     deviations = np.where(np.asarray(free) < 2, 3.0, 1.0)
@@ -251,7 +296,7 @@ def test_errors_on_what_was_left_out_are_those_of_fits_made_by_hand():
     found = search.held_out(sets)
     scale = np.std(values[used])
     for effects, error in zip(sets, found, strict=True):
-        free = np.concatenate([LAW, *(EFFECTS[e] for e in sorted(effects))])
+        free = np.concatenate([LAW, *(COLUMNS[e] for e in sorted(effects))])
         squares = np.zeros((N, J))
         for out in range(N):
             keep = used.copy()
@@ -294,7 +339,7 @@ def test_scores_are_those_of_the_projected_gradient():
     theta = np.linalg.solve(X[:2] @ X[:2].T / sigma**2 + np.eye(2) / 9, X[:2] @ values.ravel() / sigma**2)
     residual = values.ravel() - theta @ X[:2]
     basis, _ = np.linalg.qr(X[:2].T)
-    for name, (column,) in EFFECTS.items():
+    for name, (column,) in COLUMNS.items():
         own = X[column] - basis @ (basis.T @ X[column])
         exact = (own @ residual) ** 2 / (own @ own) / sigma**2
         assert search.scores[name] == pytest.approx(exact, rel=0.03, abs=0.02)
@@ -364,7 +409,7 @@ def test_what_an_experiment_is_expected_to_tell_is_what_it_tells_on_average():
             told[true, k] = np.mean(predictive[true].logpdf(made) - predictive[1 - true].logpdf(made))
     np.testing.assert_allclose(promised, shares @ told, rtol=0.1, atol=0.05)
     # With parameters held fixed it would be far more.
-    outputs, _ = problem.models.predict([(m.fit.x, m.fit.free) for m in (one, other)], N + np.arange(MORE))
+    outputs, _ = problem.models.predict([(m.fit.x, m.fit.member) for m in (one, other)], N + np.arange(MORE))
     fixed = 0.5 * np.sum((outputs[0] - outputs[1]) ** 2, axis=1) / sigma**2
     assert np.all(promised < fixed)
 

@@ -190,8 +190,8 @@ def test_a_fit_ends_where_scipys_does(decays):
     target = target_of(decays)
     starts = models.box.quantiles(np.arange(2), np.array([[0.1, 0.1], [0.9, 0.9], [0.05, 0.95], [0.5, 0.5]]))
     best, sd, cost = best_decay(decays, target.weights[0])
-    for fit in models.fit(target, [Task(np.arange(2), start) for start in starts]):
-        theta = models.theta(fit.x, fit.free)
+    for fit in models.fit(target, [Task(models.member(np.arange(2)), start) for start in starts]):
+        theta = models.theta(fit.x, fit.member)
         # It stops where a step gains less than 0.02 nats: √0.04 of a standard deviation.
         assert np.all(np.abs(in_logs(theta) - best) < 0.2 * sd)
         # Two normal priors, each in a coordinate scaled by half its 16-84 % range (0.99446 standard deviations).
@@ -204,7 +204,7 @@ def test_a_fit_ends_where_scipys_does(decays):
 def test_gradient_and_hessian_are_those_of_the_cost(decays):
     models = models_of(decay, DECAY, [1.0, 1.0])
     target = target_of(decays)
-    (fit,) = models.fit(target, [Task(np.arange(2), models.neutral)])
+    (fit,) = models.fit(target, [Task(models.member(np.arange(2)), models.neutral)])
 
     def residual(x):
         theta = models.box.theta(x)
@@ -231,9 +231,9 @@ def test_weights_choose_experiments_and_count_them(decays):
     target = target_of(values, weights)
     for use in range(4):
         models.lanes.asked.clear()
-        (fit,) = models.fit(target, [Task(np.arange(2), models.neutral, use)])
+        (fit,) = models.fit(target, [Task(models.member(np.arange(2)), models.neutral, use)])
         best, sd, _ = best_decay(values, weights[use])
-        assert np.all(np.abs(in_logs(models.theta(fit.x, fit.free)) - best) < 0.2 * sd)
+        assert np.all(np.abs(in_logs(models.theta(fit.x, fit.member)) - best) < 0.2 * sd)
         rows = np.flatnonzero(weights[use].any(axis=1))
         assert set(np.concatenate([e for _, e in models.lanes.asked])) == set(rows)
         unused = np.setdiff1d(np.arange(3), rows)
@@ -246,9 +246,9 @@ def test_fits_made_side_by_side_are_those_made_alone(decays):
     weights[1, 1:] = 0.0
     target = target_of(decays, weights)
     tasks = [
-        Task(np.arange(2), models.neutral),
-        Task(np.array([1]), models.neutral, 1),
-        Task(np.array([0]), models.neutral),
+        Task(models.member(np.arange(2)), models.neutral),
+        Task(models.member(np.array([1])), models.neutral, 1),
+        Task(models.member(np.array([0])), models.neutral),
     ]
     together = models.fit(target, tasks)
     for task, fit in zip(tasks, together, strict=True):
@@ -270,8 +270,11 @@ def test_fits_that_were_kept_are_not_made_again_and_are_the_same_to_the_last_bit
     def ends(start):
         models = models_of(decay, DECAY, [1.0, 1.0])
         models = NestedModels(models.lanes, models.box, np.array([1.0, 1.0]), Notebook())
-        tasks = [Task(np.arange(2), models.neutral, rivals=0), Task(np.arange(2), models.neutral + start, rivals=0)]
-        fits = models.fit(target_of(decays), [*tasks, Task(np.array([1]), models.neutral)])
+        tasks = [
+            Task(models.member(np.arange(2)), models.neutral, rivals=0),
+            Task(models.member(np.arange(2)), models.neutral + start, rivals=0),
+        ]
+        fits = models.fit(target_of(decays), [*tasks, Task(models.member(np.array([1])), models.neutral)])
         return fits, sum(len(thetas) for thetas, _ in models.lanes.asked)
 
     (made, work), (again, little), (_, anew) = ends(0.3), ends(0.3), ends(0.4)
@@ -288,11 +291,11 @@ def test_held_parameters_keep_their_neutral_values_to_the_last_bit(decays):
     rate = tried[np.flatnonzero(box.theta(box.x(tried))[:, 1] != tried[:, 1])[0], 1]
     models = models_of(decay, DECAY, [1.3, rate])
     assert models.box.theta(models.neutral)[1] != rate
-    (fit,) = models.fit(target_of(decays), [Task(np.array([0]), models.neutral)])
+    (fit,) = models.fit(target_of(decays), [Task(models.member(np.array([0])), models.neutral)])
     assert np.isfinite(fit.cost)
     for thetas, _ in models.lanes.asked:
         assert np.all(thetas[:, 1] == rate)
-    assert models.theta(fit.x, fit.free)[1] == rate
+    assert models.theta(fit.x, fit.member)[1] == rate
 
 
 BASIS = np.sin(3 * TIME)
@@ -325,8 +328,8 @@ def test_what_would_leave_its_bounds_rests_on_them(truth, resting, share):
     values = noisy([with_amplitude(truth, 0)])
     models = models_of(with_amplitude, AMPLITUDE, [0.0, 0.0, 0.0])
     start = models.box.quantiles(np.arange(3), np.full((1, 3), share))[0]
-    (fit,) = models.fit(target_of(values), [Task(np.arange(3), start)])
-    theta = models.theta(fit.x, fit.free)
+    (fit,) = models.fit(target_of(values), [Task(models.member(np.arange(3)), start)])
+    theta = models.theta(fit.x, fit.member)
     best, sd = bounded(values)
     assert np.all(np.abs(theta - best) < 0.2 * sd)
     ends = {1: 0.8, 2: 0.0}
@@ -351,11 +354,11 @@ def test_starts_over_the_prior_find_what_has_no_gradient_at_neutral():
     models = models_of(dead_zone, DEAD, [0.0, 0.0])
     target = target_of(values)
     free = np.arange(2)
-    (stuck,) = models.fit(target, [Task(free, models.neutral)])
-    assert models.theta(stuck.x, free)[1] == pytest.approx(0.0, abs=1e-12)
+    (stuck,) = models.fit(target, [Task(models.member(free), models.neutral)])
+    assert models.theta(stuck.x, stuck.member)[1] == pytest.approx(0.0, abs=1e-12)
     starts = np.tile(models.neutral, (4, 1))
     starts[:, 1] = models.box.quantiles(np.array([1]), np.array([[0.1], [0.35], [0.65], [0.9]]))[:, 0]
-    ends = models.fit(target, [Task(free, start, rivals=0) for start in starts])
+    ends = models.fit(target, [Task(models.member(free), start, rivals=0) for start in starts])
     best = min(ends, key=lambda f: f.cost)
 
     def residual(p):
@@ -363,7 +366,7 @@ def test_starts_over_the_prior_find_what_has_no_gradient_at_neutral():
 
     found = least_squares(residual, [0.5, 1.0], bounds=([-np.inf, 0], np.inf))
     sd = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
-    assert np.all(np.abs(models.theta(best.x, free) - found.x) < 0.2 * sd)
+    assert np.all(np.abs(models.theta(best.x, best.member) - found.x) < 0.2 * sd)
     assert best.cost < stuck.cost - 100
 
 
@@ -376,10 +379,10 @@ def test_rivals_end_in_one_that_is_the_best_of_them():
     # At a = −1.1 and 0.9 the output is zero; the prior likes the second better.
     target = target_of(np.zeros((1, 5)), sigma=0.01)
     starts = models.box.x(np.array([[-2.0], [-1.5], [1.6], [0.4]]))
-    rivals = models.fit(target, [Task(FIRST, start, rivals=7) for start in starts])
+    rivals = models.fit(target, [Task(models.member(FIRST), start, rivals=7) for start in starts])
     assert sum(np.isfinite(fit.cost) for fit in rivals) == 1
-    alone = models.fit(target, [Task(FIRST, start) for start in starts])
-    ends = np.array([models.theta(f.x, FIRST)[0] for f in alone])
+    alone = models.fit(target, [Task(models.member(FIRST), start) for start in starts])
+    ends = np.array([models.theta(f.x, f.member)[0] for f in alone])
     np.testing.assert_allclose(ends, [-1.105, -1.105, 0.905, 0.905], atol=0.01)
     assert min(f.cost for f in rivals) <= min(f.cost for f in alone) + 0.02
 
@@ -388,7 +391,9 @@ def test_groups_of_rivals_do_not_take_part_in_one_anothers_races(decays):
     models = models_of(decay, DECAY, [1.0, 1.0])
     target = target_of(decays)
     starts = models.box.quantiles(np.arange(2), np.array([[0.1, 0.1], [0.9, 0.9], [0.2, 0.7], [0.7, 0.2]]))
-    tasks = [Task(np.arange(2), s, rivals=0) for s in starts] + [Task(np.array([0]), s, rivals=1) for s in starts]
+    tasks = [Task(models.member(np.arange(2)), s, rivals=0) for s in starts] + [
+        Task(models.member(np.array([0])), s, rivals=1) for s in starts
+    ]
     ends = models.fit(target, tasks)
     for group in (ends[:4], ends[4:]):
         assert sum(np.isfinite(f.cost) for f in group) == 1
@@ -401,10 +406,10 @@ def test_a_start_that_diverges_costs_its_own_fit_only(decays):
     models = models_of(decay, DECAY, [1.0, 1.0], diverges=lambda theta: theta[1] > 1.5)
     target = target_of(decays)
     bad, good = (models.box.x(np.array(theta)) for theta in ((1.0, 1.8), (1.0, 1.2)))
-    lost, found = models.fit(target, [Task(np.arange(2), bad), Task(np.arange(2), good)])
+    lost, found = models.fit(target, [Task(models.member(np.arange(2)), bad), Task(models.member(np.arange(2)), good)])
     best, sd, _ = best_decay(decays, target.weights[0])
     assert lost.cost == np.inf
-    assert np.all(np.abs(in_logs(models.theta(found.x, found.free)) - best) < 0.2 * sd)
+    assert np.all(np.abs(in_logs(models.theta(found.x, found.member)) - best) < 0.2 * sd)
 
 
 def test_a_step_into_divergence_is_taken_back(decays):
@@ -413,23 +418,23 @@ def test_a_step_into_divergence_is_taken_back(decays):
     target = target_of(decays)
     starts = models.box.x(np.array([[0.2, 3.0], [1.4, 0.56], [0.7, 1.5]]))
     best, sd, _ = best_decay(decays, target.weights[0])
-    for fit in models.fit(target, [Task(np.arange(2), start) for start in starts]):
+    for fit in models.fit(target, [Task(models.member(np.arange(2)), start) for start in starts]):
         assert np.isfinite(fit.cost)
-        assert np.all(np.abs(in_logs(models.theta(fit.x, fit.free)) - best) < 0.2 * sd)
+        assert np.all(np.abs(in_logs(models.theta(fit.x, fit.member)) - best) < 0.2 * sd)
 
 
 def test_an_optimum_beyond_divergence_is_approached_and_never_crossed(decays):
     models = models_of(decay, DECAY, [1.0, 1.0], diverges=lambda theta: theta[1] < 0.7)
     target = target_of(decays)
     start = models.box.x(np.array([1.0, 1.2]))
-    (fit,) = models.fit(target, [Task(np.arange(2), start)])
-    theta = models.theta(fit.x, fit.free)
+    (fit,) = models.fit(target, [Task(models.member(np.arange(2)), start)])
+    theta = models.theta(fit.x, fit.member)
     assert 0.7 <= theta[1] < 0.8 and np.isfinite(fit.cost)
 
 
 def test_a_model_that_always_diverges_is_survived(decays):
     models = models_of(decay, DECAY, [1.0, 1.0], diverges=lambda theta: True)
     target = target_of(decays)
-    fits = models.fit(target, [Task(np.arange(2), models.neutral, rivals=0) for _ in range(3)])
+    fits = models.fit(target, [Task(models.member(np.arange(2)), models.neutral, rivals=0) for _ in range(3)])
     assert all(fit.cost == np.inf for fit in fits)
     assert models.fit(target, []) == []

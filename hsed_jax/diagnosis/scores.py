@@ -32,7 +32,7 @@ def score_tests[T](
     x = models.neutral.copy()
     x[fit.free] = fit.x[fit.free]
     points, steps = [(x, fit.member)], []
-    for k, held in (*((k, {}) for k in fit.free), *amplitudes.values()):
+    for k, held in (*((int(k), {}) for k in fit.free), *amplitudes.values()):
         moved = x.copy()
         steps.append(-_STEP if moved[k] + _STEP > models.box.high[k] else _STEP)
         moved[k] += steps[-1]
