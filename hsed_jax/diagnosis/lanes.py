@@ -23,7 +23,8 @@ from hsed_jax.physics.batch import tiled_map
 from hsed_jax.physics.outputs import owner_of
 from hsed_jax.physics.simulator import AbstractModel, Conditions, Simulator
 
-_CHUNK = 256
+# Chunks go to threads; their tiles are small, since most rounds ask for a few lanes of each program.
+_CHUNK, _TILE = 64, 16
 _FAR = 1e100
 # A program of several groups is compiled once so many lanes asked for it: before, the whole model costs less.
 _WORTHWHILE = 2000
@@ -135,5 +136,5 @@ def _outputs(respond, conditions, thetas, experiments, count):
         ok = ok & jnp.all(jnp.abs(outputs) < _FAR)
         return jnp.where(ok, outputs, 0.0), ok
 
-    outputs, ok = tiled_map(jax.vmap(one), (thetas, experiments), count=count)
+    outputs, ok = tiled_map(jax.vmap(one), (thetas, experiments), count=count, tile=_TILE)
     return outputs, ok.astype(float)

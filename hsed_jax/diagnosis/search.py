@@ -299,17 +299,18 @@ class Search:
             self._fits.fit(self.target, dict.fromkeys(choices))
 
     def _deepen(self, sets: Iterable[Set]) -> None:
-        """Fit the most probable sets in every form of each of their effects."""
+        """Fit the most probable sets in further forms of each of their effects: with other drivers, and in other shapes."""
         ranked = sorted((self.model(s) for s in sets if s in self._fits), key=lambda m: -m.log_posterior)
-        choices = []
-        for model in ranked[:_DEEP]:
-            if model.log_posterior < ranked[0].log_posterior - _NEAR:
-                break
-            top = frozenset(model.forms.items())
-            for effect, label in top:
-                choices += [(top - {(effect, label)}) | {(effect, other)} for other in self.effects[effect]]
-        self._report(f"forms of {_text(ranked[0].effects)}")
-        self._fits.fit(self.target, dict.fromkeys(choices))
+        near = [m for m in ranked[:_DEEP] if m.log_posterior > ranked[0].log_posterior - _NEAR]
+        for others in (_of_other_drivers, _of_other_shapes):
+            self._report(f"forms of {_text(near[0].effects)}")
+            choices = []
+            for model in map(self.model, [m.effects for m in near]):
+                top = frozenset(model.forms.items())
+                for effect, label in top:
+                    further = others(self.effects[effect], label)
+                    choices += [(top - {(effect, label)}) | {(effect, other)} for other in further]
+            self._fits.fit(self.target, dict.fromkeys(choices))
 
     def _judge(self) -> None:
         """Take the errors from the best model of the round, and fit all again with them."""
@@ -373,6 +374,16 @@ class Search:
 
     def _log_prior(self, size: int) -> float:
         return -(size + 1) * math.log(2) - math.log(math.comb(len(self.effects), size))
+
+
+def _of_other_drivers(forms: Forms, label: str) -> list[str]:
+    """The forms of the same shape."""
+    return [other for other, form in forms.items() if form.form.name == forms[label].form.name]
+
+
+def _of_other_shapes(forms: Forms, label: str) -> list[str]:
+    """The forms with the same driver."""
+    return [other for other, form in forms.items() if form.form.driver == forms[label].form.driver]
 
 
 def _amplitude(forms: Forms) -> tuple[int, Mapping[int, float]]:

@@ -13,7 +13,9 @@ from jaxtyping import PyTree
 TILE = 64
 
 
-def tiled_map(many: Callable[[PyTree], PyTree], lanes: PyTree, *, count: ArrayLike | None = None) -> PyTree:
+def tiled_map(
+    many: Callable[[PyTree], PyTree], lanes: PyTree, *, count: ArrayLike | None = None, tile: int = TILE
+) -> PyTree:
     """Apply a batched function to all lanes, tile by tile.
 
     Arguments:
@@ -21,12 +23,13 @@ def tiled_map(many: Callable[[PyTree], PyTree], lanes: PyTree, *, count: ArrayLi
         lanes: pytree of arrays with a common leading axis of length N.
         count: how many lanes matter (may be traced); tiles beyond it are not computed, and the results of lanes beyond
             it are zero.  With it, one compiled program costs what the data need, whatever they are padded to.
+        tile: lanes that run together.
 
     Returns:
         The results, leading axis N.
     """
     size = jax.tree.leaves(lanes)[0].shape[0]
-    tile = min(TILE, size)
+    tile = min(tile, size)
     tiles = -(-size // tile)
     padding = tiles * tile - size
 
