@@ -82,7 +82,7 @@ def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None
     return Diagnosis(
         verdict=verdict,
         effects=named,
-        forms={effect: label for effect, label in best.forms.items() if label},
+        forms={e: label for e, label in best.forms.items() if not problem.effects[e][label].form.is_default},
         ranking=ranking,
         look_alikes=look_alikes,
         next_experiment=chosen,

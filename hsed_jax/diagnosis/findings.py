@@ -64,7 +64,7 @@ class Diagnosis(Tabular):
     Attributes:
         verdict: `adequate`, `missing_effects`, `ambiguous`, `unexplained` or `undecided`.
         effects: the effects that are named, the most telling first.
-        forms: their forms, by labels.
+        forms: labels of their forms, where these are not the default ones.
         ranking: all candidates, the most probable first.
         look_alikes: groups of effects whose predictions differ by less than the noise, none of them excluded by the evidence.
         next_experiment: inputs (in declared units) that best separate the rivals of an ambiguous verdict.
@@ -125,7 +125,8 @@ class Diagnosis(Tabular):
         """The verdict in words."""
         ends = " to ".join(error_cell(errors[1]) for errors in (self.error, self.error_after))
         fall = f"the error on experiments that were not used goes from {ends}"
-        named, errors = " and ".join(self.effects), f"error {self.error[0]:.3f}, noise {self.noise_floor:.3f}"
+        named = " and ".join(e + (f" ({self.forms[e]})" if e in self.forms else "") for e in self.effects)
+        errors = f"error {self.error[0]:.3f}, noise {self.noise_floor:.3f}"
         if self.verdict == "adequate":
             return "nothing is missing that these measurements could show: the noise explains the residual"
         if self.verdict == "undecided":
@@ -184,7 +185,7 @@ class Diagnosis(Tabular):
             unit = "" if size["unit"] == "1" else f" {size['unit']}"
             rows.append(
                 (
-                    c.effect,
+                    c.effect if c.form is None else f"{c.effect} ({c.form})",
                     c.family,
                     cell(c.probability),
                     cell(c.log_evidence_gain, ".1f"),
