@@ -64,7 +64,6 @@ class Diagnosis(Tabular):
     Attributes:
         verdict: `adequate`, `missing_effects`, `ambiguous`, `unexplained` or `undecided`.
         effects: the effects that are named, the most telling first.
-        forms: labels of their forms, where these are not the default ones.
         ranking: all candidates, the most probable first.
         look_alikes: groups of effects whose predictions differ by less than the noise, none of them excluded by the evidence.
         next_experiment: inputs (in declared units) that best separate the rivals of an ambiguous verdict.
@@ -78,11 +77,11 @@ class Diagnosis(Tabular):
         prediction: of the training experiments with the named effects.
         scales: characteristic values that amplitudes of the candidates are relative to.
         notes: sentences on how the diagnosis was made.
+        forms: labels of the forms of the named effects, where these are not the default ones.
     """
 
     verdict: str
     effects: list[str]
-    forms: Mapping[str, str]
     ranking: list[Candidate]
     look_alikes: list[list[str]]
     next_experiment: dict[str, float] | None
@@ -98,6 +97,7 @@ class Diagnosis(Tabular):
     prediction: Prediction
     scales: Scales
     notes: Sequence[str] = ()
+    forms: Mapping[str, str] = field(default_factory=dict)
 
     def summary(self) -> dict[str, Any]:
         """The key `diagnosis` of `summary.json`."""

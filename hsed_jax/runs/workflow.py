@@ -138,13 +138,13 @@ class Run:
                 outcome = self.outcome("complete")
                 content = summary(outcome)
                 self.store.write_summary(content)
+                # Before anything is drawn: what was found is on the disk whatever becomes of the figures.
+                self.store.write_results(results_tree(outcome, {}))
                 if self.figures:
                     with self._watch("figures") as watch:
                         tables = illustrations(outcome, watch.report)
                         self.store.write_results(results_tree(outcome, tables))
                         draw(outcome, tables, self.store.figures, watch.report)
-                else:
-                    self.store.write_results(results_tree(outcome, {}))
                 self.store.finish()
                 if self.figures:
                     self.store.write_report(report_page(read_run(self.store.path)))
