@@ -156,6 +156,22 @@ def test_noise_alone_opens_no_gate():
     assert not any(found_in(data_of(seed), is_explained=lambda fit: True).best for seed in range(12))
 
 
+def test_under_a_wrong_model_what_predicts_comes_before_what_fits():
+    # effect_7 is there in the first experiment alone, much stronger than effect_3, and says nothing of any other.
+    functions = FUNCTIONS.copy()
+    functions[9, 1:] = 0.0
+    theta = np.zeros(2 + K)
+    theta[5], theta[9] = 0.5, 3.0
+    values = np.einsum("k,knj->nj", theta, functions) + SIGMA * np.random.default_rng(0).standard_normal((N, J))
+    search = found_in(values, functions=functions)
+    once, always = (search.model({name}) for name in ("effect_7", "effect_3"))
+    assert once.log_evidence > always.log_evidence + 20
+    assert search.path[1] == {"effect_3"}
+    assert search.predicted[always.effects].mean > 3 * search.predicted[always.effects].standard_error
+    # Where the noise explains what the most probable model leaves, it is evidence that ranks.
+    assert "effect_7" in found_in(values, functions=functions, is_explained=lambda fit: len(fit.free) > 2).path[1]
+
+
 def test_what_is_not_named_has_its_reason():
     search = found_in(data_of(0))
     weak, strong = (found_in(data_of(0, effect_3=size)) for size in (0.1, 0.5))

@@ -36,14 +36,14 @@ class Part(NamedTuple):
     Attributes:
         effect: its name.
         group: those of one group share a program.
-        column: of its amplitude.
-        neutral: the amplitude at which it does nothing.
+        columns: of its parameters, (q,).
+        neutral: what these are where it is absent, (q,).
     """
 
     effect: str
     group: int
-    column: int
-    neutral: float
+    columns: Int[np.ndarray, " q"]
+    neutral: Float[np.ndarray, " q"]
 
 
 class Lanes:
@@ -104,7 +104,7 @@ class Lanes:
         """Lanes by the groups of effects that they have, as far as these have a program of their own."""
         has = np.zeros((len(thetas), len(self._groups)), dtype=bool)
         for part in self._parts:
-            has[:, self._groups.index(part.group)] |= thetas[:, part.column] != part.neutral
+            has[:, self._groups.index(part.group)] |= np.any(thetas[:, part.columns] != part.neutral, axis=1)
         found: dict[tuple[int, ...], list[np.ndarray]] = {}
         kinds, kind_of = np.unique(has, axis=0, return_inverse=True)
         for number, kind in enumerate(kinds):

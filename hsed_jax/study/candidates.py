@@ -124,9 +124,9 @@ def problem_of(
     catalogue, order = built.catalogue.only(names), tuple(free)
     neutral = _neutral(free, catalogue)
     own = {name: _forms(large, name, order, (forms or {}).get(name)) for name in names}
-    amplitudes = {name: int(next(iter(found.values())).columns[0]) for name, found in own.items()}
     groups = _groups(catalogue)
-    parts = [Part(name, groups[name], k, neutral[k]) for name, k in amplitudes.items()]
+    columns = {name: np.asarray([k for k, known in enumerate(order) if owner_of(known) == name]) for name in names}
+    parts = [Part(name, groups[name], k, neutral[k]) for name, k in columns.items()]
     lanes = Lanes(large.simulator, large.observation, order, conditions, parts)
     models = NestedModels(lanes, Box(free), neutral, watch)
     start = None if known is None else models.point({name: known[name] for name in free if name in known})

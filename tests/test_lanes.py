@@ -1,0 +1,60 @@
+"""Lanes of a large model: each runs the program of the effects that it has, and gives what the whole model gives."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hsed_jax.config.load import load_study
+from hsed_jax.diagnosis import lanes as module
+from hsed_jax.diagnosis.lanes import Lanes, Part
+from hsed_jax.physics.effects import EFFECTS as CATALOGUE
+from hsed_jax.physics.parameters import parameters_of
+from hsed_jax.physics.simulator import Conditions
+from hsed_jax.study.build import Built
+
+EFFECTS = {"hardening": 0, "viscous_damping": 0, "stiffness_degradation": 1, "mass_error": 2}
+
+
+@pytest.fixture(scope="module")
+def case(request):
+    """A large model of a short record, its neutral parameters, and lanes of every kind of set."""
+    changes = ["observe=quantities", f"model.effects={{{', '.join(f'{name}: {{}}' for name in EFFECTS)}}}"]
+    built = Built(load_study(request.config.rootpath / "configs" / "hidden_effect.yaml", changes))
+    names = tuple(built.parameters[0])
+    law = {"A": 4.5e5, "beta": 1.1}
+    known = {f"{effect}.{n}": p.neutral for effect in EFFECTS for n, p in parameters_of(CATALOGUE[effect]).items()}
+    neutral = np.array([{**law, **known}[name] for name in names])
+    columns = {effect: np.array([k for k, n in enumerate(names) if n.startswith(f"{effect}.")]) for effect in EFFECTS}
+    space = built.space
+    cube = space.initial_design(3)
+    conditions = Conditions({n: jnp.asarray(x) for n, x in space.si(space.declared(cube)).items()})
+    parts = [Part(name, group, columns[name], neutral[columns[name]]) for name, group in EFFECTS.items()]
+    sets = [(), ("hardening",), ("viscous_damping", "hardening"), ("stiffness_degradation",), ("mass_error",),
+            ("hardening", "stiffness_degradation"), tuple(EFFECTS)]  # fmt: skip
+    thetas = np.tile(neutral, (3 * len(sets), 1))
+    for number, chosen in enumerate(sets):
+        for name in chosen:
+            # Of an effect of two amplitudes the second one alone.
+            thetas[3 * number : 3 * number + 3, columns[name][-1]] += 0.1
+    mixed = np.random.default_rng(0).permutation(len(thetas))
+    return built, names, conditions, parts, thetas[mixed], np.tile(np.arange(3), len(sets))[mixed]
+
+
+@pytest.mark.parametrize("worthwhile", [0, 10**9], ids=["programs of unions", "the whole model for unions"])
+def test_lanes_give_what_the_whole_model_gives(case, monkeypatch, worthwhile):
+    built, names, conditions, parts, thetas, experiments = case
+    monkeypatch.setattr(module, "_WORTHWHILE", worthwhile)
+    whole, ok = Lanes(built.simulator, built.observation, names, conditions)(thetas, experiments)
+    lanes = Lanes(built.simulator, built.observation, names, conditions, parts)
+    kinds = lanes._by_groups(thetas)
+    assert len(kinds) == (6 if worthwhile == 0 else 5)
+    found, converged = lanes(thetas, experiments)
+    np.testing.assert_array_equal(converged, ok)
+    assert ok.all()
+    np.testing.assert_allclose(found, whole, rtol=1e-9)
+    # In the order that was asked for, of the experiment that was asked for.
+    theta = dict(zip(names, thetas[4], strict=True))
+    at = jax.tree.map(lambda leaf: leaf[experiments[4]], conditions)
+    exact, _ = built.simulator.quantities(theta, at, tuple(built.study.quantities))
+    np.testing.assert_allclose(found[4], exact, rtol=1e-9)
