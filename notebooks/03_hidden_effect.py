@@ -76,7 +76,8 @@ axes = hx.plot.where(fit)
 #
 # ## What does it lack?
 #
-# Every effect of the catalogue is fitted to the training experiments; the evidence ranks them.
+# Every effect of the catalogue is fitted to the training experiments, in the forms that textbooks have of it; the evidence, summed
+# over the forms, ranks them.
 
 # %%
 diagnosis = hx.diagnose(fit)
@@ -86,13 +87,20 @@ diagnosis
 ax = hx.plot.ranking(diagnosis)
 
 # %% [markdown]
-# What is named is in bold. Pinching, with six parameters, imitates it within the noise; the evidence prefers the one that needs
-# a single parameter. (Where nothing is named, the lesson ends here.)
+# What is named is in bold. Pinching imitates it almost within the noise; the evidence prefers the one that needs a single parameter.
+# (Where nothing is named, the lesson ends here.)
 #
+# In brackets stands the form. Of what makes stiffness fall, absorbed energy, path or largest elongation, and of how it falls, these
+# experiments tell as much:
+
+# %%
+diagnosis.ranking[0].forms
+
+# %% [markdown]
 # ## What does adding it do?
 
 # %%
-better = hx.improve(fit, effects=diagnosis.effects, start=diagnosis.optimum)
+better = hx.improve(fit, effects=diagnosis.effects, forms=diagnosis.forms, start=diagnosis.optimum)
 better
 
 # %%
