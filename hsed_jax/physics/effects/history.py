@@ -45,7 +45,7 @@ class Slip(AbstractDrivenEffect):
     )
 
     flat: Scalar = shape_parameter(
-        "w", "whether the force that locks has a sharp limit", neutral=0.0, lower=0.0, upper=1.0,
+        "w_f", "whether the force that locks has a sharp limit", neutral=0.0, lower=0.0, upper=1.0,
         prior={"uniform": [0.0, 1.0]},
     )  # fmt: skip
 
