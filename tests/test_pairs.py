@@ -194,19 +194,16 @@ def bare(kind, **fields):
 
 def test_sizes_of_effects_have_the_units_of_the_pair():
     sample = Sampled(0.0, np.inf, np.asarray([[0.1], [0.5]]), np.asarray([0.5, 0.5]))
+    fit = object.__new__(diagnose.Descent)
     forms = {label: FormColumns(form, np.asarray([0]), {}) for label, form in forms_of(EFFECTS[NAME]).items()}
     about = {"catalogue": EFFECTS, "names": (f"{NAME}.delta",), "scales": Scales(energy=10.0), "effects": {NAME: forms}}
     for pair, unit in ((LENGTH, "1/J"), (ROTATION, "1/J"), (STRAIN, "m^3/J"), (SHEAR, "m/J")):
         problem = bare(diagnose.Problem, **about, pair=pair)
-        found = diagnose._estimate(
-            problem, NAME, bare(Model, fit=object.__new__(diagnose.Descent), forms={NAME: "linear"}), sample
-        )
+        found = diagnose._estimate(problem, NAME, bare(Model, fit=fit, forms={NAME: "linear"}), sample)
         assert found["delta"]["unit"] == "1" and found["eta"]["unit"] == unit
         assert found["eta"]["mean"] == pytest.approx(0.03)
         # Of another driver the amplitude is no number per joule.
-        other = diagnose._estimate(
-            problem, NAME, bare(Model, fit=object.__new__(diagnose.Descent), forms={NAME: "linear of path"}), sample
-        )
+        other = diagnose._estimate(problem, NAME, bare(Model, fit=fit, forms={NAME: "linear of path"}), sample)
         assert list(other) == ["delta"]
 
 

@@ -218,7 +218,8 @@ class Pinching(AbstractDrivenEffect):
     $$h = 1-\zeta_1\exp\!\Big(-\frac{(z\,\mathrm{sign}\,\Delta\dot u - q z_u)^2}{\zeta_2^2 z_u^2}\Big),\quad
       \zeta_1 = \zeta_s(1-e^{-p e/E_c}),\quad \zeta_2 = (\psi_0+\delta_\psi e/E_c)(\lambda+\zeta_1)$$
 
-    with $z_u$ the strength of the element; ζ₂ is made dimensionless by it, and e/E_c is the driver.
+    with $z_u$ the strength of the element; ζ₂ is made dimensionless by it, and $x = e/E_c$ is the driver.  Where the tangent
+    drops around no elongation, max|Δu| counts $10^{-3} u_c$ more, as it is zero in a virgin specimen.
     """
 
     name: ClassVar[str] = "pinching"
