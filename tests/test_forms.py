@@ -1,5 +1,6 @@
 """Forms of effects: each against its equation in NumPy, one program for all of them, and what a study may say of them."""
 
+import re
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -16,11 +17,13 @@ from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.effects.base import SpringPoint
-from hsed_jax.physics.effects.forms import forms_of, raised
+from hsed_jax.physics.effects.forms import DRIVERS, forms_of, raised
 from hsed_jax.physics.excitations import Imposed, Tabulated
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Conditions, Recorded, Timeline
+from hsed_jax.reporting.catalogue import entry
+from hsed_jax.reporting.formulas import in_text
 from hsed_jax.study.build import Built
 
 F, U, V, E = SCALES = Scales(force=1.2e5, elongation=0.25, rate=1.5, energy=2e4)
@@ -303,6 +306,40 @@ def test_a_power_of_one_is_the_number_itself_traced_or_not():
     np.testing.assert_allclose(power(large, 2.5), large**2.5, rtol=1e-14)
     np.testing.assert_allclose(jax.jacfwd(power, 1)(large, 2.5), large**2.5 * jnp.log(large), rtol=1e-13)
     assert np.isfinite(jax.vmap(jax.jacfwd(raised))(values, jnp.full(5, 0.3))).all()
+
+
+# --- as text -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_the_entry_of_an_effect_shows_its_forms_without_latex(name):
+    text, effect = entry(name, EFFECTS), EFFECTS[name]
+    assert not set("\\{}$") & set(re.sub(r"prior .*", "", text))
+    lines = text.splitlines()
+    for form in effect.forms:
+        (line,) = [line for line in lines if line.startswith(f"  {form.name} ") and not line.startswith("  power [")]
+        assert in_text(form.equation) in line
+        more = lines[lines.index(line) + 1] if lines.index(line) + 1 < len(lines) else ""
+        assert all(word in more for word in (*form.free, form.reference))
+    for key in effect.drivers:
+        assert f"  {key}: {DRIVERS[key].words}" in text
+    shown = {line.split()[0] for line in lines if line.startswith("  ") and " prior " in line}
+    freed = {key for form in effect.forms for key in form.free}
+    assert shown == {key for key, known in parameters_of(effect).items() if not known.shapes} | freed
+
+
+@pytest.mark.parametrize(
+    ("latex", "text"),
+    [
+        (r"e^{\delta x}", "e^(δx)"),
+        (r"1/\nu = 1 + \delta(1 - e^{-x^p/w})", "1/ν = 1 + δ(1 - e^(-x^p/w))"),
+        (r"so: $\dot q = \frac{F_c}{u_c}\Delta\dot u - q/\tau$.", "so: q\u0307 = (F_c/u_c) Δu\u0307 - q/τ."),
+        (r"\delta F_c|\Delta u/u_c|^p\,\mathrm{sign}\,\Delta u", "δF_c|Δu/u_c|^p sign Δu"),
+        (r"\delta F_c\,b^{3/2} + x^2", "δF_c b^(3/2) + x²"),
+    ],
+)
+def test_a_formula_reads_as_text(latex, text):
+    assert in_text(latex) == text
 
 
 # --- in a study --------------------------------------------------------------------------------------------------

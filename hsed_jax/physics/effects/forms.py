@@ -71,17 +71,20 @@ class Driver:
 
     Attributes:
         words: in a sentence.
+        measure: LaTeX; it over its characteristic value, the x of equations.
         state: of the spring; None where every spring has it.
     """
 
-    def __init__(self, words: str, state: SharedState | None):
-        self.words, self.state = words, state
+    def __init__(self, words: str, measure: str, state: SharedState | None):
+        self.words, self.measure, self.state = words, measure, state
 
 
 DRIVERS = {
-    "energy": Driver("absorbed energy", None),
-    "path": Driver("length of the path of the elongation", TRAVEL),
-    "largest_elongation": Driver("largest elongation reached, to either side", LARGEST_ELONGATION),
+    "energy": Driver("absorbed energy", "e/E_c", None),
+    "path": Driver("length of the path of the elongation", "sF_c/E_c", TRAVEL),
+    "largest_elongation": Driver(
+        "largest elongation reached, to either side", r"\max|\Delta u|/u_c", LARGEST_ELONGATION
+    ),
 }
 
 
