@@ -317,7 +317,8 @@ def test_the_entry_of_an_effect_shows_its_forms_without_latex(name):
     assert not set("\\{}$") & set(re.sub(r"prior .*", "", text))
     lines = text.splitlines()
     for form in effect.forms:
-        (line,) = [line for line in lines if line.startswith(f"  {form.name} ") and not line.startswith("  power [")]
+        width = max(len(other.name) for other in effect.forms)
+        (line,) = [line for line in lines if line.startswith(f"  {form.name:{width}}  ")]
         assert in_text(form.equation) in line
         more = lines[lines.index(line) + 1] if lines.index(line) + 1 < len(lines) else ""
         assert all(word in more for word in (*form.free, form.reference))
