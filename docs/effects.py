@@ -20,7 +20,9 @@ from PIL import Image
 
 from hsed_jax.config.load import load_study
 from hsed_jax.inference.priors import Prior
-from hsed_jax.physics.effects import EFFECTS
+from hsed_jax.physics.effects import EFFECTS, AbstractEffect
+from hsed_jax.physics.effects.base import MULTIPLIED, slots_of
+from hsed_jax.physics.effects.forms import DRIVERS, forms_of
 from hsed_jax.physics.elements import Element
 from hsed_jax.physics.excitations import Imposed, Tabulated
 from hsed_jax.physics.laws import Elastic
@@ -68,9 +70,14 @@ $$\\dot z = h\\,\\frac{{a A - \\nu\\,(\\beta\\,\\mathrm{{sign}}(\\Delta\\dot u\\
 or to structure and test rig. [Other laws](laws.md) have some of these places. What several effects write to one place
 multiplies or adds, so their order does not matter, and at its neutral value an effect does exactly nothing.
 
-- **Two forms.** Amplitudes are dimensionless by default, made so by characteristic values of the campaign: force $F_c$ [N],
+- **Forms and drivers.** An effect is a place in the law; many have several published formulas for what stands there, and some a
+  choice of what drives it, the $x$ of equations. A study names them by `form` and `driver`
+  ([settings](settings.md#forms-of-an-effect)); the first of each is meant where none is named. A diagnosis looks at all of them
+  and reports the effect, and the form beside it.
+- **Units.** Amplitudes are dimensionless by default, made so by characteristic values of the campaign: force $F_c$ [N],
   elongation $u_c$ [m], rate of elongation $v_c$ [m/s] and absorbed energy $E_c$ [J]. Where a physical form is given, a study may
-  name it instead, in SI units. Energy is the total work of the spring, $e = \\int r\\,d\\Delta u$ [J]; other authors leave out
+  name it instead, in SI units; not with another driver, nor in a form whose shape changes its unit. Energy is the total work of
+  the spring, $e = \\int r\\,d\\Delta u$ [J]; other authors leave out
   the elastic part or divide by the mass, and their numbers differ accordingly.
 - **Priors** are defaults; a study may give others.
 - **Figures.** Grey: the plain law; blue: with the effect, its first parameter at the {share:.0f} % quantile of its prior,
@@ -170,7 +177,7 @@ def _entry(name: str) -> str:
         "| parameter | symbol | meaning | neutral | range | prior | physical form |",
         "|---|---|---|---|---|---|---|",
     ]
-    rows += [_row(parameter) for parameter in known.values()]
+    rows += [_row(parameter) for parameter in known.values() if not parameter.shapes]
     limits = [
         said
         for is_so, said in (
@@ -194,11 +201,45 @@ def _entry(name: str) -> str:
             "",
             *rows,
             "",
-            f"Place: {effect.place}{''.join(f'; {said}' for said in limits)}. Reference: {effect.reference}. "
+            *_forms(effect),
+            *_drivers(effect),
+            f"Place: {effect.place}, {_written(effect)}{''.join(f'; {said}' for said in limits)}. Reference: {effect.reference}. "
             f"Shown: {shown}.",
             "",
         ]
     )
+
+
+def _written(effect: type[AbstractEffect]) -> str:
+    """The slots that it writes to, in any form."""
+    slots = dict.fromkeys(slot for label in forms_of(effect) for slot in slots_of(effect, label))
+    return " or ".join(f"{'a factor on' if slot in MULTIPLIED else 'an addend to'} `{slot}`" for slot in slots)
+
+
+def _forms(effect: type[AbstractEffect]) -> list[str]:
+    """The table of its forms, and that of the parameters that some of them free."""
+    if not effect.forms:
+        return []
+    known = parameters_of(effect)
+    rows = ["| form | equation | frees | holds | source |", "|---|---|---|---|---|"]
+    for form in effect.forms:
+        frees = ", ".join(f"`{key}`" for key in form.free) or "–"
+        held = [f"`{key}` = {value:g}" for key, value in form.held.items() if not known[key].shapes]
+        equation = f"${form.equation.replace('|', '\\vert ')}$" if form.equation else "as above"
+        rows.append(f"| `{form.name}` | {equation} | {frees} | {', '.join(held) or '–'} | {form.reference or '–'} |")
+    freed = {key for form in effect.forms for key in form.free}
+    if freed:
+        rows += ["", "| parameter of forms | symbol | meaning | default | range | prior | physical form |"]
+        rows += ["|---|---|---|---|---|---|---|", *(_row(known[key]) for key in known if key in freed)]
+    return [*rows, ""]
+
+
+def _drivers(effect: type[AbstractEffect]) -> list[str]:
+    """What may drive it."""
+    if not effect.drivers:
+        return []
+    each = [f"`{key}` ({DRIVERS[key].words}, ${DRIVERS[key].measure}$)" for key in effect.drivers]
+    return [f"Driver $x$: {', '.join(each)}.", ""]
 
 
 def _row(known: Parameter) -> str:

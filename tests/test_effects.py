@@ -1,5 +1,6 @@
 """The catalogue of effects: metadata, neutrality, commutation, derivatives; each kind against independent solutions."""
 
+from functools import cache
 from itertools import permutations
 
 import jax
@@ -10,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 from hsed_jax.physics.effects import EFFECTS, AbstractSetupEffect, AbstractSpringEffect
 from hsed_jax.physics.effects.base import ADDED, MULTIPLIED, Setup, SpringPoint, combine
+from hsed_jax.physics.effects.forms import default_form, forms_of
 from hsed_jax.physics.excitations import Imposed, NearFaultPulse, Tabulated
 from hsed_jax.physics.integrate import integrate
 from hsed_jax.physics.laws import BoucWen
@@ -27,6 +29,14 @@ QUANTITIES = ("peak_force", "peak_elongation", "dissipated_energy")
 PRESENT = tuple(name for name in EFFECTS if not unserved(EFFECTS[name], BoucWen))
 SPRING = tuple(name for name in PRESENT if issubclass(EFFECTS[name], AbstractSpringEffect))
 SETUP = tuple(name for name, effect in EFFECTS.items() if issubclass(effect, AbstractSetupEffect))
+# Every formula that a Bouc–Wen specimen can have of an effect.
+FORMS = tuple(
+    (name, label)
+    for name in PRESENT
+    for label in forms_of(EFFECTS[name])
+    if not unserved(EFFECTS[name], BoucWen, label)
+)
+SPRING_FORMS = tuple((name, label) for name, label in FORMS if name in SPRING)
 LAW = {"A": 5e5, "beta": 0.8, "gamma": 0.2, "n": 1.2}
 
 
@@ -37,34 +47,51 @@ def points(count: int = 200) -> SpringPoint:
     energy = draw.exponential(2e4, count)
     travel = draw.exponential(2.0, count)
     z[:2] = du[:2] = energy[:2] = travel[:2] = rate[0] = 0.0
-    memory = {"hysteretic": z, "energy": energy, "largest_elongation": 1.5 * np.abs(du), "travel": travel}
-    for effect in EFFECTS.values():
-        memory |= {state: draw.normal(scale=1e5, size=count) for state in getattr(effect, "states", ())}
+    memory = {
+        "hysteretic": z,
+        "energy": energy,
+        "largest_elongation": np.abs(du) * draw.uniform(1.0, 5.0, count),
+        "travel": travel,
+    }
+    for state in ("relaxing", "plastic", "bristle"):
+        memory |= {state: draw.normal(scale=1e5 if state == "relaxing" else 0.5, size=count)}
     return SpringPoint(du, rate, z, memory, Scales(*(np.full(count, s) for s in SCALES)), np.full(count, 1e5))
 
 
-def at_neutral(name: str):
-    return EFFECTS[name](**{key: jnp.asarray(p.neutral) for key, p in parameters_of(EFFECTS[name]).items()})
+def made(name: str, label: str | None = None, value=lambda known: jnp.asarray(known.neutral)):
+    """An effect in a form, by default the default one; what that leaves free is a number from its metadata."""
+    effect = EFFECTS[name]
+    form = default_form(effect) if label is None else forms_of(effect)[label]
+    return effect(**form.held, **{key: value(known) for key, known in form.parameters(effect).items()})
 
 
-def active(name: str):
-    """The effect with every parameter 0.3 off its neutral value, on the side that its bounds allow."""
-    values = {}
-    for key, known in parameters_of(EFFECTS[name]).items():
-        above = known.neutral + 0.3
-        values[key] = above if above <= known.upper else known.neutral - 0.3
-    return EFFECTS[name](**values)
+def off_neutral(known) -> float:
+    """0.3 off the neutral value, on the side that the bounds allow; a life that ends at some of the points."""
+    if known.name == "life":
+        return 1.0
+    return known.neutral + 0.3 if known.neutral + 0.3 <= known.upper else known.neutral - 0.3
 
 
-def rates(effects, at: SpringPoint | None = None) -> dict:
-    """Rates and force of the law with these effects at all points, but for states that are there for the effects."""
-    own = {name for effect in effects for name in (*effect.states, *(state.name for state in effect.needs))}
+def active(name: str, label: str | None = None):
+    """The effect with every free parameter of its form 0.3 off its neutral value."""
+    return made(name, label, off_neutral)
+
+
+@cache
+def plain() -> dict:
+    """What `rates` is without effects."""
+    return rates([])
+
+
+def rates(effects, at: SpringPoint | None = None, *, own: bool = False) -> dict:
+    """Rates and force of the law with these effects at all points; also of states that are there for the effects, or not."""
+    left_out = set() if own else {n for e in effects for n in (*e.states, *(state.name for state in e.needs))}
 
     def one(point):
         specimen = Specimen(BoucWen(**LAW), tuple(effects), SCALES)
         found = specimen.rates(point.elongation, point.rate, point.memory)
         found |= {"force": specimen.force(point.elongation, point.rate, point.memory)}
-        return {state: value for state, value in found.items() if state not in own}
+        return {state: value for state, value in found.items() if state not in left_out}
 
     return jax.vmap(one)(points() if at is None else at)
 
@@ -94,6 +121,9 @@ def test_every_effect_says_what_it_is(name):
     assert getattr(effect, "__final__", False)
     known = parameters_of(effect)
     assert known
+    # The amplitude comes first, and what only tells forms apart comes last.
+    assert not next(iter(known.values())).shapes
+    assert [p.shapes for p in known.values()] == sorted(p.shapes for p in known.values())
     assert effect.place in ("spring", "structure", "test rig")
     assert effect.place != "spring" or issubclass(effect, AbstractSpringEffect)
     for key, parameter in known.items():
@@ -106,6 +136,37 @@ def test_every_effect_says_what_it_is(name):
         assert parameter.prior is not None
         assert len(parameter.prior) == 1
         assert parameter.physical is None or parameter.physical.unit.strip()
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_every_form_says_what_it_is(name):
+    effect, forms = EFFECTS[name], forms_of(EFFECTS[name])
+    known = parameters_of(effect)
+    assert len(forms) == max(len(effect.forms), 1) * max(len(effect.drivers), 1)
+    assert [form.is_default for form in forms.values()] == [True] + [False] * (len(forms) - 1)
+    assert not default_form(effect).held
+    assert not default_form(effect).free
+    ways = [(sorted(form.held.items()), sorted(form.free)) for form in forms.values()]
+    assert all(ways.count(way) == 1 for way in ways)
+    for label, form in forms.items():
+        assert label == form.label
+        # The default one may be described by the effect, and nothing else but what is free in several respects.
+        assert form.equation or form.name == next(iter(effect.forms), form).name
+        assert (not form.driver) or form.driver in effect.drivers[1:]
+        assert not set(form.free) & set(form.held)
+        assert all(known[key].shapes for key in form.free)
+        for key, value in form.held.items():
+            assert known[key].lower <= value <= known[key].upper
+            assert not (known[key].shapes and value == known[key].neutral)
+        free = form.parameters(effect)
+        assert next(iter(free)) == next(iter(known))
+        assert set(form.free) <= set(free)
+        assert not set(form.held) & set(free)
+    # What tells forms apart is told apart by some form, but for the choice of drivers, which effects share.
+    told = {key for form in forms.values() for key in (*form.free, *form.held)}
+    assert {key for key, p in known.items() if p.shapes and not key.startswith("driver")} <= told
+    symbols = [p.symbol for key, p in known.items() if key in told or not p.shapes]
+    assert len(symbols) == len(set(symbols))
 
 
 @pytest.mark.parametrize("name", EFFECTS)
@@ -140,43 +201,51 @@ def test_contributions_to_one_slot_multiply_and_forces_add():
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_an_effect_contributes_nothing_at_its_neutral_value(name):
-    for slot, values in contributions(at_neutral(name)).items():
-        assert slot in (*MULTIPLIED, *ADDED)
-        np.testing.assert_array_equal(values, 1.0 if slot in MULTIPLIED else 0.0)
+    for label in forms_of(EFFECTS[name]):
+        for slot, values in contributions(made(name, label)).items():
+            assert slot in (*MULTIPLIED, *ADDED)
+            np.testing.assert_array_equal(values, 1.0 if slot in MULTIPLIED else 0.0)
+
+
+@pytest.mark.parametrize("name", SPRING)
+def test_an_effect_in_the_spring_contributes_nothing_without_its_amplitude(name):
+    amplitude = next(iter(parameters_of(EFFECTS[name])))
+    for label in forms_of(EFFECTS[name]):
+        idle = made(name, label, lambda p: jnp.asarray(p.neutral) if p.name == amplitude else off_neutral(p))
+        for slot, values in contributions(idle).items():
+            np.testing.assert_array_equal(values, 1.0 if slot in MULTIPLIED else 0.0)
 
 
 @pytest.mark.parametrize("name", SPRING)
 def test_a_neutral_effect_leaves_the_law_as_it_is(name):
-    plain, neutral = rates([]), rates([at_neutral(name)])
-    for state, values in neutral.items():
-        np.testing.assert_array_equal(values, plain[state])
+    for state, values in rates([made(name)]).items():
+        np.testing.assert_array_equal(values, plain()[state])
 
 
-@pytest.mark.parametrize("name", SPRING)
-def test_an_effect_changes_the_law_off_its_neutral_value(name):
-    plain, changed = rates([]), rates([active(name)])
-    assert any(np.abs(changed[s] - plain[s]).max() > 1e-3 * np.abs(plain[s]).max() for s in changed)
+@pytest.mark.parametrize(("name", "label"), SPRING_FORMS)
+def test_an_effect_changes_the_law_off_its_neutral_value(name, label):
+    changed = rates([active(name, label)])
+    assert any(np.abs(changed[s] - plain()[s]).max() > 1e-3 * np.abs(plain()[s]).max() for s in changed)
 
 
-@pytest.mark.parametrize("name", SPRING)
-def test_an_effect_that_needs_no_time_follows_the_path_alone(name):
+@pytest.mark.parametrize(("name", "label"), SPRING_FORMS)
+def test_an_effect_that_needs_no_time_follows_the_path_alone(name, label):
     # At twice the speed such a law has the same force and runs twice as fast; friction is past its turning at these rates.
     at = points()
     at = at._replace(rate=np.sign(at.rate + 0.5) * np.linspace(0.5, 2, at.rate.size) * SCALES.rate)
-    slow, fast = rates([active(name)], at), rates([active(name)], at._replace(rate=2 * at.rate))
-    effect = EFFECTS[name]
-    follows = not effect.states and all(
-        np.allclose(fast[s], slow[s] if s == "force" else 2 * slow[s], rtol=1e-12, atol=1e-9) for s in slow
-    )
-    assert effect.needs_time is not follows
+    effect = made(name, label, lambda p: p.neutral if p.name == "sticking" else off_neutral(p))
+    slow, fast = rates([effect], at, own=True), rates([effect], at._replace(rate=2 * at.rate), own=True)
+    follows = all(np.allclose(fast[s], slow[s] if s == "force" else 2 * slow[s], rtol=1e-12, atol=1e-9) for s in slow)
+    assert EFFECTS[name].needs_time is not follows
 
 
-@pytest.mark.parametrize("name", EFFECTS)
-def test_contributions_have_the_derivatives_of_central_differences(name):
-    values = {key: getattr(active(name), key) for key in parameters_of(EFFECTS[name])}
+@pytest.mark.parametrize(("name", "label"), [(n, label) for n in EFFECTS for label in forms_of(EFFECTS[n])])
+def test_contributions_have_the_derivatives_of_central_differences(name, label):
+    effect, form = EFFECTS[name], forms_of(EFFECTS[name])[label]
+    values = {key: off_neutral(known) for key, known in form.parameters(effect).items()}
 
     def of(theta):
-        return contributions(EFFECTS[name](**dict(zip(values, theta, strict=True))))
+        return contributions(effect(**form.held, **dict(zip(values, theta, strict=True))))
 
     theta, step = jnp.asarray(list(values.values())), 1e-6
     exact = jax.jacfwd(of)(theta)
@@ -188,10 +257,12 @@ def test_contributions_have_the_derivatives_of_central_differences(name):
 
 
 def test_no_two_effects_own_one_state():
-    owned = [state for name in SPRING for state in EFFECTS[name].states]
-    shared = {state.name for name in SPRING for state in EFFECTS[name].needs}
-    assert len(owned) == len(set(owned))
-    assert not shared & set(owned)
+    owned = {(name, state) for name, label in SPRING_FORMS for state in active(name, label).states}
+    shared = {state.name for name, label in SPRING_FORMS for state in active(name, label).needs}
+    names = [state for _, state in owned]
+    assert len(names) == len(set(names))
+    assert not shared & set(names)
+    assert shared == {"largest_elongation", "travel"}
 
 
 def orders(names: tuple[str, ...] = SPRING, limit: int = 6) -> list[tuple[str, ...]]:
@@ -203,10 +274,13 @@ def orders(names: tuple[str, ...] = SPRING, limit: int = 6) -> list[tuple[str, .
 
 
 def test_effects_commute_in_the_law():
-    first, *others = (rates([active(name) for name in order]) for order in orders())
-    for other in others:
-        for state, expected in first.items():
-            np.testing.assert_allclose(other[state], expected, rtol=0, atol=1e-14 * np.abs(expected).max())
+    # In its last form, too, which is another one wherever there are several.
+    for last in (False, True):
+        labels = {name: [label for other, label in SPRING_FORMS if other == name][-1 if last else 0] for name in SPRING}
+        first, *others = (rates([active(name, labels[name]) for name in order]) for order in orders())
+        for other in others:
+            for state, expected in first.items():
+                np.testing.assert_allclose(other[state], expected, rtol=0, atol=5e-14 * np.abs(expected).max())
 
 
 def quantities_with(paper_simulator, pulse_conditions, names, values):
@@ -219,8 +293,12 @@ def quantities_with(paper_simulator, pulse_conditions, names, values):
 
 
 def parameters(names, value) -> dict:
-    """The named effects' parameters by full name; `value` from metadata to number."""
-    return {f"{n}.{key}": jnp.asarray(value(p)) for n in names for key, p in parameters_of(EFFECTS[n]).items()}
+    """The named effects' parameters in their default forms by full name; `value` from metadata to number."""
+    return {
+        f"{n}.{key}": jnp.asarray(value(known))
+        for n in names
+        for key, known in default_form(EFFECTS[n]).parameters(EFFECTS[n]).items()
+    }
 
 
 def test_all_effects_at_their_neutral_values_are_the_plain_model(paper_simulator, pulse_conditions):

@@ -17,6 +17,7 @@ from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.effects.base import slots_of
+from hsed_jax.physics.effects.forms import default_form
 from hsed_jax.physics.elements import Element
 from hsed_jax.physics.excitations import Imposed, NearFaultPulse, Tabulated
 from hsed_jax.physics.laws import LAWS, BoucWen
@@ -306,7 +307,11 @@ def test_effects_at_their_neutral_values_leave_a_law_as_it_is(law):
     served = [name for name, effect in EFFECTS.items() if not unserved(effect, LAWS[law])]
     assert {"gap", "hardening", "viscous_damping", "fracture", "force_gain"} <= set(served)
     assert ("strength_degradation" in served) == (law in ("bouc_wen", "bilinear", "takeda"))
-    neutral = {f"{n}.{key}": jnp.asarray(p.neutral) for n in served for key, p in parameters_of(EFFECTS[n]).items()}
+    neutral = {
+        f"{n}.{key}": jnp.asarray(known.neutral)
+        for n in served
+        for key, known in default_form(EFFECTS[n]).parameters(EFFECTS[n]).items()
+    }
     plain = oscillator(law, 200).respond(CASES[law], conditions(), ("force",))
     found = oscillator(law, 200, served).respond({**CASES[law], **neutral}, conditions(), ("force",))
     for name in NAMES:

@@ -14,6 +14,8 @@ import hsed_jax as hx
 from hsed_jax.config.load import load_study
 from hsed_jax.diagnosis import diagnose
 from hsed_jax.diagnosis.evidence import Sampled
+from hsed_jax.diagnosis.fits import Model
+from hsed_jax.diagnosis.problem import FormColumns
 from hsed_jax.measurements import (
     Campaign,
     Channel,
@@ -26,6 +28,7 @@ from hsed_jax.measurements import (
     read_campaign,
 )
 from hsed_jax.physics.effects import EFFECTS
+from hsed_jax.physics.effects.forms import forms_of
 from hsed_jax.physics.excitations import CyclicElongation
 from hsed_jax.physics.laws import LAWS
 from hsed_jax.physics.outputs import CHANNELS, QUANTITIES
@@ -39,6 +42,7 @@ from hsed_jax.runs.requests import Expected
 from hsed_jax.study.build import Built
 
 LENGTH, ROTATION, STRAIN, SHEAR = PAIRS
+NAME = "stiffness_degradation"
 
 
 def declared(protocol="displacement", quantities=(), **channels):
@@ -190,12 +194,17 @@ def bare(kind, **fields):
 
 def test_sizes_of_effects_have_the_units_of_the_pair():
     sample = Sampled(0.0, np.inf, np.asarray([[0.1], [0.5]]), np.asarray([0.5, 0.5]))
-    about = {"catalogue": EFFECTS, "names": ("stiffness_degradation.delta",), "scales": Scales(energy=10.0)}
+    fit = object.__new__(diagnose.Descent)
+    forms = {label: FormColumns(form, np.asarray([0]), {}) for label, form in forms_of(EFFECTS[NAME]).items()}
+    about = {"catalogue": EFFECTS, "names": (f"{NAME}.delta",), "scales": Scales(energy=10.0), "effects": {NAME: forms}}
     for pair, unit in ((LENGTH, "1/J"), (ROTATION, "1/J"), (STRAIN, "m^3/J"), (SHEAR, "m/J")):
         problem = bare(diagnose.Problem, **about, pair=pair)
-        found = diagnose._estimate(problem, "stiffness_degradation", object.__new__(diagnose.Descent), sample)
+        found = diagnose._estimate(problem, NAME, bare(Model, fit=fit, forms={NAME: "linear"}), sample)
         assert found["delta"]["unit"] == "1" and found["eta"]["unit"] == unit
         assert found["eta"]["mean"] == pytest.approx(0.03)
+        # Of another driver the amplitude is no number per joule.
+        other = diagnose._estimate(problem, NAME, bare(Model, fit=fit, forms={NAME: "linear of path"}), sample)
+        assert list(other) == ["delta"]
 
 
 # --- where only elongation and force make sense -------------------------------------------------------------------

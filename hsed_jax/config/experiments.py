@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from hsed_jax.config.mechanics import TrueEffectEntry
 from hsed_jax.config.sections import NoisesEntry, OwnLawEntry, Positive, ProgramEntry, Section, SpringEntry
 from hsed_jax.measurements.declaration import ChannelEntry
 from hsed_jax.plain import Number, Whole
@@ -15,7 +16,7 @@ class VirtualEntry(Section):
 
     spring: SpringEntry | None = None
     parameters: dict[str, Number]
-    effects: dict[str, dict[str, Number]] = {}
+    effects: dict[str, TrueEffectEntry] = {}
     structure: dict[str, Number] = {}
     """Numbers of the structure that the study gives priors, such as mass_2 (SI)."""
     noise: NoisesEntry | None = None

@@ -43,6 +43,8 @@ def _effect(value: Any, validated: Any) -> Any:
 
 EffectEntry = Annotated[dict[str, ParameterEntry], WrapValidator(_effect), PlainSerializer(dict)]
 """An effect: its form and driver, where they are not the default ones, and its parameters."""
+TrueEffectEntry = Annotated[dict[str, Number], WrapValidator(_effect), PlainSerializer(dict)]
+"""The same of a virtual specimen: every parameter is a number."""
 NotNegative = Annotated[Number, Field(ge=0)]
 
 

@@ -205,12 +205,13 @@ def _reason(search: Search, model: Model, best: Model) -> str | None:
 def _estimate(problem: Problem, effect: str, model: Model, sample: Sampled | None) -> dict[str, dict[str, Any]]:
     """Mean, sd and quantiles of the parameters of an effect's form, from draws or else from the curvature at the fit."""
     found: dict[str, dict[str, Any]] = {}
-    form = problem.effects[effect][model.forms[effect]].form
-    for known in form.parameters(problem.catalogue[effect]).values():
+    form, kind = problem.effects[effect][model.forms[effect]].form, problem.catalogue[effect]
+    in_units = form.physical(kind)
+    for known in form.parameters(kind).values():
         column = problem.names.index(f"{effect}.{known.name}")
         numbers = _moments(problem, model.fit, sample, column)
         found[known.name] = numbers | {"unit": problem.pair.unit(known.unit)}
-        if known.physical is not None and not form.driver:
+        if known.physical is not None and known.physical.name in in_units:
             factor = known.physical.factor(problem.scales)
             unit = problem.pair.unit(known.physical.unit)
             found[known.physical.name] = {k: v * factor for k, v in numbers.items()} | {"unit": unit}

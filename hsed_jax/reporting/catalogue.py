@@ -4,7 +4,10 @@ import inspect
 
 from hsed_jax.errors import UserError
 from hsed_jax.physics.effects import Catalogue
-from hsed_jax.physics.parameters import parameters_of
+from hsed_jax.physics.effects.base import AbstractEffect
+from hsed_jax.physics.effects.forms import DRIVERS
+from hsed_jax.physics.parameters import Parameter, parameters_of
+from hsed_jax.reporting.formulas import in_text
 
 
 def catalogue(effects: Catalogue) -> str:
@@ -18,7 +21,7 @@ def catalogue(effects: Catalogue) -> str:
 
 
 def entry(name: str, effects: Catalogue) -> str:
-    """Equation, parameters in both forms, and reference of one effect.
+    """Equation, parameters, forms with what drives them, and reference of one effect.
 
     Raises:
         UserError: there is no such effect.
@@ -26,13 +29,48 @@ def entry(name: str, effects: Catalogue) -> str:
     if name not in effects:
         raise UserError(f"there is no effect {name!r}; the catalogue has {', '.join(sorted(effects))}")
     effect = effects[name]
-    lines = [f"{name} ({effect.family})", "", inspect.getdoc(effect) or "", "", "parameters:"]
-    for known in parameters_of(effect).values():
-        prior = ", ".join(f"{kind} {arguments}" for kind, arguments in (known.prior or {}).items())
-        lines.append(f"  {known.name} [{known.unit}]: {known.meaning}; neutral {known.neutral:g}; prior {prior}")
-        if known.physical is not None:
-            lines.append(f"    or {known.physical.name} [{known.physical.unit}]")
+    known = parameters_of(effect)
+    lines = [f"{name} ({effect.family})", "", in_text(inspect.getdoc(effect) or ""), "", "parameters:"]
+    lines += [line for p in known.values() if not p.shapes for line in _parameter(p)]
+    if effect.forms:
+        lines += ["", "forms (`form: NAME`; the first is meant where none is named):", *_forms(effect)]
+        freed = {key for form in effect.forms for key in form.free}
+        if freed:
+            lines += [
+                "",
+                "parameters of forms:",
+                *(line for key in known if key in freed for line in _parameter(known[key])),
+            ]
+    if effect.drivers:
+        lines += ["", "what drives it, x (`driver: NAME`; the first is meant where none is named):"]
+        lines += [f"  {key}: {DRIVERS[key].words}, {in_text(DRIVERS[key].measure)}" for key in effect.drivers]
     return "\n".join([*lines, "", f"reference: {effect.reference}"])
+
+
+def _parameter(known: Parameter) -> list[str]:
+    prior = ", ".join(f"{kind} {arguments}" for kind, arguments in (known.prior or {}).items())
+    neutral = "default" if known.shapes else "neutral"
+    lines = [f"  {known.name} [{known.unit}]: {in_text(known.meaning)}; {neutral} {known.neutral:g}; prior {prior}"]
+    if known.shapes:
+        lines[0] = lines[0].replace(":", f", {in_text(known.symbol)}:", 1)
+    if known.physical is not None:
+        lines.append(f"    or {known.physical.name} [{known.physical.unit}]")
+    return lines
+
+
+def _forms(effect: type[AbstractEffect]) -> list[str]:
+    """Each form in a line or two: its name and equation, what it frees or holds, and where it comes from."""
+    known = parameters_of(effect)
+    width = max(len(form.name) for form in effect.forms)
+    lines = []
+    for form in effect.forms:
+        held = [f"{key} = {value:g}" for key, value in form.held.items() if not known[key].shapes]
+        more = [words for words, names in (("frees", form.free), ("holds", held)) if names]
+        said = [f"{words} {', '.join(form.free if words == 'frees' else held)}" for words in more]
+        said += [form.reference] if form.reference else []
+        lines.append(f"  {form.name:{width}}  {in_text(form.equation) or 'as above'}")
+        lines += [f"  {'':{width}}    {'; '.join(said)}"] if said else []
+    return lines
 
 
 def _first_line(effect: type) -> str:

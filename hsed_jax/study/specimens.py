@@ -106,10 +106,8 @@ class Naming:
 
     def parameters(self, effect: str, form: Form) -> dict[str, Parameter]:
         """Parameters of an effect in a form under both their names, the dimensionless and the physical one."""
-        known = form.parameters(self.catalogue[effect])
-        # What drives it is what a physical form is per.
-        physical = {} if form.driver else {p.physical.name: p for p in known.values() if p.physical is not None}
-        return {**known, **physical}
+        kind = self.catalogue[effect]
+        return {**form.parameters(kind), **form.physical(kind)}
 
     @cached_property
     def of_laws(self) -> dict[str, Parameter]:

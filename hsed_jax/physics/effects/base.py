@@ -13,7 +13,6 @@ import jax
 from jaxtyping import Array, Float
 
 from hsed_jax.physics.effects.forms import Form, default_form, forms_of
-from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.states import SharedState
 from hsed_jax.physics.structures import OWNER
@@ -217,14 +216,17 @@ class Catalogue(Mapping[str, type[AbstractEffect]]):
 
 
 @cache
-def slots_of(effect: type[AbstractSpringEffect], form: str | None = None) -> tuple[str, ...]:
+def slots_of(effect: type[AbstractEffect], form: str | None = None) -> tuple[str, ...]:
     """The slots that an effect writes to in a form, by default the default one: traced without computing anything."""
     one = forms_of(effect)[form] if form is not None else default_form(effect)
 
     def contributions(value):
         values = dict.fromkeys(one.parameters(effect), value) | dict(one.held)
-        point = SpringPoint(value, value, value, defaultdict(lambda: value), Scales(*[value] * 4), value)
-        return effect(**values).contribute(point)
+        made, scales = effect(**values), Scales(*[value] * 4)
+        if isinstance(made, AbstractSetupEffect):
+            return made.contribute(Setup(scales, 1, 1))
+        assert isinstance(made, AbstractSpringEffect)
+        return made.contribute(SpringPoint(value, value, value, defaultdict(lambda: value), scales, value))
 
     return tuple(jax.eval_shape(contributions, 1.0))
 
@@ -234,12 +236,7 @@ def is_of_sensors(effect: type[AbstractEffect]) -> bool:
     """Whether every specimen has such an effect in its sensors."""
     if not issubclass(effect, AbstractSetupEffect):
         return False
-
-    def contributions(value):
-        values = {name: value for name in parameters_of(effect)}
-        return effect(**values).contribute(Setup(Scales(*[value] * 4), 1, 1))
-
-    return not set(jax.eval_shape(contributions, 1.0)) & {"mass", "support", "damping", "ground_motion"}
+    return not set(slots_of(effect)) & {"mass", "support", "damping", "ground_motion"}
 
 
 def combine(contributions: list[dict[str, Any]]) -> Callable[[str], Any]:

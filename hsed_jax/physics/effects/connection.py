@@ -19,7 +19,13 @@ class Gap(AbstractSpringEffect):
     reference: ClassVar[str] = "Ibrahim 2009, section 2.4"
     forms: ClassVar[tuple[Form, ...]] = (
         Form("fixed", r"s = \delta u_c"),
-        Form("widening", r"s = \delta\max|\Delta u|", "Baber & Noori 1985 (slip)", held={"of_largest": 1.0}),
+        Form(
+            "widening",
+            r"s = \delta\max|\Delta u|",
+            "Baber & Noori 1985 (slip)",
+            held={"of_largest": 1.0},
+            in_units=False,
+        ),
     )
 
     delta: Scalar = parameter(

@@ -26,9 +26,11 @@ class AbstractDegradation(AbstractDrivenEffect):
         Form("exponential", r"e^{\delta x}", "Sucuoglu & Erberik 2004", held={"growth": 1.0}),
         Form("saturating", r"1 + (1 - e^{-s\delta x})/s", "FEMA P-440A 2009 (what remains)",
              free=("saturation",)),
-        Form("power", r"1 + \delta x^p", "Park & Ang 1985; Kunnath, Mander & Fang 1997", free=("power",)),
+        Form("power", r"1 + \delta x^p", "Park & Ang 1985; Kunnath, Mander & Fang 1997", free=("power",),
+             in_units=False),
         Form("threshold", r"1 + \delta\max(x - x_0, 0)", "Ibarra, Medina & Krawinkler 2005 (onset)", free=("onset",)),
-        Form(FREE, r"1 + (1 - e^{-sy})/s,\ y = \delta\max(x - x_0, 0)^p", free=("saturation", "power", "onset")),
+        Form(FREE, r"1 + (1 - e^{-sy})/s,\ y = \delta\max(x - x_0, 0)^p", free=("saturation", "power", "onset"),
+             in_units=False),
     )  # fmt: skip
 
     growth: Scalar = shape_parameter(
@@ -52,7 +54,8 @@ class AbstractDegradation(AbstractDrivenEffect):
         """The factor at one instant."""
         x, curvature = self.driven(point), self.growth - self.saturation
         if not is_zero(self.onset):
-            x = jnp.maximum(x - self.onset, 0.0)
+            # Energy can dip below zero by elastic energy given back; there the onset changes nothing.
+            x = jnp.maximum(x - self.onset, 0.0) + jnp.minimum(x, 0.0)
         y = self.amplitude * raised(x, self.power)
         if is_zero(curvature):
             return 1 + y

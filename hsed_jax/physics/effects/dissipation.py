@@ -25,7 +25,7 @@ class ViscousDamping(AbstractSpringEffect):
     forms: ClassVar[tuple[Form, ...]] = (
         Form("linear", r"\delta F_c\,\Delta\dot u/v_c"),
         Form("of elongation", r"\delta F_c\,(|\Delta u|/u_c)\,\Delta\dot u/v_c", "Inaudi & Kelly 1995",
-             held={"of_elongation": 1.0}),
+             held={"of_elongation": 1.0}, in_units=False),
         Form("opening only", r"\delta F_c\max(\Delta\dot u, 0)/v_c", held={"side": 1.0}),
         Form("closing only", r"\delta F_c\min(\Delta\dot u, 0)/v_c", held={"side": -1.0}),
     )  # fmt: skip
@@ -64,7 +64,7 @@ class QuadraticDamping(AbstractSpringEffect):
     forms: ClassVar[tuple[Form, ...]] = (
         Form("quadratic", r"\delta F_c|\Delta\dot u|\Delta\dot u/v_c^2"),
         Form("power", r"\delta F_c|\Delta\dot u/v_c|^p\,\mathrm{sign}\,\Delta\dot u,\ p > 1", "Symans & Constantinou 1998",
-             free=("power",)),
+             free=("power",), in_units=False),
         Form("opening only", r"\delta F_c\max(\Delta\dot u, 0)^2/v_c^2", held={"side": 1.0}),
         Form("closing only", r"-\delta F_c\min(\Delta\dot u, 0)^2/v_c^2", held={"side": -1.0}),
     )  # fmt: skip

@@ -51,7 +51,7 @@ class CubicStiffness(AbstractSpringEffect):
     reference: ClassVar[str] = "Duffing 1918"
     forms: ClassVar[tuple[Form, ...]] = (
         Form("cubic", r"\delta F_c(\Delta u/u_c)^3"),
-        Form("power", r"\delta F_c|\Delta u/u_c|^p\,\mathrm{sign}\,\Delta u", free=("power",)),
+        Form("power", r"\delta F_c|\Delta u/u_c|^p\,\mathrm{sign}\,\Delta u", free=("power",), in_units=False),
     )
 
     delta: Scalar = parameter(
@@ -85,7 +85,7 @@ class QuadraticStiffness(AbstractSpringEffect):
     reference: ClassVar[str] = "Nayfeh & Mook 1979"
     forms: ClassVar[tuple[Form, ...]] = (
         Form("quadratic", r"\delta F_c(\Delta u/u_c)^2"),
-        Form("power", r"\delta F_c|\Delta u/u_c|^p", free=("power",)),
+        Form("power", r"\delta F_c|\Delta u/u_c|^p", free=("power",), in_units=False),
     )
 
     delta: Scalar = parameter(
@@ -117,8 +117,8 @@ class ContactStiffening(AbstractSpringEffect):
     reference: ClassVar[str] = "Anagnostopoulos 1988 (pounding)"
     forms: ClassVar[tuple[Form, ...]] = (
         Form("linear", r"\delta F_c\,b,\ b = \max(|\Delta u|/u_c - c, 0)"),
-        Form("hertz", r"\delta F_c\,b^{3/2}", "Hertz 1882", held={"power": 1.5}),
-        Form("power", r"\delta F_c\,b^p", free=("power",)),
+        Form("hertz", r"\delta F_c\,b^{3/2}", "Hertz 1882", held={"power": 1.5}, in_units=False),
+        Form("power", r"\delta F_c\,b^p", free=("power",), in_units=False),
         Form("tension only", r"\delta F_c\,b\ (\Delta u > 0)", held={"side": 1.0}),
         Form("compression only", r"\delta F_c\,b\ (\Delta u < 0)", held={"side": -1.0}),
     )

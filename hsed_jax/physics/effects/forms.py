@@ -34,6 +34,7 @@ class Form:
         free: shape parameters that it leaves free, besides those that the effect has in every form.
         driver: what drives it; empty where there is no choice.
         is_default: it is what a study means that names no form.
+        in_units: its numbers may be given in SI units, too; not where the unit would change with the shape.
     """
 
     name: str = ""
@@ -43,6 +44,7 @@ class Form:
     free: tuple[str, ...] = ()
     driver: str = ""
     is_default: bool = False
+    in_units: bool = True
 
     def parameters(self, effect: "type[AbstractEffect]") -> dict[str, Parameter]:
         """What is free of an effect in this form."""
@@ -51,6 +53,12 @@ class Form:
             for name, known in parameters_of(effect).items()
             if name in self.free or not (known.shapes or name in self.held)
         }
+
+    def physical(self, effect: "type[AbstractEffect]") -> dict[str, Parameter]:
+        """What of it has a physical form, by the name of that; nothing with another driver, as they are per the first one."""
+        if self.driver or not self.in_units:
+            return {}
+        return {p.physical.name: p for p in self.parameters(effect).values() if p.physical is not None}
 
     @property
     def label(self) -> str:
@@ -63,17 +71,20 @@ class Driver:
 
     Attributes:
         words: in a sentence.
+        measure: LaTeX; it over its characteristic value, the x of equations.
         state: of the spring; None where every spring has it.
     """
 
-    def __init__(self, words: str, state: SharedState | None):
-        self.words, self.state = words, state
+    def __init__(self, words: str, measure: str, state: SharedState | None):
+        self.words, self.measure, self.state = words, measure, state
 
 
 DRIVERS = {
-    "energy": Driver("absorbed energy", None),
-    "path": Driver("length of the path of the elongation", TRAVEL),
-    "largest_elongation": Driver("largest elongation reached, to either side", LARGEST_ELONGATION),
+    "energy": Driver("absorbed energy", "e/E_c", None),
+    "path": Driver("length of the path of the elongation", "sF_c/E_c", TRAVEL),
+    "largest_elongation": Driver(
+        "largest elongation reached, to either side", r"\max|\Delta u|/u_c", LARGEST_ELONGATION
+    ),
 }
 
 
@@ -88,11 +99,11 @@ def driven_by(name: str, point: "SpringPoint") -> Scalar:
 
 
 def raised(value: Scalar, power: Scalar) -> Scalar:
-    """Value to a power, for values that are not negative; one that is counts as zero."""
+    r"""Value to a power, $|x|^p \mathrm{sign}\,x$; below $|x| = 10^{-9}$ it is linear, as the power has no derivative at zero."""
     if is_number(power, 1):
         return value
-    # Far below anything that matters, and above zero, where the power has no derivative.
-    return jnp.exp(power * jnp.log(jnp.maximum(value, 1e-9)))
+    # What multiplies the value is one at the power of one: the same number then, whether that is known or traced.
+    return value * jnp.exp((power - 1) * jnp.log(jnp.maximum(jnp.abs(value), 1e-9)))
 
 
 def one_side() -> Any:

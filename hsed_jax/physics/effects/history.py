@@ -1,5 +1,6 @@
 """Effects that remember more than absorbed energy: the largest elongation, the length of the path, a relaxing force."""
 
+import math
 from typing import ClassVar, final
 
 import jax
@@ -11,6 +12,9 @@ from hsed_jax.physics.effects.forms import Form
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
 from hsed_jax.physics.scales import is_zero
 
+# ∫ exp(−x⁶) dx over all x.
+_OF_WINDOW = 2 * math.gamma(7 / 6)
+
 
 @register
 @final
@@ -18,7 +22,7 @@ class Slip(AbstractDrivenEffect):
     r"""A slip-lock element in series, which opens with the largest elongation.
 
     Its compliance is $c(z) = \sqrt{2/\pi}\,\frac{\delta\max|\Delta u|}{\sigma}e^{-z^2/2\sigma^2}$ with $\sigma = w z_u$,
-    $z_u$ the strength of the element: δ max|Δu| is the length of slip near zero force.
+    $z_u$ the strength of the element: δ max|Δu| is the length of slip near zero force, $\delta u_c x$ with another driver x.
     """
 
     name: ClassVar[str] = "slip"
@@ -45,7 +49,7 @@ class Slip(AbstractDrivenEffect):
     )
 
     flat: Scalar = shape_parameter(
-        "w", "whether the force that locks has a sharp limit", neutral=0.0, lower=0.0, upper=1.0,
+        "w_f", "whether the force that locks has a sharp limit", neutral=0.0, lower=0.0, upper=1.0,
         prior={"uniform": [0.0, 1.0]},
     )  # fmt: skip
 
@@ -55,8 +59,7 @@ class Slip(AbstractDrivenEffect):
         place = (point.hysteretic / sigma) ** 2
         shape = jnp.sqrt(2 / jnp.pi) * jnp.exp(-0.5 * place) / sigma
         if not is_zero(self.flat):
-            # ∫ exp(−x⁶) dx = 1.855…
-            shape = shape + self.flat * (jnp.exp(-place * place * place) / (1.8554 * sigma) - shape)
+            shape = shape + self.flat * (jnp.exp(-place * place * place) / (_OF_WINDOW * sigma) - shape)
         length = jnp.maximum(self.driven(point), 0.0) * point.scales.elongation
         return {"compliance": self.delta * length * shape}
 
@@ -64,7 +67,10 @@ class Slip(AbstractDrivenEffect):
 @register
 @final
 class Fracture(AbstractDrivenEffect):
-    r"""Part of the element is lost at a critical path: $-\delta z\,\mathrm{logistic}((s-s_c)/0.02 s_c)$."""
+    r"""Part of the element is lost at a critical path: $-\delta z\,\mathrm{logistic}((s-s_c)/0.02 s_c)$.
+
+    In terms of a driver x it is lost at $x_c = s_c F_c u_c/E_c$, with the number $s_c$ below, whatever the driver.
+    """
 
     name: ClassVar[str] = "fracture"
     family: ClassVar[str] = "strength"

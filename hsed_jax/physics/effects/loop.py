@@ -12,9 +12,9 @@ from hsed_jax.physics.scales import is_zero
 from hsed_jax.physics.states import LARGEST_ELONGATION, SharedState
 
 
-def _whether(place: str, neutral: float = 1.0) -> Any:
+def _whether(place: str, symbol: str, neutral: float = 1.0) -> Any:
     return shape_parameter(
-        "w", f"share that goes to {place}", neutral=neutral, lower=0.0, upper=1.0, prior={"uniform": [0.0, 1.0]}
+        symbol, f"share that goes to {place}", neutral=neutral, lower=0.0, upper=1.0, prior={"uniform": [0.0, 1.0]}
     )
 
 
@@ -93,10 +93,10 @@ class Asymmetry(AbstractSpringEffect):
         upper=0.95,
         prior={"truncated_normal": {"loc": 0.0, "scale": 0.3, "low": -0.95, "high": 0.95}},
     )
-    of_strength: Scalar = _whether("ν")
-    of_loading: Scalar = _whether("γ on loading", 0.0)
-    of_stiffness: Scalar = _whether("η", 0.0)
-    of_both: Scalar = _whether("a", 0.0)
+    of_strength: Scalar = _whether("ν", r"w_\nu")
+    of_loading: Scalar = _whether("γ on loading", r"w_\gamma", 0.0)
+    of_stiffness: Scalar = _whether("η", r"w_\eta", 0.0)
+    of_both: Scalar = _whether("a", "w_a", 0.0)
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """A factor on `nu`, where its jump multiplies a z of zero; or an addend to `gamma`, or a factor on `eta` or `a`."""
@@ -125,7 +125,7 @@ class IsotropicHardening(AbstractDrivenEffect):
         Form("saturating", r"1/\nu = 1 + \delta(1 - e^{-x/w})"),
         Form("linear", r"1/\nu = 1 + \delta x", "Hill 1950", held={"steady": 1.0, "width": 0.3}),
         Form("power", r"1/\nu = 1 + \delta x^p", "Swift 1952", held={"steady": 1.0, "width": 0.3}, free=("power",)),
-        Form(FREE, r"1/\nu = 1 + \delta(1 - e^{-x^p/w})", free=("power",)),
+        Form(FREE, r"1/\nu = 1 + \delta(1 - e^{-x^p/w})", free=("power",), in_units=False),
     )
 
     delta: Scalar = parameter(
@@ -193,8 +193,8 @@ class RateDependence(AbstractSpringEffect):
     of_power: Scalar = shape_parameter(
         "w_p", "whether it is a power", neutral=0.0, lower=0.0, upper=1.0, prior={"uniform": [0.0, 1.0]}
     )
-    of_both: Scalar = _whether("a")
-    of_strength: Scalar = _whether("ν", 0.0)
+    of_both: Scalar = _whether("a", "w_a")
+    of_strength: Scalar = _whether("ν", r"w_\nu", 0.0)
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """A factor on `a`, or on `nu`."""
@@ -218,7 +218,8 @@ class Pinching(AbstractDrivenEffect):
     $$h = 1-\zeta_1\exp\!\Big(-\frac{(z\,\mathrm{sign}\,\Delta\dot u - q z_u)^2}{\zeta_2^2 z_u^2}\Big),\quad
       \zeta_1 = \zeta_s(1-e^{-p e/E_c}),\quad \zeta_2 = (\psi_0+\delta_\psi e/E_c)(\lambda+\zeta_1)$$
 
-    with $z_u$ the strength of the element; ζ₂ is made dimensionless by it, and e/E_c is the driver.
+    with $z_u$ the strength of the element; ζ₂ is made dimensionless by it, and $x = e/E_c$ is the driver.  Where the tangent
+    drops around no elongation, max|Δu| counts $10^{-3} u_c$ more, as it is zero in a virgin specimen.
     """
 
     name: ClassVar[str] = "pinching"
@@ -265,7 +266,7 @@ class Pinching(AbstractDrivenEffect):
     )  # fmt: skip
 
     widening: Scalar = shape_parameter(
-        "w", "whether the width grows with the severity", neutral=1.0, lower=0.0, upper=1.0,
+        r"w_\zeta", "whether the width grows with the severity", neutral=1.0, lower=0.0, upper=1.0,
         prior={"uniform": [0.0, 1.0]},
     )  # fmt: skip
     flatness: Scalar = shape_parameter(

@@ -1,0 +1,543 @@
+"""Forms of effects: each against its equation in NumPy, one program for all of them, and what a study may say of them."""
+
+import re
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from hsed_jax.config.load import load_study
+from hsed_jax.errors import UserError
+from hsed_jax.inference.priors import Prior
+from hsed_jax.physics.effects import EFFECTS
+from hsed_jax.physics.effects.base import SpringPoint
+from hsed_jax.physics.effects.forms import DRIVERS, forms_of, raised
+from hsed_jax.physics.excitations import Imposed, Tabulated
+from hsed_jax.physics.parameters import parameters_of
+from hsed_jax.physics.scales import Scales
+from hsed_jax.physics.simulator import Conditions, Recorded, Timeline
+from hsed_jax.reporting.catalogue import entry
+from hsed_jax.reporting.formulas import in_text
+from hsed_jax.study.build import Built
+
+F, U, V, E = SCALES = Scales(force=1.2e5, elongation=0.25, rate=1.5, energy=2e4)
+SEVERAL = tuple(name for name, effect in EFFECTS.items() if len(forms_of(effect)) > 1)
+FORMS = tuple((name, label) for name in SEVERAL for label in forms_of(EFFECTS[name]))
+STRENGTH = 1e5
+
+
+def state(count: int = 60) -> dict:
+    """Random states of a spring by name, the virgin one first."""
+    draw = np.random.default_rng(5)
+    u, v = draw.normal(scale=[[0.6 * U], [V]], size=(2, count))
+    found = {"u": u, "v": v, "z": draw.normal(scale=0.5 * STRENGTH, size=count)}
+    found |= {"energy": draw.exponential(E, count), "travel": draw.exponential(E / F, count)}
+    found |= {"largest_elongation": np.abs(u) * draw.uniform(1, 3, count), "bristle": draw.uniform(-1, 1, count)}
+    return {name: np.concatenate([[0.0], values[1:]]) for name, values in found.items()}
+
+
+def point(at: dict) -> SpringPoint:
+    count = at["u"].size
+    scales = Scales(*(np.full(count, scale) for scale in SCALES))
+    return SpringPoint(at["u"], at["v"], at["z"], at, scales, np.full(count, STRENGTH))
+
+
+def drawn(name: str, label: str, quantile: float) -> dict[str, float]:
+    """The free parameters of a form at a quantile of their priors."""
+    known = forms_of(EFFECTS[name])[label].parameters(EFFECTS[name]).values()
+    return {p.name: float(Prior(*next(iter(p.prior.items()))).quantile(quantile)) for p in known}
+
+
+# --- each form against its equation ------------------------------------------------------------------------------
+
+
+def degradation(slot, turned=lambda factor: factor):
+    """The factor that grows with a driver, in a slot."""
+    shapes = {
+        "linear": lambda p, x: 1 + p.delta * x,
+        "exponential": lambda p, x: np.exp(p.delta * x),
+        "saturating": lambda p, x: 1 + (1 - np.exp(-p.saturation * p.delta * x)) / p.saturation,
+        "power": lambda p, x: 1 + p.delta * x**p.power,
+        "threshold": lambda p, x: 1 + p.delta * np.maximum(x - p.onset, 0),
+        "free": lambda p, x: (
+            1 + (1 - np.exp(-p.saturation * p.delta * np.maximum(x - p.onset, 0) ** p.power)) / p.saturation
+        ),
+    }
+    return {name: (slot, lambda p, x, s, shape=shape: turned(shape(p, x))) for name, shape in shapes.items()}
+
+
+def to_sides(form, moved, slot="force"):
+    """A force to both sides, and to one of them, by the sign of what moves."""
+    return {
+        side: (slot, lambda p, x, s, has=has: np.where(has(moved(s)), form(p, x, s), 0))
+        for side, has in {"": lambda m: m == m, "positive": lambda m: m > 0, "negative": lambda m: m < 0}.items()
+    }
+
+
+def beyond(p, s):
+    return np.maximum(np.abs(s.u) / U - p.clearance, 0)
+
+
+def stop(p, x, s):
+    return p.delta * F * beyond(p, s) * np.sign(s.u)
+
+
+def severity(p, x):
+    return p.zeta * (1 - np.exp(-p.p * x))
+
+
+def foliente(p, x, s):
+    spread = (p.psi + p.spread * x) * (p.ratio + severity(p, x))
+    return 1 - severity(p, x) * np.exp(-((s.z * np.sign(s.v) - p.q * STRENGTH) ** 2) / (spread * STRENGTH) ** 2)
+
+
+def lost(width):
+    # The life is given in u_c; any driver is compared with a path of that length.
+    return lambda p, x, s: -p.delta * s.z / (1 + np.exp(-(x - (c := p.life * F * U / E)) / (width(p) * c)))
+
+
+spring, dashpot, drag = (
+    to_sides(lambda p, x, s: p.delta * F / U * s.u, lambda s: s.u),
+    to_sides(lambda p, x, s: p.delta * F * s.v / V, lambda s: s.v),
+    to_sides(lambda p, x, s: p.delta * F * np.abs(s.v) * s.v / V**2, lambda s: s.v),
+)
+EQUATIONS = {
+    "gap": {
+        "fixed": ("slack", lambda p, x, s: p.delta * U + 0 * s.u),
+        "widening": ("slack", lambda p, x, s: p.delta * s.largest_elongation),
+    },
+    "stiffness_degradation": degradation("eta"),
+    "strength_degradation": degradation("nu"),
+    "peak_softening": degradation("a", lambda factor: 1 / factor),
+    "viscous_damping": {
+        "linear": dashpot[""],
+        "of elongation": ("force", lambda p, x, s: p.delta * F * np.abs(s.u) / U * s.v / V),
+        "opening only": dashpot["positive"],
+        "closing only": dashpot["negative"],
+    },
+    "quadratic_damping": {
+        "quadratic": drag[""],
+        "power": ("force", lambda p, x, s: p.delta * F * np.abs(s.v / V) ** p.power * np.sign(s.v)),
+        "opening only": drag["positive"],
+        "closing only": drag["negative"],
+    },
+    "coulomb_friction": {
+        "sharp": ("force", lambda p, x, s: p.delta * F * np.tanh(s.v / (0.02 * V))),
+        "regularised": ("force", lambda p, x, s: p.delta * F * np.tanh(s.v / (p.sticking * V))),
+        "bristle": ("force", lambda p, x, s: p.delta * F * s.bristle),
+    },
+    "stribeck_friction": {
+        name: (
+            "force",
+            lambda p, x, s, r=r: (
+                p.delta
+                * F
+                * (p.remaining + (1 - p.remaining) * np.exp(-np.abs(s.v) / (r(p) * V)))
+                * np.tanh(s.v / (0.02 * V))
+            ),
+        )
+        for name, r in {"exponential": lambda p: 0.2, "of any speed": lambda p: p.falling}.items()
+    },
+    "hardening": {"linear": spring[""], "tension only": spring["positive"], "compression only": spring["negative"]},
+    "cubic_stiffness": {
+        "cubic": ("force", lambda p, x, s: p.delta * F * (s.u / U) ** 3),
+        "power": ("force", lambda p, x, s: p.delta * F * np.abs(s.u / U) ** p.power * np.sign(s.u)),
+    },
+    "quadratic_stiffness": {
+        "quadratic": ("force", lambda p, x, s: p.delta * F * (s.u / U) ** 2),
+        "power": ("force", lambda p, x, s: p.delta * F * np.abs(s.u / U) ** p.power),
+    },
+    "contact_stiffening": {
+        "linear": ("force", stop),
+        "hertz": ("force", lambda p, x, s: p.delta * F * beyond(p, s) ** 1.5 * np.sign(s.u)),
+        "power": ("force", lambda p, x, s: p.delta * F * beyond(p, s) ** p.power * np.sign(s.u)),
+        "tension only": ("force", lambda p, x, s: np.where(s.u > 0, stop(p, x, s), 0)),
+        "compression only": ("force", lambda p, x, s: np.where(s.u < 0, stop(p, x, s), 0)),
+    },
+    "slip": {
+        "gaussian": (
+            "compliance",
+            lambda p, x, s: (
+                np.sqrt(2 / np.pi) * (p.delta * x * U / (w := p.width * STRENGTH)) * np.exp(-(s.z**2) / (2 * w**2))
+            ),
+        ),
+        "window": (
+            "compliance",
+            lambda p, x, s: p.delta * x * U / (1.8554381 * (w := p.width * STRENGTH)) * np.exp(-((s.z / w) ** 6)),
+        ),
+    },
+    "fracture": {"sudden": ("force", lost(lambda p: 0.02)), "gradual": ("force", lost(lambda p: p.width))},
+    "asymmetry": {
+        "strength": ("nu", lambda p, x, s: 1 + p.delta * np.sign(s.z)),
+        "loading": ("gamma", lambda p, x, s: p.delta * (np.sign(s.z) + np.sign(s.v)) / 2),
+        "stiffness": ("eta", lambda p, x, s: 1 / (1 - p.delta * np.sign(s.z))),
+        "stiffness and strength": ("a", lambda p, x, s: 1 - p.delta * np.sign(s.z)),
+    },
+    "isotropic_hardening": {
+        "saturating": ("nu", lambda p, x, s: 1 / (1 + p.delta * (1 - np.exp(-x / p.width)))),
+        "linear": ("nu", lambda p, x, s: 1 / (1 + p.delta * x)),
+        "power": ("nu", lambda p, x, s: 1 / (1 + p.delta * x**p.power)),
+        "free": ("nu", lambda p, x, s: 1 / (1 + p.delta * (1 - np.exp(-(x**p.power) / p.width)))),
+    },
+    "rate_dependence": {
+        "logarithmic": ("a", lambda p, x, s: 1 + p.delta * np.log(1 + np.abs(s.v) / V)),
+        "power": ("a", lambda p, x, s: 1 + p.delta * (np.abs(s.v) / V) ** p.power),
+        "strength": ("nu", lambda p, x, s: 1 / (1 + p.delta * np.log(1 + np.abs(s.v) / V))),
+    },
+    "pinching": {
+        "foliente": ("h", foliente),
+        "gaussian": ("h", lambda p, x, s: 1 - severity(p, x) * np.exp(-((s.z / (p.psi * STRENGTH)) ** 2))),
+        "window": ("h", lambda p, x, s: 1 - severity(p, x) * np.exp(-((s.z / (p.psi * STRENGTH)) ** 6))),
+        "elongation": (
+            "h",
+            lambda p, x, s: 1 - severity(p, x) * np.exp(-((s.u / (p.psi * (s.largest_elongation + 1e-3 * U))) ** 2)),
+        ),
+    },
+}
+DRIVEN = {
+    "energy": lambda s: s.energy / E,
+    "path": lambda s: s.travel * F / E,
+    "largest_elongation": lambda s: s.largest_elongation / U,
+}
+
+
+def test_every_form_has_its_equation_here():
+    assert {name: list(forms) for name, forms in EQUATIONS.items()} == {
+        name: [shape.name for shape in EFFECTS[name].forms] for name in SEVERAL
+    }
+
+
+@pytest.mark.parametrize(("name", "label"), FORMS)
+def test_a_form_is_its_equation(name, label):
+    effect, at = EFFECTS[name], state()
+    form = forms_of(effect)[label]
+    s = SimpleNamespace(**at)
+    x = DRIVEN[form.driver or effect.drivers[0]](s) if effect.drivers else None
+    for quantile in (0.3, 0.8):
+        values = drawn(name, label, quantile)
+        found = jax.vmap(effect(**form.held, **values).contribute)(point(at))
+        slot, equation = EQUATIONS[name][form.name]
+        expected = equation(SimpleNamespace(**values), x, s)
+        assert list(found) == [slot]
+        # A small power is linear next to zero: (1e-9)^p, where the virgin state has none.
+        np.testing.assert_allclose(found[slot], expected, rtol=2e-7 if name == "slip" else 1e-11, atol=1e-12 * F)
+        assert np.ptp(expected) > 1e-3 * np.abs(expected).max() or form.name == "fixed"
+
+
+def test_a_bristle_bends_with_its_stiffness_and_slides_at_one():
+    values = drawn("coulomb_friction", "bristle", 0.5)
+    effect, at = EFFECTS["coulomb_friction"](of_bristle=1.0, **values), state()
+    found = jax.vmap(effect.flow)(point(at))["bristle"]
+    expected = (at["v"] - np.abs(at["v"]) * at["bristle"]) / (values["bristle"] * U)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("label", forms_of(EFFECTS["slip"]))
+def test_the_length_of_slip_is_what_its_name_says(label):
+    # The compliance over all forces is the length that is slipped through from one sign of the force to the other.
+    effect, force = EFFECTS["slip"], np.linspace(-STRENGTH, STRENGTH, 4001)
+    form = forms_of(effect)[label]
+    at = {name: np.full(force.size, values[3]) for name, values in state().items()} | {"z": force}
+    compliance = jax.vmap(effect(delta=0.4, width=0.1, **form.held).contribute)(point(at))["compliance"]
+    driver = at["energy"][0] / E * U if form.driver else at["largest_elongation"][0]
+    assert np.trapezoid(compliance, force) == pytest.approx(
+        2 * 0.4 * driver if form.name == "gaussian" else 0.4 * driver
+    )
+
+
+# --- one program for all of them ---------------------------------------------------------------------------------
+
+
+@cache
+def program(name: str):
+    """Contributions and rates of an effect with all of its parameters as inputs, and their derivatives: compiled once."""
+
+    def of(values, at):
+        made = EFFECTS[name](**values)
+        return jax.vmap(lambda one: (made.contribute(one), made.flow(one)))(at)
+
+    return jax.jit(lambda values, at: (of(values, at), jax.jacfwd(of)(values, at)))
+
+
+@pytest.mark.parametrize(("name", "label"), FORMS)
+def test_one_program_with_held_numbers_as_inputs_serves_every_form(name, label):
+    effect, form = EFFECTS[name], forms_of(EFFECTS[name])[label]
+    at = state()
+    # A little elastic energy given back at the start.
+    at["energy"][1] = -1e-3 * E
+    values = drawn(name, label, 0.6)
+
+    def folded(values):
+        made = effect(**form.held, **values)
+        return jax.vmap(lambda one: (made.contribute(one), made.flow(one)))(point(at))
+
+    known = parameters_of(effect)
+    every = {key: jnp.asarray(float((values | dict(form.held)).get(key, p.neutral))) for key, p in known.items()}
+    traced, traced_slopes = program(name)(every, point(at))
+    numbers = jax.tree.map(jnp.asarray, values)
+    for found, expected in ((traced, folded(values)), (traced_slopes, jax.jacfwd(folded)(numbers))):
+        for of_found, of_expected in zip(found, expected, strict=True):
+            for slot, value in of_found.items():
+                # A state that a form has not is looked at by nobody in it.
+                if slot == "bristle" and form.name != "bristle":
+                    continue
+                # What a form leaves alone, the one expression leaves alone, too.
+                idle = 1.0 if slot in ("a", "nu", "eta", "h") else 0.0
+                if found is traced:
+                    shown, wanted = {slot: value}, {slot: of_expected.get(slot, np.full_like(value, idle))}
+                else:
+                    shown = {key: value[key] for key in values}
+                    wanted = of_expected.get(slot, {key: np.zeros_like(value[key]) for key in values})
+                for key, numbers_found in shown.items():
+                    size = max(np.abs(wanted[key]).max(), 1e-300)
+                    np.testing.assert_allclose(numbers_found, wanted[key], rtol=1e-10, atol=1e-10 * size)
+
+
+def test_a_power_of_one_is_the_number_itself_traced_or_not():
+    values, large = jnp.asarray([-0.3, 0.0, 1e-12, 0.2, 7.0]), jnp.asarray([0.2, 7.0])
+    power = jax.vmap(raised, (0, None))
+    np.testing.assert_array_equal(jax.jit(power)(values, jnp.asarray(1.0)), values)
+    np.testing.assert_allclose(power(large, 2.5), large**2.5, rtol=1e-14)
+    np.testing.assert_allclose(jax.jacfwd(power, 1)(large, 2.5), large**2.5 * jnp.log(large), rtol=1e-13)
+    assert np.isfinite(jax.vmap(jax.jacfwd(raised))(values, jnp.full(5, 0.3))).all()
+
+
+# --- as text -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_the_entry_of_an_effect_shows_its_forms_without_latex(name):
+    text, effect = entry(name, EFFECTS), EFFECTS[name]
+    assert not set("\\{}$") & set(re.sub(r"prior .*", "", text))
+    lines = text.splitlines()
+    for form in effect.forms:
+        width = max(len(other.name) for other in effect.forms)
+        (line,) = [line for line in lines if line.startswith(f"  {form.name:{width}}  ")]
+        assert in_text(form.equation) in line
+        more = lines[lines.index(line) + 1] if lines.index(line) + 1 < len(lines) else ""
+        assert all(word in more for word in (*form.free, form.reference))
+    for key in effect.drivers:
+        assert f"  {key}: {DRIVERS[key].words}" in text
+    shown = {line.split()[0] for line in lines if line.startswith("  ") and " prior " in line}
+    freed = {key for form in effect.forms for key in form.free}
+    assert shown == {key for key, known in parameters_of(effect).items() if not known.shapes} | freed
+
+
+@pytest.mark.parametrize(
+    ("latex", "text"),
+    [
+        (r"e^{\delta x}", "e^(δx)"),
+        (r"1/\nu = 1 + \delta(1 - e^{-x^p/w})", "1/ν = 1 + δ(1 - e^(-x^p/w))"),
+        (r"so: $\dot q = \frac{F_c}{u_c}\Delta\dot u - q/\tau$.", "so: q\u0307 = (F_c/u_c) Δu\u0307 - q/τ."),
+        (r"\delta F_c|\Delta u/u_c|^p\,\mathrm{sign}\,\Delta u", "δF_c|Δu/u_c|^p sign Δu"),
+        (r"\delta F_c\,b^{3/2} + x^2", "δF_c b^(3/2) + x²"),
+    ],
+)
+def test_a_formula_reads_as_text(latex, text):
+    assert in_text(latex) == text
+
+
+# --- in a study --------------------------------------------------------------------------------------------------
+
+A, BETA = 5e5, 8.0
+
+
+def study(effects, virtual=None, **model) -> dict:
+    return {
+        "study": "forms",
+        "excitation": {"imposed": {"amplitudes": [0.1, "a"], "cycles": 1, "rate": 0.4}},
+        "inputs": {"a": {"uniform": [0.1, 0.2], "unit": "m"}},
+        "model": {
+            "parameters": {"A": {"uniform": [1e5, 1e6]}, "beta": BETA, "gamma": 0.0},
+            "effects": effects,
+            **model,
+        },
+        "scales": SCALES._asdict(),
+        "experiments": {"virtual": {"parameters": {"A": A, "beta": BETA}, "effects": virtual or {}}},
+        "observe": "histories",
+        "steps": ["design", "calibrate"],
+    }
+
+
+STEP, STEPS, PERIOD, AMPLITUDE = 1 / 400, 1200, 1.5, 0.3
+
+
+def respond(effects) -> np.ndarray:
+    """Force along two cycles of a sine, from a study with these effects."""
+    built = Built(load_study(study(effects)))
+    t, omega = np.arange(2 * STEPS + 1) * STEP / 2, 2 * np.pi / PERIOD
+    path = Imposed(jnp.asarray(AMPLITUDE * np.sin(omega * t)), jnp.asarray(AMPLITUDE * omega * np.cos(omega * t)))
+    conditions = Conditions({}, Recorded(Tabulated(path), jnp.full(STEPS, STEP)))
+    simulator = replace(built.simulator, timeline=Timeline(STEP, STEPS))
+    response = simulator.respond({"A": A}, conditions, ("force",))
+    assert response.ok
+    return np.asarray(response.channels["force"])
+
+
+def by_scipy(eta=None, nu=None, force=None, bristle=1.0) -> np.ndarray:
+    """The same by DOP853 from turn to turn; eta, nu of energy, path and force of the bristle."""
+    omega = 2 * np.pi / PERIOD
+    t = np.arange(STEPS + 1) * STEP
+    nothing = lambda e, s: 1.0  # noqa: E731
+    eta, nu = eta or nothing, nu or nothing
+
+    def flow(time, y):
+        z, e, s, q = y
+        v = AMPLITUDE * omega * np.cos(omega * time)
+        total = z + (force(q) if force else 0.0)
+        slope = (A * v - nu(e, s) * BETA * abs(v) * z) / eta(e, s)
+        return [slope, total * v, abs(v), (v - abs(v) * q) / bristle]
+
+    turns = [0.0, *(PERIOD * np.arange(0.25, 2, 0.5)), t[-1]]
+    y, found = np.zeros(4), np.zeros(t.size)
+    for start, end in pairwise(turns):
+        path = solve_ivp(flow, (start, end), y, "DOP853", rtol=1e-11, atol=1e-9, dense_output=True)
+        within = (t >= start) & (t <= end)
+        z, _, _, q = path.sol(t[within])
+        found[within] = z + (force(q) if force else 0.0)
+        y = path.y[:, -1]
+    return found
+
+
+CASES = {
+    "exponential with the path": (
+        {"stiffness_degradation": {"form": "exponential", "driver": "path", "delta": 0.1}},
+        {"eta": lambda e, s: np.exp(0.1 * s * F / E)},
+    ),
+    "saturating with energy": (
+        {"strength_degradation": {"form": "saturating", "delta": 0.6, "saturation": 0.5}},
+        {"nu": lambda e, s: 1 + (1 - np.exp(-0.3 * e / E)) / 0.5},
+    ),
+    "a power of the path": (
+        {"isotropic_hardening": {"form": "power", "driver": "path", "delta": 0.3, "power": 0.7}},
+        {"nu": lambda e, s: 1 / (1 + 0.3 * (s * F / E) ** 0.7)},
+    ),
+    "a bristle": (
+        {"coulomb_friction": {"form": "bristle", "delta": 0.2, "bristle": 0.1}},
+        {"force": lambda q: 0.2 * F * q, "bristle": 0.1 * U},
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_study_with_a_form_simulates_its_equation(case):
+    effects, equation = CASES[case]
+    found, expected, plain = respond(effects), by_scipy(**equation), by_scipy()
+    size = np.abs(expected).max()
+    assert np.abs(found - expected).max() < 1e-4 * size
+    assert np.abs(plain - expected).max() > 0.03 * size
+
+
+def test_the_default_form_by_its_name_gives_the_same_numbers_to_the_last_bit():
+    said = {"form": "linear", "driver": "energy", "delta": 0.4}
+    plain = respond({"stiffness_degradation": {"delta": 0.4}})
+    np.testing.assert_array_equal(respond({"stiffness_degradation": said}), plain)
+    assert np.abs(plain - respond({"stiffness_degradation": {**said, "form": "exponential"}})).max() > 1e2
+
+
+def test_the_default_form_by_its_name_is_the_same_model_for_every_effect():
+    for name in SEVERAL:
+        effect = EFFECTS[name]
+        said = {"form": effect.forms[0].name} | ({"driver": effect.drivers[0]} if effect.drivers else {})
+        plain, named = (Built(load_study(study({name: entry}))).parameters for entry in ({}, said))
+        assert plain[1] == named[1]
+        assert {key: str(prior) for key, prior in plain[0].items()} == {
+            key: str(prior) for key, prior in named[0].items()
+        }
+
+
+@pytest.mark.parametrize("name", SEVERAL)
+def test_what_a_form_holds_is_fixed_and_what_it_frees_has_its_prior(name):
+    effect = EFFECTS[name]
+    for form in forms_of(effect).values():
+        said = {"form": form.name} | ({"driver": form.driver} if form.driver else {})
+        free, fixed = Built(load_study(study({name: said}))).parameters
+        assert {key for key in free if key != "A"} == {f"{name}.{key}" for key in form.parameters(effect)}
+        assert {k: v for k, v in fixed.items() if k.startswith(name)} == {
+            f"{name}.{k}": v for k, v in form.held.items()
+        }
+
+
+def test_a_virtual_specimen_has_the_form_that_it_is_given():
+    entry = {"form": "exponential", "driver": "path", "delta": 0.1}
+    built = Built(load_study(study({}, {"stiffness_degradation": entry})))
+    assert {k: v for k, v in built.naming.true_parameters(built.study).items() if "." in k} == {
+        "stiffness_degradation.delta": 0.1,
+        "stiffness_degradation.growth": 1.0,
+        "stiffness_degradation.driver_1": 1.0,
+    }
+
+
+MISTAKES = {
+    "unknown form": (
+        {"stiffness_degradation": {"form": "cubic"}},
+        (
+            "model.effects.stiffness_degradation.form",
+            "'cubic'",
+            "linear, exponential, saturating, power, threshold, free",
+        ),
+    ),
+    "unknown driver": (
+        {"stiffness_degradation": {"driver": "time"}},
+        ("model.effects.stiffness_degradation.driver", "'time'", "energy, path, largest_elongation"),
+    ),
+    "no word": (
+        {"stiffness_degradation": {"form": 3}},
+        ("model.effects.stiffness_degradation", "form", "must be a word"),
+    ),
+    "a form of an effect without forms": (
+        {"relaxation": {"form": "linear"}},
+        ("model.effects.relaxation.form", "'linear'", "no choice of a form"),
+    ),
+    "a driver of an effect without drivers": (
+        {"hardening": {"driver": "path"}},
+        ("model.effects.hardening.driver", "'path'", "no choice of a driver"),
+    ),
+    "a parameter of another form": (
+        {"stiffness_degradation": {"form": "exponential", "power": 2.0}},
+        ("model.effects.stiffness_degradation", "power", "delta"),
+    ),
+    "what a form holds": (
+        {"pinching": {"form": "gaussian", "q": 0.1}},
+        ("model.effects.pinching", "q", "zeta, p, psi"),
+    ),
+    "per joule, with another driver": (
+        {"stiffness_degradation": {"driver": "path", "eta": 1e-5}},
+        ("model.effects.stiffness_degradation", "eta", "delta"),
+    ),
+    "a unit that the shape changes": (
+        {"cubic_stiffness": {"form": "power", "k3": 1e5}},
+        ("model.effects.cubic_stiffness", "k3", "delta, power"),
+    ),
+}
+
+
+@pytest.mark.parametrize("where", ["model", "virtual"])
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_in_a_form_is_one_sentence_with_key_and_what_is_allowed(mistake, where):
+    effects, words = MISTAKES[mistake]
+    content = study(effects) if where == "model" else study({}, effects)
+    with pytest.raises(UserError) as error:
+        built = Built(load_study(content))
+        assert built.parameters and built.naming.true_parameters(built.study)
+    (line,) = str(error.value).splitlines()
+    for word in words:
+        assert (
+            word.replace("model.effects", "experiments.virtual.effects" if where == "virtual" else "model.effects")
+            in line
+        )
+
+
+def test_a_law_without_the_place_of_a_form_says_so():
+    parameters = {"k": {"uniform": [1e5, 1e6]}, "F_y": 6e4}
+    content = study({"asymmetry": {"form": "loading"}}, spring="bilinear", parameters=parameters)
+    with pytest.raises(
+        UserError, match=r"model\.effects\.asymmetry: it writes to the slot gamma, which the law bilinear"
+    ):
+        _ = Built(load_study(content)).parameters
