@@ -76,8 +76,8 @@ axes = hx.plot.where(fit)
 #
 # ## What does it lack?
 #
-# Every effect of the catalogue is fitted to the training experiments, in the forms that textbooks have of it; the evidence, summed
-# over the forms, ranks them.
+# Every effect of the catalogue is fitted to the training experiments, in the forms that textbooks have of it; the evidence,
+# summed over the forms, ranks them.
 
 # %%
 diagnosis = hx.diagnose(fit)
@@ -87,11 +87,11 @@ diagnosis
 ax = hx.plot.ranking(diagnosis)
 
 # %% [markdown]
-# What is named is in bold. Pinching imitates it almost within the noise; the evidence prefers the one that needs a single parameter.
-# (Where nothing is named, the lesson ends here.)
+# What is named is in bold. Pinching imitates it almost within the noise; the evidence prefers the one that needs a single
+# parameter. (Where nothing is named, the lesson ends here.)
 #
-# In brackets stands the form. Of what makes stiffness fall, absorbed energy, path or largest elongation, and of how it falls, these
-# experiments tell as much:
+# In brackets stands the form. Of what makes stiffness fall, absorbed energy, path or largest elongation, and of how it falls,
+# these experiments tell as much:
 
 # %%
 diagnosis.ranking[0].forms
