@@ -125,7 +125,7 @@ def problem_of(
     neutral = _neutral(free, catalogue)
     own = {name: _forms(large, name, order, (forms or {}).get(name)) for name in names}
     groups = _groups(catalogue)
-    columns = {name: np.asarray([k for k, known in enumerate(order) if owner_of(known) == name]) for name in names}
+    columns = {n: np.asarray([k for k, one in enumerate(order) if owner_of(one) == n], dtype=int) for n in names}
     parts = [Part(name, groups[name], k, neutral[k]) for name, k in columns.items()]
     lanes = Lanes(large.simulator, large.observation, order, conditions, parts)
     models = NestedModels(lanes, Box(free), neutral, watch)
