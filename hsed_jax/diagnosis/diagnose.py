@@ -11,11 +11,12 @@ from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.diagnosis.evidence import Sampled, gaussian, importance
 from hsed_jax.diagnosis.findings import Candidate, Diagnosis
 from hsed_jax.diagnosis.fits import Model, Set
+from hsed_jax.diagnosis.held_out import Gain
 from hsed_jax.diagnosis.nested import Descent
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.diagnosis.rivals import difference, joined, look_alikes_of, next_experiment, rivals_of, separation
 from hsed_jax.diagnosis.scores import score_p_value
-from hsed_jax.diagnosis.search import Gain, Search
+from hsed_jax.diagnosis.search import Search
 from hsed_jax.inference.correlation import SIGNIFICANT
 
 # Models with at least this probability have their evidence confirmed by sampling.

@@ -1,10 +1,11 @@
 """Errors on what was not fitted: experiments left out in turn, and of a single one what comes later."""
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from hsed_jax.diagnosis.nested import Descent, NestedModels, Target, Task
 
@@ -17,6 +18,34 @@ class Folds(NamedTuple):
 
     fitted: Bool[np.ndarray, "F n J"]
     left_out: Bool[np.ndarray, "F n J"]
+
+
+class Gain(NamedTuple):
+    """Squared normalised errors that a model takes away from predictions of what was not fitted.
+
+    Attributes:
+        parts: of every part that was left out, (F,); minus infinity where a simulation fails.
+    """
+
+    parts: Float[np.ndarray, " F"]
+
+    @property
+    def mean(self) -> float:
+        """Over the parts."""
+        return float(np.mean(self.parts)) if np.isfinite(self.parts).all() else -math.inf
+
+    @property
+    def standard_error(self) -> float:
+        """Of the mean."""
+        return _standard_error(self.parts)
+
+    def is_as_good_as(self, lead: "Gain") -> bool:
+        """Whether it is no more than one standard error of the difference behind."""
+        return math.isfinite(self.mean) and lead.mean - self.mean <= _standard_error(lead.parts - self.parts)
+
+
+def _standard_error(parts: np.ndarray) -> float:
+    return float(np.std(parts, ddof=1) / math.sqrt(len(parts))) if len(parts) > 1 else 0.0
 
 
 def folds_of(used: Bool[np.ndarray, "n J"], groups: np.ndarray) -> Folds:

@@ -71,6 +71,7 @@ class Lanes:
         self._model, self._observation, self._names, self._conditions = model, observation, names, conditions
         self._parts, self._groups = parts, tuple(dict.fromkeys(part.group for part in parts))
         self._asked: Counter[tuple[int, ...]] = Counter()
+        self._programs: dict[tuple[int, ...], tuple[Outputs, np.ndarray]] = {}
         self._threads = ThreadPoolExecutor(cores())
 
     def __call__(
@@ -78,14 +79,13 @@ class Lanes:
     ) -> tuple[Float[np.ndarray, "L J"], Float[np.ndarray, " L"]]:
         """Outputs (L, J) and whether each lane converged (L,); outputs of a lane that diverged are zero."""
         chunks = [
-            (groups, lanes[start : start + _CHUNK])
+            (*self._program(groups), lanes[start : start + _CHUNK])
             for groups, lanes in self._by_groups(thetas).items()
             for start in range(0, len(lanes), _CHUNK)
         ]
 
-        def run(chunk: tuple[tuple[int, ...], np.ndarray]):
-            groups, lanes = chunk
-            outputs, columns = self._program(groups)
+        def run(chunk: tuple[Outputs, np.ndarray, np.ndarray]):
+            outputs, columns, lanes = chunk
             padding = ((0, _CHUNK - len(lanes)),)
             found, ok = _outputs(
                 outputs,
@@ -97,7 +97,7 @@ class Lanes:
             return np.asarray(found)[: len(lanes)], np.asarray(ok)[: len(lanes)]
 
         done = list(self._threads.map(run, chunks))
-        order = np.argsort(np.concatenate([lanes for _, lanes in chunks]))
+        order = np.argsort(np.concatenate([lanes for *_, lanes in chunks]))
         return np.concatenate([d[0] for d in done])[order], np.concatenate([d[1] for d in done])[order]
 
     def _by_groups(self, thetas: Float[np.ndarray, "L P"]) -> dict[tuple[int, ...], Int[np.ndarray, " l"]]:
@@ -116,14 +116,18 @@ class Lanes:
         return {groups: np.concatenate(lanes) for groups, lanes in found.items()}
 
     def _program(self, groups: tuple[int, ...]) -> tuple[Outputs, Int[np.ndarray, " p"]]:
-        """The model with effects of these groups only, and the columns of its parameters."""
+        """The model with effects of these groups only, and the columns of its parameters; made once."""
+        if groups in self._programs:
+            return self._programs[groups]
         left_out = {part.effect for part in self._parts if part.group not in groups}
         columns = [k for k, name in enumerate(self._names) if owner_of(name) not in left_out]
         model = self._model
         if left_out:
             assert isinstance(model, Simulator)
             model = replace(model, effects=model.effects.only(e for e in model.effects if e not in left_out))
-        return Outputs(model, self._observation, tuple(self._names[k] for k in columns)), np.asarray(columns)
+        outputs = Outputs(model, self._observation, tuple(self._names[k] for k in columns))
+        self._programs[groups] = outputs, np.asarray(columns)
+        return self._programs[groups]
 
 
 @eqx.filter_jit

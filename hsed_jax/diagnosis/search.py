@@ -12,14 +12,13 @@ residual, whichever is larger, and samples of a correlated residual count for wh
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import logsumexp
 
 from hsed_jax.diagnosis.fits import Fits, Model, Set
-from hsed_jax.diagnosis.held_out import folds_of, left_out_predictions
+from hsed_jax.diagnosis.held_out import Gain, folds_of, left_out_predictions
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import Descent, NestedModels, Target, Task
 from hsed_jax.diagnosis.problem import FormColumns, Forms
@@ -44,34 +43,6 @@ _TRIED = 5
 _PROMISING = 2
 # All forms are fitted of so many sets, if they are no more nats below the most probable one than this.
 _DEEP, _NEAR = 4, 10.0
-
-
-class Gain(NamedTuple):
-    """Squared normalised errors that a model takes away from predictions of what was not fitted.
-
-    Attributes:
-        parts: of every part that was left out, (F,); minus infinity where a simulation fails.
-    """
-
-    parts: Float[np.ndarray, " F"]
-
-    @property
-    def mean(self) -> float:
-        """Over the parts."""
-        return float(np.mean(self.parts)) if np.isfinite(self.parts).all() else -math.inf
-
-    @property
-    def standard_error(self) -> float:
-        """Of the mean."""
-        return _standard_error(self.parts)
-
-    def is_as_good_as(self, lead: "Gain") -> bool:
-        """Whether it is no more than one standard error of the difference behind."""
-        return math.isfinite(self.mean) and lead.mean - self.mean <= _standard_error(lead.parts - self.parts)
-
-
-def _standard_error(parts: np.ndarray) -> float:
-    return float(np.std(parts, ddof=1) / math.sqrt(len(parts))) if len(parts) > 1 else 0.0
 
 
 class Search:
@@ -164,10 +135,7 @@ class Search:
 
         Infinite where a simulation fails: what cannot be predicted is no improvement.
         """
-        fits = [self._fits.best(effects) for effects in chosen]
-        predictions = left_out_predictions(self.models, self.target, self._folds, fits)
-        scored = self._folds.left_out.any(axis=0)
-        return [math.inf if p is None else self.measured.error(p, scored) for p in predictions]
+        return [self._error(p) for p in self._left_out(chosen)]
 
     def unseen(self, chosen: Sequence[Set]) -> list[float]:
         """Error on the experiments that nothing is fitted to, for several sets; without any, on those left out in turn."""
@@ -183,12 +151,20 @@ class Search:
 
     def gains(self, chosen: Sequence[Set], over: Set) -> list[Gain]:
         """By how much sets predict what was left out better than another set: in every part of it, each from the others."""
-        fits = [self._fits.best(effects) for effects in (over, *chosen)]
-        before, *after = left_out_predictions(self.models, self.target, self._folds, fits)
+        before, *after = (self._squares(p) for p in self._left_out([over, *chosen]))
+        return [Gain(before - squares) for squares in after]
+
+    def _left_out(self, chosen: Sequence[Set]) -> list[np.ndarray | None]:
+        """What sets predict of every part that is left out, each from the others; None where a simulation fails."""
+        fits = [self._fits.best(effects) for effects in chosen]
+        return left_out_predictions(self.models, self.target, self._folds, fits)
+
+    def _error(self, predicted: np.ndarray | None) -> float:
+        return math.inf if predicted is None else self.measured.error(predicted, self._folds.left_out.any(axis=0))
+
+    def _squares(self, predicted: np.ndarray | None) -> np.ndarray:
         parts = self._folds.left_out[1:]
-        missed = np.full(len(parts), np.inf)
-        now = missed if before is None else self.measured.squares(before, parts)
-        return [Gain(now - (missed if p is None else self.measured.squares(p, parts))) for p in after]
+        return np.full(len(parts), np.inf) if predicted is None else self.measured.squares(predicted, parts)
 
     def harms(self, larger: Set, here: Set = frozenset()) -> bool:
         """Whether a set predicts the experiments that nothing is fitted to worse than another one, or not at all."""
@@ -214,14 +190,15 @@ class Search:
         if self.harms(larger.effects, self.best):
             now, then = self.unseen([self.best, larger.effects])
             return f"it takes the error on experiments that were not used from {now:.3f} to {then:.3g}"
-        before, now, then = self.held_out([frozenset(), self.best, larger.effects])
+        predictions = self._left_out([frozenset(), self.best, larger.effects])
+        before, now, then = map(self._error, predictions)
         # By a share of what is wrong with the prediction, or by the last of it, so that the noise is all that is left.
         is_last = self._is_explained(larger.fit)
         share = 0.0 if is_last else _MATERIAL
         floor = self.measured.noise**2
         if not then < now or now**2 - then**2 < share * (before**2 - floor):
             return f"with training experiments left out in turn the error goes from {now:.3f} to {then:.3g} only"
-        (gain,) = self.gains([larger.effects], self.best)
+        gain = Gain(self._squares(predictions[1]) - self._squares(predictions[2]))
         if not is_last and not gain.mean > gain.standard_error:
             return (
                 "of training experiments left out in turn it takes away a squared error of "

@@ -73,6 +73,11 @@ def shape_parameter(symbol: str, meaning: str, **details: Any) -> Any:
     return parameter(symbol, "1", meaning, shapes=True, **details)
 
 
+def share_parameter(symbol: str, meaning: str, neutral: float = 0.0) -> Any:
+    """A shape parameter from none to all of something; forms hold it at zero or one."""
+    return shape_parameter(symbol, meaning, neutral=neutral, lower=0.0, upper=1.0, prior={"uniform": [0.0, 1.0]})
+
+
 def dimensionless(module: Any, name: str, value: Any, scales: Scales) -> dict[str, Any]:
     """A parameter of an effect under its dimensionless name, from either of its forms.
 

@@ -4,7 +4,7 @@ from typing import ClassVar, Literal, final
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
 from hsed_jax.physics.effects.forms import Form
-from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
+from hsed_jax.physics.parameters import PhysicalForm, parameter, share_parameter
 from hsed_jax.physics.scales import is_zero
 from hsed_jax.physics.states import LARGEST_ELONGATION, SharedState
 
@@ -38,10 +38,7 @@ class Gap(AbstractSpringEffect):
         prior={"half_normal": 0.2},
         physical=PhysicalForm("width", "m", lambda scales: scales.elongation),
     )
-    of_largest: Scalar = shape_parameter(
-        "w", "whether it widens with the largest elongation", neutral=0.0, lower=0.0, upper=1.0,
-        prior={"uniform": [0.0, 1.0]},
-    )  # fmt: skip
+    of_largest: Scalar = share_parameter("w", "whether it widens with the largest elongation")
 
     @property
     def needs(self) -> tuple[SharedState, ...]:

@@ -1,6 +1,5 @@
 """Degradation with what a specimen has gone through: the loop loses stiffness, or strength, or both."""
 
-from abc import abstractmethod
 from typing import ClassVar, final
 
 import jax.numpy as jnp
@@ -8,7 +7,7 @@ import jax.numpy as jnp
 from hsed_jax.physics.effects.base import Scalar, SpringPoint, register
 from hsed_jax.physics.effects.driven import AbstractDrivenEffect
 from hsed_jax.physics.effects.forms import FREE, Form, raised
-from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
+from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_zero
 
 # Far beyond anything that is left of a specimen.
@@ -33,9 +32,7 @@ class AbstractDegradation(AbstractDrivenEffect):
              in_units=False),
     )  # fmt: skip
 
-    growth: Scalar = shape_parameter(
-        "g", "whether it grows exponentially", neutral=0.0, lower=0.0, upper=1.0, prior={"uniform": [0.0, 1.0]}
-    )
+    growth: Scalar = share_parameter("g", "whether it grows exponentially")
     saturation: Scalar = shape_parameter(
         "s", "inverse of what it gains at most", neutral=0.0, lower=0.0, prior={"half_normal": 1.5}
     )
@@ -45,18 +42,13 @@ class AbstractDegradation(AbstractDrivenEffect):
         "x_0", "driver at which it begins", neutral=0.0, lower=0.0, prior={"half_normal": 0.4}
     )
 
-    @property
-    @abstractmethod
-    def amplitude(self) -> Scalar:
-        """δ."""
-
-    def factor(self, point: SpringPoint) -> Scalar:
-        """The factor at one instant."""
+    def factor(self, delta: Scalar, point: SpringPoint) -> Scalar:
+        """The factor of an amplitude δ at one instant."""
         x, curvature = self.driven(point), self.growth - self.saturation
         if not is_zero(self.onset):
             # Energy can dip below zero by elastic energy given back; there the onset changes nothing.
             x = jnp.maximum(x - self.onset, 0.0) + jnp.minimum(x, 0.0)
-        y = self.amplitude * raised(x, self.power)
+        y = delta * raised(x, self.power)
         if is_zero(curvature):
             return 1 + y
         is_straight = jnp.abs(curvature) < 1e-6
@@ -86,14 +78,9 @@ class StiffnessDegradation(AbstractDegradation):
         physical=PhysicalForm("eta", "1/J", lambda scales: 1 / scales.energy),
     )
 
-    @property
-    def amplitude(self) -> Scalar:
-        """δ."""
-        return self.delta
-
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """A factor on `eta`."""
-        return {"eta": self.factor(point)}
+        return {"eta": self.factor(self.delta, point)}
 
 
 @register
@@ -118,14 +105,9 @@ class StrengthDegradation(AbstractDegradation):
         physical=PhysicalForm("nu", "1/J", lambda scales: 1 / scales.energy),
     )
 
-    @property
-    def amplitude(self) -> Scalar:
-        """δ."""
-        return self.delta
-
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """A factor on `nu`."""
-        return {"nu": self.factor(point)}
+        return {"nu": self.factor(self.delta, point)}
 
 
 @register
@@ -148,11 +130,6 @@ class PeakSoftening(AbstractDegradation):
         physical=PhysicalForm("softening", "1/m", lambda scales: 1 / scales.elongation),
     )
 
-    @property
-    def amplitude(self) -> Scalar:
-        """δ."""
-        return self.delta
-
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """A factor on `a`."""
-        return {"a": 1 / self.factor(point)}
+        return {"a": 1 / self.factor(self.delta, point)}

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
 from hsed_jax.physics.effects.forms import Form, one_side, raised, sided
-from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
+from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_zero
 
 # Friction turns over within this share of the characteristic rate: a jump would stall any integrator.
@@ -39,10 +39,7 @@ class ViscousDamping(AbstractSpringEffect):
         physical=PhysicalForm("c", "N*s/m", lambda scales: scales.force / scales.rate),
     )
     side: Scalar = one_side()
-    of_elongation: Scalar = shape_parameter(
-        "w_u", "whether it grows with the elongation", neutral=0.0, lower=0.0, upper=1.0,
-        prior={"uniform": [0.0, 1.0]},
-    )  # fmt: skip
+    of_elongation: Scalar = share_parameter("w_u", "whether it grows with the elongation")
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
@@ -155,9 +152,7 @@ class CoulombFriction(AbstractSpringEffect):
         "b", "elongation at which it slides over characteristic elongation", neutral=0.05, lower=0.005,
         prior={"lognormal": [-3.0, 0.8]},
     )  # fmt: skip
-    of_bristle: Scalar = shape_parameter(
-        "w_b", "whether it is a bristle's", neutral=0.0, lower=0.0, upper=1.0, prior={"uniform": [0.0, 1.0]}
-    )
+    of_bristle: Scalar = share_parameter("w_b", "whether it is a bristle's")
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""

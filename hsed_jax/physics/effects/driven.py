@@ -1,18 +1,12 @@
 """Effects that come with what a specimen has gone through: absorbed energy, length of path, largest elongation."""
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, SpringPoint
 from hsed_jax.physics.effects.forms import DRIVERS, chosen, driven_by
-from hsed_jax.physics.parameters import shape_parameter
+from hsed_jax.physics.parameters import share_parameter
 from hsed_jax.physics.scales import Scalar, is_zero
 from hsed_jax.physics.states import SharedState
-
-
-def _share(number: int) -> Any:
-    return shape_parameter(
-        rf"w_{number}", "share of another driver", neutral=0.0, lower=0.0, upper=1.0, prior={"uniform": [0.0, 1.0]}
-    )
 
 
 class AbstractDrivenEffect(AbstractSpringEffect):
@@ -24,8 +18,8 @@ class AbstractDrivenEffect(AbstractSpringEffect):
 
     drivers: ClassVar[tuple[str, ...]] = ("energy", "path", "largest_elongation")
 
-    driver_1: Scalar = _share(1)
-    driver_2: Scalar = _share(2)
+    driver_1: Scalar = share_parameter("w_1", "share of another driver")
+    driver_2: Scalar = share_parameter("w_2", "share of another driver")
 
     @property
     def _shares(self) -> dict[str, Scalar]:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
 from hsed_jax.physics.effects.driven import AbstractDrivenEffect
 from hsed_jax.physics.effects.forms import Form
-from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
+from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_zero
 
 # ∫ exp(−x⁶) dx over all x.
@@ -48,10 +48,7 @@ class Slip(AbstractDrivenEffect):
         "w", "1", "force that locks, over strength", neutral=0.1, lower=0.01, prior={"lognormal": [-2.3, 0.7]}
     )
 
-    flat: Scalar = shape_parameter(
-        "w_f", "whether the force that locks has a sharp limit", neutral=0.0, lower=0.0, upper=1.0,
-        prior={"uniform": [0.0, 1.0]},
-    )  # fmt: skip
+    flat: Scalar = share_parameter("w_f", "whether the force that locks has a sharp limit")
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `compliance`."""

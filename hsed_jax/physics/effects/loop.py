@@ -7,15 +7,13 @@ import jax.numpy as jnp
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
 from hsed_jax.physics.effects.driven import AbstractDrivenEffect
 from hsed_jax.physics.effects.forms import FREE, Form, raised
-from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
+from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_zero
 from hsed_jax.physics.states import LARGEST_ELONGATION, SharedState
 
 
 def _whether(place: str, symbol: str, neutral: float = 1.0) -> Any:
-    return shape_parameter(
-        symbol, f"share that goes to {place}", neutral=neutral, lower=0.0, upper=1.0, prior={"uniform": [0.0, 1.0]}
-    )
+    return share_parameter(symbol, f"share that goes to {place}", neutral)
 
 
 @register
@@ -148,9 +146,7 @@ class IsotropicHardening(AbstractDrivenEffect):
 
     power: Scalar = shape_parameter("p", "power of the driver", neutral=1.0, lower=0.1, upper=6.0,
                                     prior={"truncated_normal": {"loc": 1.0, "scale": 1.0, "low": 0.1, "high": 6.0}})  # fmt: skip
-    steady: Scalar = shape_parameter(
-        "g", "whether it does not saturate", neutral=0.0, lower=0.0, upper=1.0, prior={"uniform": [0.0, 1.0]}
-    )
+    steady: Scalar = share_parameter("g", "whether it does not saturate")
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """A factor on `nu`."""
@@ -190,9 +186,7 @@ class RateDependence(AbstractSpringEffect):
     power: Scalar = shape_parameter(
         "p", "power of the rate", neutral=0.3, lower=0.05, upper=2.0, prior={"lognormal": [-1.2, 0.7]}
     )
-    of_power: Scalar = shape_parameter(
-        "w_p", "whether it is a power", neutral=0.0, lower=0.0, upper=1.0, prior={"uniform": [0.0, 1.0]}
-    )
+    of_power: Scalar = share_parameter("w_p", "whether it is a power")
     of_both: Scalar = _whether("a", "w_a")
     of_strength: Scalar = _whether("ν", r"w_\nu", 0.0)
 
@@ -265,17 +259,11 @@ class Pinching(AbstractDrivenEffect):
         prior={"lognormal": [-0.7, 0.5]},
     )  # fmt: skip
 
-    widening: Scalar = shape_parameter(
-        r"w_\zeta", "whether the width grows with the severity", neutral=1.0, lower=0.0, upper=1.0,
-        prior={"uniform": [0.0, 1.0]},
-    )  # fmt: skip
+    widening: Scalar = share_parameter(r"w_\zeta", "whether the width grows with the severity", neutral=1.0)
     flatness: Scalar = shape_parameter(
         "m", "how flat and sharp the window is", neutral=1.0, lower=1.0, upper=4.0, prior={"uniform": [1.0, 4.0]}
     )
-    of_elongation: Scalar = shape_parameter(
-        "w_u", "whether the tangent drops around no elongation", neutral=0.0, lower=0.0, upper=1.0,
-        prior={"uniform": [0.0, 1.0]},
-    )  # fmt: skip
+    of_elongation: Scalar = share_parameter("w_u", "whether the tangent drops around no elongation")
 
     @property
     def needs(self) -> tuple[SharedState, ...]:
