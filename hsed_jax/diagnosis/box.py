@@ -6,6 +6,7 @@ it, which no unconstrained coordinate can hold.
 """
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import jax.numpy as jnp
@@ -30,6 +31,50 @@ class Terms(NamedTuple):
     curvature: Float[np.ndarray, " q"]
 
 
+class Coordinate(NamedTuple):
+    """The coordinate x of one parameter θ.
+
+    Attributes:
+        is_log: whether x is linear in log θ.
+        middle, spread: of θ or log θ, where x is 0 and per unit of x.
+        low, high: bounds of x; infinite where there is none.
+        density: log density of x, a spline over the prior, exact where that is normal or uniform.
+    """
+
+    is_log: bool
+    middle: float
+    spread: float
+    low: float
+    high: float
+    density: "CubicSpline"
+
+
+@lru_cache(1024)
+def _coordinate(prior: Prior) -> Coordinate:
+    """The coordinate of a parameter with this prior."""
+    from scipy.interpolate import CubicSpline
+
+    def scaled(theta):
+        with np.errstate(divide="ignore"):
+            return np.log(theta) if is_log else np.asarray(theta, dtype=float)
+
+    shares = np.concatenate([expit(np.linspace(-_TAIL, _TAIL, _KNOTS)), [0.16, 0.5, 0.84]])
+    quantiles = np.asarray(prior.quantile(shares), dtype=float)
+    is_log = _is_logarithmic(prior, quantiles[-2])
+    lower, middle, upper = scaled(quantiles[-3:])
+    spread = 0.5 * (upper - lower)
+    low, high = ((scaled(side) - middle) / spread for side in _bounds(prior))
+    # All at once and before some are left out: a prior of another scale finds its programs compiled.
+    values = np.asarray(prior.log_density(jnp.asarray(quantiles[:_KNOTS])), dtype=float) + np.log(spread)
+    x = (scaled(quantiles[:_KNOTS]) - middle) / spread
+    values += scaled(quantiles[:_KNOTS]) if is_log else 0.0
+    # Where quantiles lie close together, the slopes between them are rounding.
+    is_apart = np.concatenate([[True], np.diff(np.maximum.accumulate(x)) > _APART])
+    return Coordinate(
+        is_log, float(middle), float(spread), float(low), float(high), CubicSpline(x[is_apart], values[is_apart])
+    )
+
+
 class Box:
     """Coordinates x of several parameters θ.
 
@@ -41,17 +86,13 @@ class Box:
     def __init__(self, priors: Mapping[str, Prior]):
         self.names = tuple(priors)
         self._priors = tuple(priors.values())
-        shares = np.asarray([0.16, 0.5, 0.84])
-        rows = np.asarray([np.asarray(prior.quantile(shares), dtype=float) for prior in self._priors]).reshape(-1, 3)
-        self._is_log = np.asarray([_is_logarithmic(*pair) for pair in zip(self._priors, rows[:, 1], strict=True)], bool)
-        rows = np.where(self._is_log[:, None], np.log(np.where(self._is_log[:, None], rows, 1.0)), rows)
-        self._middle, self._spread = rows[:, 1], 0.5 * (rows[:, 2] - rows[:, 0])
-        bounds = np.asarray([_bounds(prior) for prior in self._priors]).reshape(-1, 2)
-        with np.errstate(divide="ignore"):
-            bounds = np.where(self._is_log[:, None], np.log(np.where(self._is_log[:, None], bounds, 1.0)), bounds)
-        self.low, self.high = ((side - self._middle) / self._spread for side in bounds.T)
+        coordinates = [_coordinate(prior) for prior in self._priors]
+        self._is_log = np.asarray([c.is_log for c in coordinates], dtype=bool)
+        self._middle, self._spread, self.low, self.high = (
+            np.asarray([(c.middle, c.spread, c.low, c.high) for c in coordinates]).reshape(-1, 4).T
+        )
+        self._densities = [c.density for c in coordinates]
         self._quantiles: dict[tuple[int, tuple[float, ...]], np.ndarray] = {}
-        self._densities = [self._density(k) for k in range(len(self.names))]
 
     def theta(self, x: np.ndarray) -> np.ndarray:
         """θ(x), SI, last axis P."""
@@ -85,23 +126,6 @@ class Box:
         if (k, shares) not in self._quantiles:
             self._quantiles[k, shares] = np.asarray(self._priors[k].quantile(np.asarray(shares)), dtype=float)
         return self._quantiles[k, shares]
-
-    def _density(self, k: int) -> "CubicSpline":
-        """Log density of one coordinate as a spline over its prior, exact where that is normal or uniform."""
-        from scipy.interpolate import CubicSpline
-
-        shares = expit(np.linspace(-_TAIL, _TAIL, _KNOTS))
-        found = self.quantiles(np.asarray([k]), shares[:, None])[:, 0]
-        knots = np.unique(np.clip(found, self.low[k], self.high[k]))
-        # Where quantiles lie close together, the slopes between them are rounding.
-        knots = knots[np.concatenate([[True], np.diff(knots) > _APART])]
-        x = np.zeros((len(knots), len(self.names)))
-        x[:, k] = knots
-        theta = self.theta(x)[:, k]
-        values = np.asarray(self._priors[k].log_density(jnp.asarray(theta)), dtype=float) + np.log(self._spread[k])
-        if self._is_log[k]:
-            values += np.log(theta)
-        return CubicSpline(knots, values)
 
 
 def _bounds(prior: Prior) -> tuple[float, float]:

@@ -99,13 +99,13 @@ class Fits:
         top = choices[int(np.argmax(worths))]
         return Model(effects, dict(top), shares, self._known[top], self._log_evidence(top), total, total + log_prior)
 
-    def fit(self, target: Target, choices: Iterable[Choice]) -> None:
-        """Fit what has not been fitted, from several starts."""
+    def fit(self, target: Target, choices: Iterable[Choice], starts: int | None = None) -> None:
+        """Fit what has not been fitted, from several starts, or from so many at most."""
         tasks, owners = [], []
         for number, choice in enumerate(choices):
             if choice in self._known or choice in self._hopeless:
                 continue
-            for start in self._starts(choice):
+            for start in self._starts(choice)[:starts]:
                 tasks.append(Task(self.member(choice), start, rivals=number))
                 owners.append(choice)
         for owner, fit in zip(owners, self.models.fit(target, tasks), strict=True):

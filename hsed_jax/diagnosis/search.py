@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import logsumexp
 
-from hsed_jax.diagnosis.fits import Fits, Model, Set
+from hsed_jax.diagnosis.fits import Choice, Fits, Model, Set
 from hsed_jax.diagnosis.held_out import Gain, folds_of, left_out_predictions
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import Descent, NestedModels, Target, Task
@@ -102,8 +102,12 @@ class Search:
         while True:
             self._report(f"models around {_text(self.best)}")
             around = self._neighbours()
-            self._fit(around)
-            self._deepen(around)
+            if self.best or self._is_open():
+                self._fit(around)
+                self._deepen(around)
+            else:
+                # Nothing will be named: what is said of each candidate is how large it may be.
+                self._fits.fit(self.target, [self._in_default_forms(s) for s in around], starts=1)
             self._judge()
             found = self._next()
             if found == self.best:
@@ -327,10 +331,16 @@ class Search:
         best, others = self.best, [e for e in self.effects if e not in self.best]
         fewer = [best - {e} for e in best]
         exchanged = [best - {out} | {new} for out in best for new in others]
-        is_open = not best or not self._is_explained(self._fits.best(best)) or bool(self.pointed_at(best))
-        may_grow = len(best) < MOST_EFFECTS and is_open
+        may_grow = not best or (len(best) < MOST_EFFECTS and self._is_open())
         more = [best | {new} for new in others] if may_grow else []
         return [best, *fewer, *exchanged, *more]
+
+    def _is_open(self) -> bool:
+        """Whether there is anything left for a further effect to explain, by size or by a score test."""
+        return not self._is_explained(self._fits.best(self.best)) or bool(self.pointed_at(self.best))
+
+    def _in_default_forms(self, effects: Set) -> Choice:
+        return frozenset((effect, next(iter(self.effects[effect]))) for effect in effects)
 
     def _around(self) -> list[Set]:
         return [s for s in dict.fromkeys([frozenset(), *self.path, *self._neighbours()]) if s in self._fits]

@@ -226,13 +226,18 @@ def conditions_of(experiment: Experiment, campaign: Campaign, grid: Grid | None,
     elif measured:
         samples = _driven(record, half_steps, measured)
     elif excitation is not None:
-        samples = jax.vmap(excitation(experiment.inputs).sample)(jnp.asarray(half_steps - record.time[0]))
+        samples = _sampled(excitation(inputs), jnp.asarray(half_steps - record.time[0]))
     else:
         raise UserError(
             f"experiment {experiment.id!r}: its record has no ground_acceleration and the study no excitation; give one (or "
             "the force on mass 1 as a channel applied_force_1)"
         )
     return Conditions(inputs, Recorded(Tabulated(jax.tree.map(jnp.asarray, samples)), jnp.asarray(lengths)))
+
+
+@eqx.filter_jit
+def _sampled(excitation: AbstractExcitation, times: Float[Array, " k"]) -> Any:
+    return jax.vmap(excitation.sample)(times)
 
 
 def _record(experiment: Experiment) -> Record:
