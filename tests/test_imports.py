@@ -10,7 +10,7 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "hsed_jax"
 LEVELS = (
-    ("drafts", "errors", "backend", "interruptions", "tables"),
+    ("drafts", "errors", "backend", "interruptions", "programs", "tables"),
     ("memory", "plain"),
     ("python_files",),
     ("physics",),

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,6 +25,7 @@ from hsed_jax.physics.batch import tiled_map
 from hsed_jax.physics.outputs import further, of_each
 from hsed_jax.physics.response import Response
 from hsed_jax.physics.simulator import AbstractModel, Conditions
+from hsed_jax.programs import program
 from hsed_jax.study.build import Built
 from hsed_jax.study.records import thinning_notes
 from hsed_jax.tables import Table, Tabular
@@ -238,7 +238,7 @@ def simulate(
     return jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)), *parts)
 
 
-@eqx.filter_jit
+@program
 def _simulated(
     model: AbstractModel, channels: tuple[str, ...], quantities: tuple[str, ...], lanes: Any, count: Array
 ) -> Response:

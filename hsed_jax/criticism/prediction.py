@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +11,7 @@ import numpy.typing as npt
 
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.measurements import Experiment
+from hsed_jax.programs import program
 from hsed_jax.tables import cell
 
 if TYPE_CHECKING:
@@ -166,7 +166,7 @@ def _named(experiments: tuple[Experiment, ...], which: np.ndarray) -> str:
     return ", ".join(ids[:_NAMED]) + (f" and {len(ids) - _NAMED} more" if len(ids) > _NAMED else "")
 
 
-@eqx.filter_jit
+@program
 def _predicted(posterior, thetas, data, limits):
     """Predictions at the first parameters, whether they converged and their σ; mean and sd over those of the other parameters
     that stay within the limits (J,), and the share (n,) that does not."""

@@ -11,7 +11,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,6 +21,7 @@ from hsed_jax.inference.observation import Observation, Outputs
 from hsed_jax.physics.batch import tiled_map
 from hsed_jax.physics.outputs import owner_of
 from hsed_jax.physics.simulator import AbstractModel, Conditions, Simulator
+from hsed_jax.programs import program
 
 # Chunks go to threads; their tiles are small, since most rounds ask for a few lanes of each program.
 _CHUNK, _TILE = 64, 16
@@ -130,7 +130,7 @@ class Lanes:
         return self._programs[groups]
 
 
-@eqx.filter_jit
+@program
 def _outputs(respond, conditions, thetas, experiments, count):
     def one(lane):
         theta, experiment = lane

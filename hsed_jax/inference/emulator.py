@@ -18,6 +18,7 @@ from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.maximum import Maximum
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.physics.batch import TILE
+from hsed_jax.programs import program
 
 # Draws per coefficient, the least number of them, and how far they spread beyond the Gaussian at the mode.
 _DRAWS, _LEAST, _SPREAD = 4, 32, 1.3
@@ -43,7 +44,7 @@ class Emulator(eqx.Module):
         return jnp.tensordot(_terms((theta - self.center) / self.spread), self.coefficients, 1)
 
 
-@eqx.filter_jit
+@program
 def emulate(posterior: Posterior, data: Data, maximum: Maximum, key: PRNGKeyArray) -> Emulator:
     """Fit the predictions around the mode, at draws somewhat wider than the Gaussian there."""
     p = len(posterior.model_names)

@@ -16,6 +16,7 @@ from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.sampling import draw
 from hsed_jax.inference.watch import Watch, arrays_of, fingerprint, tree_like
+from hsed_jax.programs import program
 from hsed_jax.tables import Table, Tabular, cell
 
 # Memory and worth of the samples are told from a residual, which depends on them a little.
@@ -203,7 +204,7 @@ def _most_probable(
     return posterior, data, maximum
 
 
-@eqx.filter_jit
+@program
 def _standardised(posterior: Posterior, data: Data, theta: Array) -> Array:
     return posterior.standardised(theta, data)
 

@@ -11,7 +11,6 @@ Source: Geweke 1989; Cappé, Guillin, Marin & Robert 2004 (population Monte Carl
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,6 +20,7 @@ from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.maximum import Maximum
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.physics.batch import TILE
+from hsed_jax.programs import program
 
 _DEGREES = 5.0
 _MOST_ROUNDS = 5
@@ -87,7 +87,7 @@ def weigh(posterior: Posterior, data: Data, maximum: Maximum, key: PRNGKeyArray,
     return Weighted(np.asarray(u), np.asarray(log_density), weights / weights.sum(), _pareto_shape(log_weight))
 
 
-@eqx.filter_jit
+@program
 def _draw(posterior, data, center, frame, key, draws):
     of_normal, of_length = jax.random.split(key)
     normal = jax.random.normal(of_normal, (draws, center.size))
@@ -100,7 +100,7 @@ def _draw(posterior, data, center, frame, key, draws):
     return u, log_density, log_density - of_proposal
 
 
-@eqx.filter_jit
+@program
 def _learn(posterior, data, center, frame, key, draws):
     """The share of a round's draws that count, and centre and frame of the next proposal."""
     u, _, log_weight = _draw(posterior, data, center, frame, key, draws)

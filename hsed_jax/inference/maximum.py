@@ -8,7 +8,6 @@ Each search is a program of its own and not one large one: what they share is co
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from hsed_jax.inference.likelihood import LOG_2PI, Data
 from hsed_jax.inference.posterior import Expansion, Posterior
+from hsed_jax.programs import program
 
 # All starts descend this far side by side, and the best of them goes on alone: by then it is in its basin, and the kinks of the
 # simulated response make the last digits slow.
@@ -134,22 +134,22 @@ def _held(u: Float[Array, " p"]) -> Float[Array, " p"]:
     return jnp.clip(u, -4.0, 4.0)
 
 
-@eqx.filter_jit
+@program
 def _race(posterior: Posterior, data: Data, starts: Float[Array, "s p"]) -> Float[Array, "s p"]:
     return jax.vmap(lambda start: least_squares(posterior, data, start, _RACE)[0])(starts)
 
 
-@eqx.filter_jit
+@program
 def _descend(posterior: Posterior, data: Data, start: Float[Array, " p"]) -> tuple[Float[Array, " p"], Bool[Array, ""]]:
     return least_squares(posterior, data, start, _MOST_STEPS)
 
 
-@eqx.filter_jit
+@program
 def _expand(posterior: Posterior, data: Data, u: Float[Array, " p"]) -> Expansion:
     return posterior.expand(u, data)
 
 
-@eqx.filter_jit
+@program
 def _physical(posterior: Posterior, u: Float[Array, " p"]) -> tuple[Float[Array, " p"], Float[Array, "p p"]]:
     return posterior.constrain(u), jax.jacfwd(posterior.constrain)(u)
 

@@ -20,6 +20,7 @@ from hsed_jax.inference.emulator import Emulator
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.maximum import Maximum
 from hsed_jax.inference.posterior import Posterior
+from hsed_jax.programs import program
 
 
 class Settings(NamedTuple):
@@ -75,7 +76,7 @@ class Course(NamedTuple):
     work: Int[Array, ""]
 
 
-@eqx.filter_jit
+@program
 def begin(maximum: Maximum, step_size: Float[Array, ""], keys: Key[Array, " chains"], settings: Settings) -> Course:
     """Chains before their first iteration.
 
@@ -100,7 +101,7 @@ def begin(maximum: Maximum, step_size: Float[Array, ""], keys: Key[Array, " chai
     return Course(state, kept, jnp.zeros((), int), jnp.zeros((), int))
 
 
-@eqx.filter_jit
+@program
 def advance(
     posterior: Posterior,
     data: Data,

@@ -4,6 +4,7 @@ import inspect
 import re
 import warnings
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -29,6 +30,7 @@ _SPELLINGS = {
 }
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class Prior:
     """A scalar continuous prior.
 
@@ -41,10 +43,22 @@ class Prior:
         UserError: no such distribution, wrong arguments, or not scalar and continuous.
     """
 
-    def __init__(self, name: str, arguments: Any):
-        self.name, self.arguments = name, arguments
-        self.distribution = _build(name, arguments)
-        self.bounds = _limits(self.distribution)
+    name: str
+    arguments: Any
+
+    @cached_property
+    def distribution(self) -> dist.Distribution:
+        """numpyro's."""
+        return _build(self.name, self.arguments)
+
+    @cached_property
+    def bounds(self) -> tuple[float | None, float | None]:
+        """Limits of the support; None where there is none."""
+        return _limits(self.distribution)
+
+    def __post_init__(self):
+        # What is wrong with it is said where it is made.
+        assert self.distribution is not None
 
     def log_density(self, value: Float[Array, "..."]) -> Any:
         """Log of the density at a value within the support."""

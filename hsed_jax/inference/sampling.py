@@ -7,7 +7,6 @@ No sampler crosses from one mode of a posterior to another.  So each mode is dra
 draws are mixed as the modes share the posterior.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,6 +20,7 @@ from hsed_jax.inference.maximum import Maximum
 from hsed_jax.inference.nuts import Chains, Settings, advance, arrived, begin, convergence
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.watch import Watch, fingerprint
+from hsed_jax.programs import program
 
 # Error of the emulated log density [nats] that still leaves most proposals accepted.
 _ACCURATE = 0.5
@@ -153,7 +153,7 @@ def _of_one_mode(
     )
 
 
-@eqx.filter_jit
+@program
 def _gaussian(maximum: Maximum, key: PRNGKeyArray, number: int):
     p = maximum.start.size
     w = jax.random.normal(key, (number, p))
@@ -162,7 +162,7 @@ def _gaussian(maximum: Maximum, key: PRNGKeyArray, number: int):
     return maximum.start + w @ maximum.whitening.T, top - 0.5 * jnp.sum(w**2, axis=1)
 
 
-@eqx.filter_jit
+@program
 def _constrained(posterior: Posterior, u: Float[Array, "N p"]) -> Float[Array, "N p"]:
     return jax.vmap(posterior.constrain)(u)
 

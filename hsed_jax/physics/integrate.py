@@ -70,7 +70,7 @@ class RungeKutta4(diffrax.AbstractSolver):
         """One step from step number `t0` to `t1 = t0 + 1`."""
         del made_jump
         system, _ = args
-        number = jnp.asarray(t0, int)
+        number = jnp.asarray(jnp.rint(t0), int)
         lengths = jnp.asarray(self.step_length)
         h = lengths if lengths.ndim == 0 else lengths[number]
         carry, first = solver_state
@@ -191,13 +191,15 @@ def integrate(
         RungeKutta4(forcing, step_length, channels),
         t0=0.0,
         t1=float(steps),
-        dt0=None,
+        dt0=1.0,
         y0=Progress(still, begin, system.channels(still, sample, channels)),
         args=(system, sample),
-        stepsize_controller=diffrax.StepTo(jnp.arange(steps + 1.0)),
+        stepsize_controller=diffrax.ConstantStepSize(),
         saveat=diffrax.SaveAt(subs=_saves({name: _place(system, name) for name in names}, channels, every)),
         adjoint=diffrax.ForwardMode() if adjoint is None else adjoint,
         max_steps=steps,
+        # Nothing can fail in steps of one; asking for it would be a call back into Python within the program.
+        throw=False,
     )
     assert solution.ys is not None
     histories = solution.ys.get("histories", {})

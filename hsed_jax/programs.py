@@ -1,0 +1,213 @@
+"""Programs whose traces outlive the process.
+
+XLA keeps what it compiled (`hsed_jax.backend`), but a new process would still trace every program in Python and lower it before
+it can ask for it, which takes several times as long as loading it.  Here the lowered program is kept beside XLA's own, under a
+name made of all it depends on: the sources of this package, the versions of those it builds on, the static parts of the
+arguments and the shapes of the arrays.  What cannot be spelled out in that name, such as a function of a user's own, is traced
+as ever.
+"""
+
+import dataclasses
+import functools
+import hashlib
+import pickle
+import shutil
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import export
+
+# What a trace depends on besides the sources here.
+_PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpyro", "tinygp", "numpy", "scipy")
+_SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_dtype_promotion", "jax_debug_nans")
+# Functions and classes of these are known by their names, as long as the versions are.
+_KNOWN = {"hsed_jax", "builtins", "functools", *_PACKAGES}
+# LAPACK's routines that JAX promises no other version of, which is nothing here: a version has programs of its own.
+_ROUTINES = ("lapack_dormqr_ffi",)
+# Programs of so many states of the sources are kept.
+_STATES = 4
+
+
+class _UnspelledError(Exception):
+    """Something has no name that is the same in every process."""
+
+
+def program[**P, R](function: Callable[P, R]) -> "Program[P, R]":
+    """Compile a function of pytrees as `equinox.filter_jit` does, and keep its traces.
+
+    Arguments:
+        function: a pure function, whose results are arrays in a tree.
+    """
+    return Program(function)
+
+
+class Program[**P, R]:
+    """A compiled function: arrays in its arguments are operands, everything else is part of the program."""
+
+    def __init__(self, function: Callable[P, R]):
+        functools.update_wrapper(self, function)
+        self._function, self._traced = function, eqx.filter_jit(function)
+        self._made: dict[Any, Callable[..., Any] | None] = {}
+        self._lock = threading.Lock()
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
+        """Run the program; within another one, be a part of it."""
+        leaves, structure = jax.tree.flatten((args, kwargs))
+        is_operand = tuple(isinstance(leaf, jax.Array | np.ndarray | np.generic) for leaf in leaves)
+        operands = [leaf for leaf, one in zip(leaves, is_operand, strict=True) if one]
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in operands) or not _is_kept():
+            return self._traced(*args, **kwargs)
+        operands = [jnp.asarray(leaf) for leaf in operands]
+        static = tuple(None if one else leaf for leaf, one in zip(leaves, is_operand, strict=True))
+        key = structure, is_operand, static, tuple(leaf.aval for leaf in operands)
+        if key not in self._made:
+            with self._lock:
+                if key not in self._made:
+                    self._made[key] = self._make(structure, is_operand, static, operands)
+        made = self._made[key]
+        return self._traced(*args, **kwargs) if made is None else made(*operands)
+
+    def lower(self, *args: P.args, **kwargs: P.kwargs) -> Any:
+        """The program before it is compiled, traced anew."""
+        return self._traced.lower(*args, **kwargs)
+
+    def _make(self, structure, is_operand, static, operands) -> Callable[..., Any] | None:
+        """The program for arguments of one kind, as a function of its operands; None where it cannot be kept."""
+        try:
+            parts = _spelled(jax.tree.unflatten(structure, static)), is_operand, [_spelled(a.aval) for a in operands]
+            name = hashlib.blake2b(repr(parts).encode(), digest_size=16).hexdigest()
+        except _UnspelledError:
+            return None
+        file = _folder() / f"{self._function.__qualname__}-{name}"
+        kept = _read(file)
+        if kept is None:
+            kept = self._lowered(structure, is_operand, static, operands)
+            if kept is None:
+                return None
+            _write(file, kept)
+        skeleton, lowered = kept
+        call, shape = jax.jit(export.deserialize(lowered).call), jax.tree.structure(skeleton)
+        return lambda *operands: jax.tree.unflatten(shape, call(*operands))
+
+    def _lowered(self, structure, is_operand, static, operands) -> tuple[Any, bytearray] | None:
+        """The results' tree, and the lowered program as bytes; None where it has a part that cannot be kept."""
+        skeletons: list[Any] = []
+
+        def flat(*operands):
+            rest = iter(operands)
+            leaves = [next(rest) if one else leaf for one, leaf in zip(is_operand, static, strict=True)]
+            args, kwargs = jax.tree.unflatten(structure, leaves)
+            results, shape = jax.tree.flatten(self._function(*args, **kwargs))
+            skeletons[:] = [jax.tree.unflatten(shape, range(len(results)))]
+            return [jnp.asarray(result) for result in results]
+
+        jitted = jax.jit(flat)
+        # What is wrong with the function itself is an error, and raised here.
+        jitted.trace(*operands)
+        try:
+            unpromised = [export.DisabledSafetyCheck.custom_call(name) for name in _ROUTINES]
+            lowered = export.export(jitted, disabled_checks=unpromised)(*operands).serialize()
+            pickle.dumps(skeletons[0])
+        except (ValueError, NotImplementedError, pickle.PicklingError, AttributeError):
+            return None
+        return skeletons[0], lowered
+
+
+def _is_kept() -> bool:
+    config = jax.config
+    is_kept = config.jax_enable_compilation_cache and bool(config.jax_compilation_cache_dir)
+    return is_kept and not config.jax_disable_jit and len(jax.devices()) == 1
+
+
+# Names that are the same in every process.
+
+
+def _spelled(part: Any) -> Any:
+    """Something in nested tuples of words and numbers.
+
+    Raises:
+        _UnspelledError: it is of a kind whose behaviour is not known by its parts.
+    """
+    if part is None or isinstance(part, bool | int | float | complex | str | bytes):
+        return type(part).__name__, part
+    if isinstance(part, type) or (callable(part) and hasattr(part, "__qualname__")):
+        return _known_by_name(part)
+    if isinstance(part, functools.partial):
+        return "partial", _spelled(part.func), _spelled(part.args), _spelled(part.keywords)
+    if isinstance(part, jax.core.ShapedArray):
+        return str(part.dtype), part.shape, part.weak_type
+    if isinstance(part, np.ndarray):
+        return str(part.dtype), part.shape, hashlib.blake2b(part.tobytes()).hexdigest()
+    return _known_by_name(type(part)), *(_spelled(own) for own in _parts(part))
+
+
+def _parts(part: Any) -> Iterator[Any]:
+    if dataclasses.is_dataclass(part):
+        return (getattr(part, field.name) for field in dataclasses.fields(part))
+    if isinstance(part, Mapping):
+        return iter([pair for item in part.items() for pair in item])
+    if isinstance(part, tuple | list):
+        return iter(part)
+    raise _UnspelledError(type(part))
+
+
+def _known_by_name(thing: Any) -> tuple[str, str]:
+    module, name = thing.__module__, thing.__qualname__
+    if str(module).partition(".")[0] not in _KNOWN or hasattr(thing, "__self__"):
+        raise _UnspelledError(name)
+    found: Any = sys.modules.get(module)
+    for word in name.split("."):
+        found = getattr(found, word, None)
+    if found is not thing:
+        raise _UnspelledError(name)
+    return module, name
+
+
+# The folder.
+
+
+@functools.cache
+def _state() -> str:
+    """The sources of this package, and what else traces depend on."""
+    digest = hashlib.blake2b(digest_size=10)
+    digest.update(repr((sys.version_info, [(name, version(name)) for name in _PACKAGES])).encode())
+    digest.update(repr((jax.default_backend(), [getattr(jax.config, name) for name in _SETTINGS])).encode())
+    root = Path(__file__).parent
+    for file in sorted(root.rglob("*.py")):
+        digest.update(str(file.relative_to(root)).encode() + file.read_bytes())
+    return digest.hexdigest()
+
+
+def _folder() -> Path:
+    return Path(jax.config.jax_compilation_cache_dir or "") / "programs" / _state()
+
+
+def _read(file: Path) -> tuple[Any, bytearray] | None:
+    try:
+        return pickle.loads(file.read_bytes())
+    except Exception:  # a file that was cut short can raise anything, and is made again
+        return None
+
+
+def _write(file: Path, kept: tuple[Any, bytearray]) -> None:
+    """Keep a program; where nothing can be written, it is traced again next time."""
+    try:
+        if not file.parent.exists():
+            file.parent.mkdir(parents=True)
+            states = sorted(file.parent.parent.iterdir(), key=lambda folder: folder.stat().st_mtime)
+            for old in states[:-_STATES]:
+                shutil.rmtree(old, ignore_errors=True)
+        with tempfile.NamedTemporaryFile(dir=file.parent, delete=False) as being_written:
+            pickle.dump(kept, being_written)
+        Path(being_written.name).replace(file)
+    except OSError:
+        pass
