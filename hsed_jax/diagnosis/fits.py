@@ -99,13 +99,15 @@ class Fits:
         top = choices[int(np.argmax(worths))]
         return Model(effects, dict(top), shares, self._known[top], self._log_evidence(top), total, total + log_prior)
 
-    def fit(self, target: Target, choices: Iterable[Choice], starts: int | None = None) -> None:
-        """Fit what has not been fitted, from several starts, or from so many at most."""
+    def fit(
+        self, target: Target, choices: Iterable[Choice], starts: Mapping[Choice, list[np.ndarray]] | None = None
+    ) -> None:
+        """Fit what has not been fitted, from several starts: those that are given, or what is near."""
         tasks, owners = [], []
         for number, choice in enumerate(choices):
             if choice in self._known or choice in self._hopeless:
                 continue
-            for start in self._starts(choice)[:starts]:
+            for start in (starts or {}).get(choice) or self._starts(choice):
                 tasks.append(Task(self.member(choice), start, rivals=number))
                 owners.append(choice)
         for owner, fit in zip(owners, self.models.fit(target, tasks), strict=True):
@@ -186,7 +188,7 @@ class Fits:
             return list(starts)
         known = max((c for c in self._known if c < choice), key=lambda c: (len(c), -self._known[c].cost))
         new = np.concatenate([self._form(pair).columns for pair in sorted(choice - known)])
-        shares = _spread(len(new))
+        shares = spread(len(new))
         starts = np.tile(self._known[known].x, (len(shares), 1))
         starts[:, new] = self.models.box.quantiles(new, shares)
         return list(starts)
@@ -215,7 +217,7 @@ def names_of(choice: Choice) -> Set:
     return frozenset(effect for effect, _ in choice)
 
 
-def _spread(parameters: int) -> np.ndarray:
+def spread(parameters: int) -> np.ndarray:
     """Shares of the priors to start from, (starts, parameters)."""
     from scipy.stats import qmc
 

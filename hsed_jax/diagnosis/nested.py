@@ -77,12 +77,12 @@ class Member(NamedTuple):
     free: Int[np.ndarray, " p"]
     held: Float[np.ndarray, " P"]
 
-    def beside(self, more: int, held: Mapping[int, float]) -> "Member":
-        """The model with one more coordinate free, and further parameters held."""
+    def beside(self, more: Sequence[int], held: Mapping[int, float]) -> "Member":
+        """The model with further coordinates free, and further parameters held."""
         values = self.held.copy()
         for column, value in held.items():
             values[column] = value
-        return Member(np.append(self.free, more), values)
+        return Member(np.append(self.free, np.asarray(more, dtype=int)), values)
 
 
 class Task(NamedTuple):

@@ -1,55 +1,126 @@
-r"""What candidates promise before they are fitted: Rao's score test of each amplitude, around any model that was fitted.
+r"""What candidates promise before they are fitted, around any model that was.
 
-A test of the residual's size asks whether anything at all is wrong, and spreads its power over all samples.  A score test asks
-in one direction only, the derivative of the outputs with respect to the amplitude, and sees there what is a hundred times
-smaller.  With K candidates the smallest of K p-values counts as $1-(1-p)^K$ (Šidák 1967).
+With r the residual and M what remains after the fitted parameters have adjusted to first order, a candidate whose difference from
+the fit is d explains
+
+$$\max_{0\le s\le 1}\; s\,d^\top M r - \tfrac12 s^2\,d^\top M d$$
+
+nats of it.  At a finite size d is what the effect does, also one that bends or has no derivative at its neutral value (a gap, a
+window, an exponential), and s says where between nothing and that size a fit should start.
+
+At a vanishing size this is Rao's score test (1948).  A test of the residual's size asks whether anything at all is wrong, and
+spreads its power over all samples.  A score test asks in one direction only, and sees there what is a hundred times smaller.
+With K candidates the smallest of K p-values counts as $1-(1-p)^K$ (Šidák 1967).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from scipy.special import chdtrc
 
-from hsed_jax.diagnosis.nested import Descent, NestedModels, Target
+from hsed_jax.diagnosis.nested import Descent, Member, NestedModels, Target
 
 # Of a difference, in coordinates of order one.
 _STEP = 1e-3
+# A fit starts no closer to nothing than this share of a size that was tried.
+_LEAST = 0.05
 
 
-def score_tests[T](
-    models: NestedModels, target: Target, fit: Descent, amplitudes: Mapping[T, tuple[int, Mapping[int, float]]]
-) -> dict[T, float]:
-    r"""Rao's score statistic of amplitudes at their neutral values, $\chi^2_1$ where an effect is absent.
+class Trial(NamedTuple):
+    """A fitted model with a candidate beside it.
+
+    Attributes:
+        member: the model with it.
+        x: the fit, with the candidate at some size, (P,).
+        amplitude: index of the coordinate that the size is.
+    """
+
+    member: Member
+    x: Float[np.ndarray, " P"]
+    amplitude: int
+
+
+class Promise(NamedTuple):
+    """What a trial promises.
+
+    Attributes:
+        gain: nats, with the fitted parameters adjusted to first order.
+        start: where to fit from, (P,).
+    """
+
+    gain: float
+    start: Float[np.ndarray, " P"]
+
+
+class Around:
+    """What a fitted model leaves, and what of that its own parameters cannot take.
 
     Arguments:
         models: of the fit.
         target: what was fitted.
-        fit: the model without these effects; its free parameters are projected out.
-        amplitudes: the index of each, and what other parameters are held at beside it.
-
-    Source: Rao 1948.
+        fit: the model.
     """
-    x = models.neutral.copy()
-    x[fit.free] = fit.x[fit.free]
-    points, steps = [(x, fit.member)], []
-    for k, held in (*((int(k), {}) for k in fit.free), *amplitudes.values()):
+
+    def __init__(self, models: NestedModels, target: Target, fit: Descent):
+        self._models, self._target, self._fit = models, target, fit
+        self._rows = np.arange(len(target.values))
+        self._x = models.neutral.copy()
+        self._x[fit.free] = fit.x[fit.free]
+        moved = [self._moved(self._x, int(k)) for k in fit.free]
+        outputs, ok = models.predict([(self._x, fit.member), *((x, fit.member) for x, _ in moved)], self._rows)
+        self._outputs = outputs[0]
+        self._residual = self._standardised(target.values - outputs[0]).ravel()
+        slopes = self._standardised((outputs[1:] - outputs[0]) * ok[1:, :, None]).reshape(len(moved), -1)
+        self._basis, _ = np.linalg.qr((slopes / np.asarray([step for _, step in moved])[:, None]).T)
+
+    def score_tests[T](self, amplitudes: Mapping[T, tuple[int, Mapping[int, float]]]) -> dict[T, float]:
+        r"""Rao's score statistic of amplitudes at their neutral values, $\chi^2_1$ where an effect is absent.
+
+        Arguments:
+            amplitudes: the index of each, and what other parameters are held at beside it.
+        """
+        places = [self._moved(self._x, k) for k, _ in amplitudes.values()]
+        members = [self._fit.member.beside([k], held) for k, held in amplitudes.values()]
+        differences, own = self._across([(x, m) for (x, _), m in zip(places, members, strict=True)])
+        found = {}
+        for effect, slope, free in zip(amplitudes, differences, own, strict=True):
+            power = float(free @ free)
+            is_told = power > 1e-12 * float(slope @ slope) and power > 0
+            found[effect] = float(free @ self._residual) ** 2 / power if is_told else 0.0
+        return found
+
+    def promises(self, trials: Sequence[Trial]) -> list[Promise]:
+        """What trials promise."""
+        _, own = self._across([(trial.x, trial.member) for trial in trials])
+        found = []
+        for trial, free in zip(trials, own, strict=True):
+            along, power = float(free @ self._residual), float(free @ free)
+            size = float(np.clip(along / power, 0.0, 1.0)) if power > 0 else 0.0
+            start, k = trial.x.copy(), trial.amplitude
+            start[k] = self._models.neutral[k] + max(size, _LEAST) * (trial.x[k] - self._models.neutral[k])
+            found.append(Promise(size * along - 0.5 * size**2 * power, start))
+        return found
+
+    def _across(self, points: Sequence[tuple[np.ndarray, Member]]) -> tuple[np.ndarray, np.ndarray]:
+        """Differences from the fit and what of them its parameters cannot make, (B, N) each; zero where one diverges."""
+        if not points:
+            return np.zeros((0, self._residual.size)), np.zeros((0, self._residual.size))
+        outputs, ok = self._models.predict(points, self._rows)
+        is_whole = ok.all(axis=1)[:, None, None]
+        differences = self._standardised(np.where(is_whole, outputs - self._outputs, 0.0)).reshape(len(points), -1)
+        return differences, differences - (differences @ self._basis) @ self._basis.T
+
+    def _moved(self, x: np.ndarray, k: int) -> tuple[np.ndarray, float]:
+        """A point a little further in one coordinate, away from the nearer bound, and by how much."""
+        step = -_STEP if x[k] + _STEP > self._models.box.high[k] else _STEP
         moved = x.copy()
-        steps.append(-_STEP if moved[k] + _STEP > models.box.high[k] else _STEP)
-        moved[k] += steps[-1]
-        points.append((moved, fit.member.beside(k, held)))
-    rows = np.arange(len(target.values))
-    outputs, ok = models.predict(points, rows)
-    residual = target.standardised(fit.use, rows, target.values - outputs[0]).ravel()
-    slopes = target.standardised(fit.use, rows, (outputs[1:] - outputs[0]) * ok[1:, :, None])
-    slopes = slopes.reshape(len(steps), -1) / np.asarray(steps)[:, None]
-    basis, _ = np.linalg.qr(slopes[: len(fit.free)].T)
-    found = {}
-    for effect, slope in zip(amplitudes, slopes[len(fit.free) :], strict=True):
-        own = slope - basis @ (basis.T @ slope)
-        power = float(own @ own)
-        is_told = power > 1e-12 * float(slope @ slope) and power > 0
-        found[effect] = float(own @ residual) ** 2 / power if is_told else 0.0
-    return found
+        moved[k] += step
+        return moved, step
+
+    def _standardised(self, difference: np.ndarray) -> np.ndarray:
+        return self._target.standardised(self._fit.use, self._rows, difference)
 
 
 def score_p_value(statistic: float, candidates: int = 1) -> float:

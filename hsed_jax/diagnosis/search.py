@@ -17,14 +17,13 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import logsumexp
 
-from hsed_jax.diagnosis.fits import Choice, Fits, Model, Set
+from hsed_jax.diagnosis.fits import Choice, Fits, Model, Set, spread
 from hsed_jax.diagnosis.held_out import Gain, folds_of, left_out_predictions
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import Descent, NestedModels, Target, Task
-from hsed_jax.diagnosis.problem import FormColumns, Forms
-from hsed_jax.diagnosis.scores import score_p_value, score_tests
+from hsed_jax.diagnosis.problem import Forms
+from hsed_jax.diagnosis.scores import Around, Promise, Trial, score_p_value
 from hsed_jax.errors import UserError
-from hsed_jax.physics.outputs import own_name
 
 MOST_EFFECTS = 4
 # Posterior odds that a further effect needs.
@@ -39,9 +38,14 @@ _CHANCE = 0.05
 _POOL = 24
 # Of the models that rank first so many are considered to go on from.
 _TRIED = 5
-# Of the forms of an effect, the default one and so many that promise more are fitted first.
-_PROMISING = 2
-# All forms are fitted of so many sets, if they are no more nats below the most probable one than this.
+# Of the forms of an effect, the default one and so many that promise more are fitted first, each from so many starts.
+_PROMISING, _STARTS = 2, 2
+# Sizes at which forms beside the default one are tried.
+_SIZES = 4
+# Beside a set so many effects are fitted: those that promise most.
+_REACH = 8
+# All forms are fitted of so many sets (of twice as many of one effect), if they are no more nats below the most probable one
+# than this, or gain half as much as it.
 _DEEP, _NEAR = 4, 10.0
 
 
@@ -93,7 +97,6 @@ class Search:
         self.best: Set = frozenset()
         self.path: list[Set] = [self.best]
         self.scores: dict[str, float] = {}
-        self._first: dict[str, list[str]] = {}
         self.missed = 0.0
         self.predicted: dict[Set, Gain] = {}
 
@@ -102,12 +105,10 @@ class Search:
         while True:
             self._report(f"models around {_text(self.best)}")
             around = self._neighbours()
+            self._fit(around)
+            # Where nothing will be named, what is said of a candidate is how large it may be.
             if self.best or self._is_open():
-                self._fit(around)
                 self._deepen(around)
-            else:
-                # Nothing will be named: what is said of each candidate is how large it may be.
-                self._fits.fit(self.target, [self._in_default_forms(s) for s in around], starts=1)
             self._judge()
             found = self._next()
             if found == self.best:
@@ -180,7 +181,7 @@ class Search:
     def pointed_at(self, chosen: Set) -> Set:
         """The candidates that a score test around a fitted set is sure of, with their number accounted for."""
         others = {name: _amplitude(forms) for name, forms in self.effects.items() if name not in chosen}
-        scores = score_tests(self.models, self.target, self._fits.best(chosen), others) if others else {}
+        scores = Around(self.models, self.target, self._fits.best(chosen)).score_tests(others)
         return frozenset(name for name, score in scores.items() if score_p_value(score, len(self.effects)) < _STRICT)
 
     def obstacle(self, larger: Model) -> str | None:
@@ -237,52 +238,68 @@ class Search:
             tasks = [Task(member, fit.x)]
         assert fit is not None
         self._fits.set_law(fit)
-        self._look(fit)
+        defaults = {effect: _amplitude(forms) for effect, forms in self.effects.items()}
+        self.scores = Around(self.models, self.target, fit).score_tests(defaults)
 
-    def _look(self, fit: Descent) -> None:
-        """A first look at every candidate in every form, from the gradient of its amplitude in the model as it is."""
-        directions = {
-            (effect, label, share): (int(form.columns[0]), self._held_at(form, share))
-            for effect, forms in self.effects.items()
-            for label, form in forms.items()
-            for share in ((0.25, 0.75) if form.form.free else (0.5,))
-        }
-        promised = score_tests(self.models, self.target, fit, directions)
-        of_forms: dict[str, dict[str, float]] = {effect: {} for effect in self.effects}
-        for (effect, label, _), score in promised.items():
-            of_forms[effect][label] = max(score, of_forms[effect].get(label, 0.0))
-        defaults = {effect: next(iter(forms)) for effect, forms in self.effects.items()}
-        self.scores = {effect: of_forms[effect][label] for effect, label in defaults.items()}
-        for effect, scores in of_forms.items():
-            more = [label for label in scores if scores[label] > self.scores[effect]]
-            more.sort(key=lambda label: -scores[label])
-            self._first[effect] = [defaults[effect], *more[:_PROMISING]]
+    def _fit(self, around: Sequence[Set]) -> None:
+        """Fit the sets around the best: what a set has more than a fitted one, in the forms and from the sizes that promise most.
 
-    def _held_at(self, form: FormColumns, share: float) -> dict[int, float]:
-        """What a form holds, and its further parameters at a share of their priors."""
-        names = self.models.box.names
-        columns = np.asarray([k for k in form.columns if own_name(names[k]) in form.form.free], dtype=int)
-        if not columns.size:
-            return dict(form.held)
-        x = self.models.neutral.copy()
-        x[columns] = self.models.box.quantiles(columns, np.full((1, columns.size), share))[0]
-        theta = self.models.box.theta(x)
-        return dict(form.held) | {int(k): float(theta[k]) for k in columns}
+        To a model without effects every candidate is fitted, to others those that promise most.
+        """
+        self._fits.fit(self.target, [self._in_forms(s) for s in around if s <= self.best])
+        grown = {s for s in around if not s <= self.best}
+        starts: dict[Choice, list[np.ndarray]] = {}
+        for base in {s - {e} for s in grown for e in s} & set(self._around()):
+            others = [e for s in grown if s > base for e in s - base]
+            for choice, points in self._promising(base, others).items():
+                starts.setdefault(choice, points)
+        self._fits.fit(self.target, starts, starts)
 
-    def _fit(self, sets: Iterable[Set]) -> None:
-        """Fit sets that were not fitted, what they share with the best in its forms, and what is new in the promising ones."""
+    def _promising(self, base: Set, others: Sequence[str]) -> dict[Choice, list[np.ndarray]]:
+        """Choices of one effect beside a fitted set, in the forms that promise most, and where to fit each from."""
+        top = self._fits.top(base)
+        fit = self._fits.best(base)
+        trials: list[tuple[str, str, Trial]] = []
+        for effect in others:
+            for label, form in self.effects[effect].items():
+                shares = spread(len(form.columns))
+                for x in self.models.box.quantiles(form.columns, shares if form.form.is_default else shares[:_SIZES]):
+                    start = fit.x.copy()
+                    start[form.columns] = x
+                    member = fit.member.beside(form.columns, form.held)
+                    trials.append((effect, label, Trial(member, start, int(form.columns[0]))))
+        promises = Around(self.models, self.target, fit).promises([trial for *_, trial in trials])
+        of_forms: dict[str, dict[str, list[Promise]]] = {}
+        for (effect, label, _), promise in zip(trials, promises, strict=True):
+            of_forms.setdefault(effect, {}).setdefault(label, []).append(promise)
+        for forms in of_forms.values():
+            for label, found in forms.items():
+                forms[label] = sorted(found, key=lambda p: -p.gain)[:_STARTS]
+        is_open = bool(base) or self._is_open()
+        ranked = sorted(of_forms.items(), key=lambda item: -max(found[0].gain for found in item[1].values()))
+        chosen: dict[Choice, list[np.ndarray]] = {}
+        for effect, forms in ranked[: _REACH if base else None]:
+            default = next(iter(self.effects[effect]))
+            better = sorted(
+                (f for f in forms if forms[f][0].gain > forms[default][0].gain), key=lambda f: -forms[f][0].gain
+            )
+            for label in [default, *better[:_PROMISING]] if is_open else [default]:
+                chosen[top | {(effect, label)}] = [p.start for p in forms[label][: None if is_open else 1]]
+        return chosen
+
+    def _in_forms(self, effects: Set) -> Choice:
+        """Effects of the best set in its forms."""
         best = dict(self._fits.top(self.best))
-        for tried in range(1 + _PROMISING):
-            choices = []
-            for effects in sets:
-                forms = {e: best.get(e) or self._first[e][min(tried, len(self._first[e]) - 1)] for e in effects}
-                choices.append(frozenset(forms.items()))
-            self._fits.fit(self.target, dict.fromkeys(choices))
+        return frozenset((effect, best[effect]) for effect in effects)
 
     def _deepen(self, sets: Iterable[Set]) -> None:
         """Fit the most probable sets in further forms of each of their effects: with other drivers, and in other shapes."""
         ranked = sorted((self.model(s) for s in sets if s in self._fits), key=lambda m: -m.log_posterior)
-        near = [m for m in ranked[:_DEEP] if m.log_posterior > ranked[0].log_posterior - _NEAR]
+        # A formula that is not the specimen's costs many nats where the noise is small.
+        enough = ranked[0].log_posterior - max(
+            _NEAR, 0.5 * (ranked[0].log_posterior - self.model(self.best).log_posterior)
+        )
+        near = [m for m in ranked[: _DEEP if self.best else 2 * _DEEP] if m.log_posterior >= enough]
         for others in (_of_other_drivers, _of_other_shapes):
             self._report(f"forms of {_text(near[0].effects)}")
             choices = []
@@ -338,9 +355,6 @@ class Search:
     def _is_open(self) -> bool:
         """Whether there is anything left for a further effect to explain, by size or by a score test."""
         return not self._is_explained(self._fits.best(self.best)) or bool(self.pointed_at(self.best))
-
-    def _in_default_forms(self, effects: Set) -> Choice:
-        return frozenset((effect, next(iter(self.effects[effect]))) for effect in effects)
 
     def _around(self) -> list[Set]:
         return [s for s in dict.fromkeys([frozenset(), *self.path, *self._neighbours()]) if s in self._fits]
