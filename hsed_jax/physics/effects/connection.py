@@ -2,11 +2,16 @@
 
 from typing import ClassVar, Literal, final
 
+import jax.numpy as jnp
+
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
 from hsed_jax.physics.effects.forms import Form
-from hsed_jax.physics.parameters import PhysicalForm, parameter, share_parameter
-from hsed_jax.physics.scales import is_zero
+from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
+from hsed_jax.physics.scales import is_number, is_zero
 from hsed_jax.physics.states import LARGEST_ELONGATION, SharedState
+
+# Of the characteristic force.
+_SMALL = 0.02
 
 
 @register
@@ -26,6 +31,13 @@ class Gap(AbstractSpringEffect):
             held={"of_largest": 1.0},
             in_units=False,
         ),
+        Form(
+            "widening of energy",
+            r"s = \delta u_c\,e/E_c",
+            "Baber & Noori 1986 (slip)",
+            held={"of_energy": 1.0},
+            in_units=False,
+        ),
     )
 
     delta: Scalar = parameter(
@@ -39,6 +51,7 @@ class Gap(AbstractSpringEffect):
         physical=PhysicalForm("width", "m", lambda scales: scales.elongation),
     )
     of_largest: Scalar = share_parameter("w", "whether it widens with the largest elongation")
+    of_energy: Scalar = share_parameter("w_e", "whether it widens with the absorbed energy")
 
     @property
     def needs(self) -> tuple[SharedState, ...]:
@@ -50,6 +63,9 @@ class Gap(AbstractSpringEffect):
         width = point.scales.elongation
         if not is_zero(self.of_largest):
             width = width + self.of_largest * (point.memory["largest_elongation"] - width)
+        if not is_zero(self.of_energy):
+            used = jnp.maximum(point.memory["energy"], 0.0) / point.scales.energy
+            width = width + self.of_energy * (used * point.scales.elongation - width)
         return {"slack": self.delta * width}
 
 
@@ -62,6 +78,16 @@ class SupportFlexibility(AbstractSpringEffect):
     family: ClassVar[str] = "structure"
     reference: ClassVar[str] = "Clough & Penzien 2003, section 2-2"
     place: ClassVar[Literal["spring", "structure", "test rig"]] = "structure"
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("linear", r"u = \delta u_c\,F/F_c"),
+        Form(
+            "power",
+            r"u = \delta u_c|F/F_c|^p\,\mathrm{sign}\,F",
+            "Hertz 1882; Ramberg & Osgood 1943",
+            free=("power",),
+            in_units=False,
+        ),
+    )
 
     delta: Scalar = parameter(
         r"\delta_s",
@@ -72,7 +98,15 @@ class SupportFlexibility(AbstractSpringEffect):
         prior={"half_normal": 0.3},
         physical=PhysicalForm("compliance", "m/N", lambda scales: scales.elongation / scales.force),
     )
+    power: Scalar = shape_parameter(
+        "p", "power of the force", neutral=1.0, lower=0.3, upper=6.0, prior={"lognormal": [0.0, 0.6]}
+    )
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `compliance`."""
-        return {"compliance": self.delta * (point.scales.elongation / point.scales.force)}
+        compliance = self.delta * (point.scales.elongation / point.scales.force)
+        if not is_number(self.power, 1):
+            # A support that gives way at no force at all would hold the element there: the slope ends where the force is small.
+            ratio = jnp.maximum(jnp.abs(point.hysteretic / point.scales.force), _SMALL)
+            compliance = compliance * self.power * ratio ** (self.power - 1)
+        return {"compliance": compliance}

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
 from hsed_jax.physics.effects.forms import Form, one_side, raised, sided
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
-from hsed_jax.physics.scales import is_number
+from hsed_jax.physics.scales import is_number, is_zero
 
 
 @register
@@ -22,6 +22,14 @@ class Hardening(AbstractSpringEffect):
         Form("linear", r"\delta\,\frac{F_c}{u_c}\,\Delta u"),
         Form("tension only", r"\delta\,\frac{F_c}{u_c}\max(\Delta u, 0)", held={"side": 1.0}),
         Form("compression only", r"\delta\,\frac{F_c}{u_c}\min(\Delta u, 0)", held={"side": -1.0}),
+        Form(
+            "power",
+            r"\delta F_c|\Delta u/u_c|^p\,\mathrm{sign}\,\Delta u",
+            "Ludwik 1909",
+            free=("power",),
+            in_units=False,
+        ),
+        Form("saturating", r"\delta\,\frac{F_c}{u_c}\frac{\Delta u}{1 + b|\Delta u|/u_c}", free=("bend",)),
     )
 
     delta: Scalar = parameter(
@@ -34,11 +42,19 @@ class Hardening(AbstractSpringEffect):
         physical=PhysicalForm("k", "N/m", lambda scales: scales.force / scales.elongation),
     )
     side: Scalar = one_side()
+    power: Scalar = shape_parameter(
+        "p", "power of the elongation", neutral=1.0, lower=0.2, upper=1.5, prior={"lognormal": [-0.4, 0.4]}
+    )
+    bend: Scalar = shape_parameter(
+        "b", "how soon it saturates", neutral=0.0, lower=0.0, upper=50.0, prior={"half_normal": 3.0}
+    )
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
-        force, elongation = point.scales.force, point.scales.elongation
-        return {"force": self.delta * (force / elongation) * sided(point.elongation, self.side)}
+        ratio = raised(point.elongation / point.scales.elongation, self.power)
+        if not is_zero(self.bend):
+            ratio = ratio / (1 + self.bend * jnp.abs(ratio))
+        return {"force": self.delta * point.scales.force * sided(ratio, self.side)}
 
 
 @register
