@@ -72,6 +72,11 @@ def degradation(slot, turned=lambda factor: factor):
     return {name: (slot, lambda p, x, s, shape=shape: turned(shape(p, x))) for name, shape in shapes.items()}
 
 
+def share(p, moved):
+    """What a force counts for: less to the side that it is not of."""
+    return np.minimum(1 + p.side * np.sign(moved), 1)
+
+
 def to_sides(form, moved, slot="force"):
     """A force to both sides, and to one of them, by the sign of what moves."""
     return {
@@ -112,6 +117,18 @@ EQUATIONS = {
         "fixed": ("slack", lambda p, x, s: p.delta * U + 0 * s.u),
         "widening": ("slack", lambda p, x, s: p.delta * s.largest_elongation),
         "widening of energy": ("slack", lambda p, x, s: p.delta * U * s.energy / E),
+        "free": (
+            "slack",
+            lambda p, x, s: (
+                p.delta
+                * np.maximum(
+                    p.of_largest * s.largest_elongation
+                    + p.of_energy * U * s.energy / E
+                    + (1 - p.of_largest - p.of_energy) * U,
+                    0,
+                )
+            ),
+        ),
     },
     "support_flexibility": {
         "linear": ("compliance", lambda p, x, s: p.delta * U / F + 0 * s.z),
@@ -128,12 +145,19 @@ EQUATIONS = {
         "of elongation": ("force", lambda p, x, s: p.delta * F * np.abs(s.u) / U * s.v / V),
         "opening only": dashpot["positive"],
         "closing only": dashpot["negative"],
+        "free": (
+            "force",
+            lambda p, x, s: (
+                p.delta * F * (1 - p.of_elongation + p.of_elongation * np.abs(s.u) / U) * s.v / V * share(p, s.v)
+            ),
+        ),
     },
     "quadratic_damping": {
         "quadratic": drag[""],
         "power": ("force", lambda p, x, s: p.delta * F * np.abs(s.v / V) ** p.power * np.sign(s.v)),
         "opening only": drag["positive"],
         "closing only": drag["negative"],
+        "free": ("force", lambda p, x, s: p.delta * F * np.abs(s.v / V) ** p.power * np.sign(s.v) * share(p, s.v)),
     },
     "coulomb_friction": {
         "sharp": ("force", lambda p, x, s: p.delta * F * np.tanh(s.v / (0.02 * V))),
@@ -158,6 +182,12 @@ EQUATIONS = {
         "compression only": spring["negative"],
         "power": ("force", lambda p, x, s: p.delta * F * np.abs(s.u / U) ** p.power * np.sign(s.u)),
         "saturating": ("force", lambda p, x, s: p.delta * F * (s.u / U) / (1 + p.bend * np.abs(s.u / U))),
+        "free": (
+            "force",
+            lambda p, x, s: (
+                p.delta * F * (bent := np.abs(s.u / U) ** p.power) / (1 + p.bend * bent) * np.sign(s.u) * share(p, s.u)
+            ),
+        ),
     },
     "cubic_stiffness": {
         "cubic": ("force", lambda p, x, s: p.delta * F * (s.u / U) ** 3),
@@ -173,6 +203,7 @@ EQUATIONS = {
         "power": ("force", lambda p, x, s: p.delta * F * beyond(p, s) ** p.power * np.sign(s.u)),
         "tension only": ("force", lambda p, x, s: np.where(s.u > 0, stop(p, x, s), 0)),
         "compression only": ("force", lambda p, x, s: np.where(s.u < 0, stop(p, x, s), 0)),
+        "free": ("force", lambda p, x, s: p.delta * F * beyond(p, s) ** p.power * np.sign(s.u) * share(p, s.u)),
     },
     "slip": {
         "gaussian": (
@@ -192,6 +223,11 @@ EQUATIONS = {
         "loading": ("gamma", lambda p, x, s: p.delta * (np.sign(s.z) + np.sign(s.v)) / 2),
         "stiffness": ("eta", lambda p, x, s: 1 / (1 - p.delta * np.sign(s.z))),
         "stiffness and strength": ("a", lambda p, x, s: 1 - p.delta * np.sign(s.z)),
+        "free": [
+            ("nu", lambda p, x, s: 1 + p.delta * np.sign(s.z)),
+            ("gamma", lambda p, x, s: p.of_loading * p.delta * (np.sign(s.z) + np.sign(s.v)) / 2),
+            ("eta", lambda p, x, s: 1 / (1 - p.of_stiffness * p.delta * np.sign(s.z))),
+        ],
     },
     "isotropic_hardening": {
         "saturating": ("nu", lambda p, x, s: 1 / (1 + p.delta * (1 - np.exp(-x / p.width)))),
@@ -237,12 +273,14 @@ def test_a_form_is_its_equation(name, label):
     for quantile in (0.3, 0.8):
         values = drawn(name, label, quantile)
         found = jax.vmap(effect(**form.held, **values).contribute)(point(at))
-        slot, equation = EQUATIONS[name][form.name]
-        expected = equation(SimpleNamespace(**values), x, s)
-        assert list(found) == [slot]
-        # A small power is linear next to zero: (1e-9)^p, where the virgin state has none.
-        np.testing.assert_allclose(found[slot], expected, rtol=2e-7 if name == "slip" else 1e-11, atol=1e-12 * F)
-        assert np.ptp(expected) > 1e-3 * np.abs(expected).max() or (name, form.name) in CONSTANT
+        equations = EQUATIONS[name][form.name]
+        equations = equations if isinstance(equations, list) else [equations]
+        assert set(found) == {slot for slot, _ in equations}
+        for slot, equation in equations:
+            expected = equation(SimpleNamespace(**values), x, s)
+            # A small power is linear next to zero: (1e-9)^p, where the virgin state has none.
+            np.testing.assert_allclose(found[slot], expected, rtol=2e-7 if name == "slip" else 1e-11, atol=1e-12 * F)
+            assert np.ptp(expected) > 1e-3 * np.abs(expected).max() or (name, form.name) in CONSTANT
 
 
 def test_a_bristle_bends_with_its_stiffness_and_slides_at_one():

@@ -5,7 +5,7 @@ from typing import ClassVar, Literal, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
-from hsed_jax.physics.effects.forms import Form
+from hsed_jax.physics.effects.forms import FREE, Form
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_number, is_zero
 from hsed_jax.physics.states import LARGEST_ELONGATION, SharedState
@@ -38,6 +38,12 @@ class Gap(AbstractSpringEffect):
             held={"of_energy": 1.0},
             in_units=False,
         ),
+        Form(
+            FREE,
+            r"s = \delta\left(w_u\max|\Delta u| + w_e u_c\,e/E_c + (1 - w_u - w_e)u_c\right)",
+            free=("of_largest", "of_energy"),
+            in_units=False,
+        ),
     )
 
     delta: Scalar = parameter(
@@ -60,12 +66,13 @@ class Gap(AbstractSpringEffect):
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `slack`."""
-        width = point.scales.elongation
+        fixed = point.scales.elongation
+        width = fixed
         if not is_zero(self.of_largest):
-            width = width + self.of_largest * (point.memory["largest_elongation"] - width)
+            width = width + self.of_largest * (point.memory["largest_elongation"] - fixed)
         if not is_zero(self.of_energy):
             used = jnp.maximum(point.memory["energy"], 0.0) / point.scales.energy
-            width = width + self.of_energy * (used * point.scales.elongation - width)
+            width = jnp.maximum(width + self.of_energy * (used - 1) * fixed, 0.0)
         return {"slack": self.delta * width}
 
 

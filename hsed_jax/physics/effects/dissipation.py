@@ -5,7 +5,7 @@ from typing import ClassVar, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
-from hsed_jax.physics.effects.forms import Form, one_side, raised, sided
+from hsed_jax.physics.effects.forms import FREE, Form, one_side, raised, sided
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_zero
 
@@ -28,6 +28,8 @@ class ViscousDamping(AbstractSpringEffect):
              held={"of_elongation": 1.0}, in_units=False),
         Form("opening only", r"\delta F_c\max(\Delta\dot u, 0)/v_c", held={"side": 1.0}),
         Form("closing only", r"\delta F_c\min(\Delta\dot u, 0)/v_c", held={"side": -1.0}),
+        Form(FREE, r"\delta F_c\left(1 - w_u + w_u|\Delta u|/u_c\right)\Delta\dot u/v_c,\ "
+             r"\text{times } 1 - |w| \text{ one way}", free=("side", "of_elongation"), in_units=False),
     )  # fmt: skip
 
     delta: Scalar = parameter(
@@ -64,6 +66,8 @@ class QuadraticDamping(AbstractSpringEffect):
              free=("power",), in_units=False),
         Form("opening only", r"\delta F_c\max(\Delta\dot u, 0)^2/v_c^2", held={"side": 1.0}),
         Form("closing only", r"-\delta F_c\min(\Delta\dot u, 0)^2/v_c^2", held={"side": -1.0}),
+        Form(FREE, r"\delta F_c|\Delta\dot u/v_c|^p\,\mathrm{sign}\,\Delta\dot u,\ \text{times } 1 - |w| \text{ one way}",
+             free=("power", "side"), in_units=False),
     )  # fmt: skip
 
     delta: Scalar = parameter(

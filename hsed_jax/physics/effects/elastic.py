@@ -5,7 +5,7 @@ from typing import ClassVar, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
-from hsed_jax.physics.effects.forms import Form, one_side, raised, sided
+from hsed_jax.physics.effects.forms import FREE, Form, one_side, raised, sided
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
 from hsed_jax.physics.scales import is_number, is_zero
 
@@ -30,6 +30,13 @@ class Hardening(AbstractSpringEffect):
             in_units=False,
         ),
         Form("saturating", r"\delta\,\frac{F_c}{u_c}\frac{\Delta u}{1 + b|\Delta u|/u_c}", free=("bend",)),
+        Form(
+            FREE,
+            r"\delta F_c\frac{|x|^p}{1 + b|x|^p}\mathrm{sign}\,x,\ x = \Delta u/u_c,\ "
+            r"\text{times } 1 - |w| \text{ to the side that } w \text{ is not of}",
+            free=("power", "bend", "side"),
+            in_units=False,
+        ),
     )
 
     delta: Scalar = parameter(
@@ -137,6 +144,12 @@ class ContactStiffening(AbstractSpringEffect):
         Form("power", r"\delta F_c\,b^p", free=("power",), in_units=False),
         Form("tension only", r"\delta F_c\,b\ (\Delta u > 0)", held={"side": 1.0}),
         Form("compression only", r"\delta F_c\,b\ (\Delta u < 0)", held={"side": -1.0}),
+        Form(
+            FREE,
+            r"\delta F_c\,b^p,\ \text{times } 1 - |w| \text{ to the side that } w \text{ is not of}",
+            free=("power", "side"),
+            in_units=False,
+        ),
     )
 
     delta: Scalar = parameter(

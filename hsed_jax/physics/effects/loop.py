@@ -80,6 +80,9 @@ class Asymmetry(AbstractSpringEffect):
         Form("stiffness", r"1/\eta = 1 - \delta\,\mathrm{sign}\,z", "Dobson, Noori, Hou, Dimentberg & Baber 1997",
              held={"of_strength": 0.0, "of_stiffness": 1.0}),
         Form("stiffness and strength", r"a = 1 - \delta\,\mathrm{sign}\,z", held={"of_strength": 0.0, "of_both": 1.0}),
+        Form(FREE, r"\nu = 1 + \delta\,\mathrm{sign}\,z,\ 1/\eta = 1 - w_\eta\delta\,\mathrm{sign}\,z,\ "
+             r"\gamma + w_\gamma\delta\beta\,(\mathrm{sign}\,z + \mathrm{sign}\,\Delta\dot u)/2",
+             free=("of_stiffness", "of_loading")),
     )  # fmt: skip
 
     delta: Scalar = parameter(
