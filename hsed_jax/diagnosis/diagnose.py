@@ -64,7 +64,7 @@ def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None
     probabilities = search.probabilities(models)
     ranking = _ranking(problem, search, models, probabilities, sampled)
     none = search.model(())
-    rivals = rivals_of(models, best)
+    rivals = rivals_of(problem, search, models, best)
     # A clear winner still has a runner-up to be told from.
     information = separation(problem, search, [best, *(rivals or [m for m in models if m is not best][:1])])
     look_alikes = look_alikes_of(problem, search, best, models) if best.effects else []
@@ -115,8 +115,11 @@ def _sample(problem: Problem, search: Search, model: Model) -> Sampled:
 def _confirmed(problem: Problem, search: Search, models: list[Model]) -> tuple[Model, dict[Set, Sampled], list[Model]]:
     """The best model after close calls were confirmed by sampling, the samples, and all models with their evidence."""
     shares = search.probabilities(models)
-    close = [m for m, share in zip(models, shares, strict=True) if share >= _CLOSE][:_MOST_CLOSE]
     chosen = search.model(search.best)
+    close = [m for m, share in zip(models, shares, strict=True) if share >= _CLOSE][:_MOST_CLOSE]
+    if not chosen.effects and not search.is_open():
+        # Nothing is named whatever they come to.
+        close = [chosen]
     if all(m.effects != chosen.effects for m in close):
         close.append(chosen)
     sampled = {m.effects: _sample(problem, search, m) for m in close}

@@ -28,6 +28,8 @@ _MOST_STEPS = 30
 _MOST_TRIALS = 6
 # Of several starts so many go on after so many steps.
 _RACE = {3: 2, 7: 1}
+# A fit is given up that is so many nats behind the best of its use, and by its last step would need as many more.
+_BEHIND, _AS_MANY = 20.0, 50
 # Curvature of a coordinate that neither data nor prior hold: its box does.
 _FLAT = 1e-6
 # Outputs that are held at once.
@@ -77,12 +79,12 @@ class Member(NamedTuple):
     free: Int[np.ndarray, " p"]
     held: Float[np.ndarray, " P"]
 
-    def beside(self, more: Sequence[int], held: Mapping[int, float]) -> "Member":
+    def beside(self, more: Int[np.ndarray, " q"], held: Mapping[int, float]) -> "Member":
         """The model with further coordinates free, and further parameters held."""
         values = self.held.copy()
         for column, value in held.items():
             values[column] = value
-        return Member(np.append(self.free, np.asarray(more, dtype=int)), values)
+        return Member(np.append(self.free, more), values)
 
 
 class Task(NamedTuple):
@@ -213,7 +215,7 @@ class NestedModels:
             if not active:
                 break
             self._linearise(target, active)
-            self._advance(target, active)
+            self._advance(target, active, {f.use: min(g.cost for g in fits if g.use == f.use) for f in active})
         _give_up(fits, tasks, 1)
         self._linearise(target, [f for f in fits if np.isfinite(f.cost) and not f.fresh])
         return fits
@@ -222,8 +224,8 @@ class NestedModels:
         """√w (f − y)/σ of a fit."""
         return target.standardised(fit.use, np.arange(len(target.values)), fit.predicted - target.values)
 
-    def _advance(self, target: Target, active: list[Descent]) -> None:
-        """Move each fit by one accepted step, or end it."""
+    def _advance(self, target: Target, active: list[Descent], lead: Mapping[int, float]) -> None:
+        """Move each fit by one accepted step, or end it; `lead` is the least cost of each use."""
         pending = active
         for _ in range(_MOST_TRIALS):
             trials = [(f, self._step(f)) for f in pending]
@@ -233,7 +235,8 @@ class NestedModels:
                 if gain > 0:
                     one.x, one.cost, one.predicted, one.fresh = x, cost, predicted, False
                     one.damping = max(one.damping / 5, 1e-9)
-                    one.done = gain < _GAIN
+                    behind = cost - lead[one.use]
+                    one.done = gain < _GAIN or (behind > _BEHIND and gain * _AS_MANY < behind)
                 else:
                     one.damping = max(one.damping * 8, 1e-3)
                     # Not even the model of the cost expects more than this.

@@ -33,6 +33,16 @@ Forms = Mapping[str, FormColumns]
 """The forms of a candidate by their labels, the default one first."""
 
 
+def of_other_drivers(forms: Forms, label: str) -> list[str]:
+    """The forms of the same shape, with whatever driver."""
+    return [other for other, form in forms.items() if form.form.name == forms[label].form.name]
+
+
+def of_other_shapes(forms: Forms, label: str) -> list[str]:
+    """The forms with the same driver, of whatever shape."""
+    return [other for other, form in forms.items() if form.form.driver == forms[label].form.driver]
+
+
 class Problem(NamedTuple):
     """What a diagnosis works on.
 

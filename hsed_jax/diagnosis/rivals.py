@@ -13,6 +13,8 @@ from hsed_jax.diagnosis.search import Search
 
 # Rivals whose posterior odds against the best are at least this are as good.
 _AS_GOOD = 1 / 3
+# Of so many models of other physics it is asked whether they predict as well.
+_MOST_TRIED = 8
 # A rival mends the model, too, if it gains at least this share of what the best one gains.
 _MENDS = 0.5
 # A model whose posterior odds against the best are less than this is excluded.
@@ -38,6 +40,9 @@ def separation(problem: Problem, search: Search, rivals: Sequence[Model]) -> Flo
     means, spreads, ok = zip(*(_predictive(problem, m, rows) for m in rivals), strict=True)
     root = np.sqrt(search.worth[problem.train.groups]) / problem.sigma(search.errors, means[0])
     shares = search.probabilities(rivals)
+    if rivals[0].effects in search.predicted:
+        # Of wrong models the evidence says nothing.
+        shares = np.full(len(rivals), 1 / len(rivals))
     for i in range(len(rivals)):
         for j in range(i):
             apart = root * (means[i] - means[j])
@@ -91,15 +96,27 @@ def next_experiment(
     return dict(problem.candidates[best]), float(information[best])
 
 
-def rivals_of(models: Sequence[Model], best: Model) -> list[Model]:
-    """Models as probable as the best that name something else (and not only something more)."""
-    return [
+def rivals_of(problem: Problem, search: Search, models: Sequence[Model], best: Model) -> list[Model]:
+    """Models that name something else (and not only something more) and are as good as the best: as probable; or, where
+    prediction chose it, of other physics, no larger, and no worse by one standard error on what was left out."""
+    others = [m for m in models if m.effects != best.effects and not m.effects > best.effects]
+    as_probable = [m for m in others if m.log_posterior - best.log_posterior >= math.log(_AS_GOOD)]
+    if best.effects not in search.predicted:
+        return as_probable
+    unlike = [
         m
-        for m in models
-        if m.effects != best.effects
-        and not m.effects > best.effects
-        and m.log_posterior - best.log_posterior >= math.log(_AS_GOOD)
-    ]
+        for m in others
+        if m not in as_probable and 0 < len(m.effects) <= len(best.effects) and _families(problem, best, m)
+    ][:_MOST_TRIED]
+    gains = search.gains([m.effects for m in unlike], best.effects)
+    return [*as_probable, *(m for m, gain in zip(unlike, gains, strict=True) if gain.mean + gain.standard_error >= 0)]
+
+
+def _families(problem: Problem, best: Model, other: Model) -> set[str]:
+    """Kinds of physics of what another model has in place of the best."""
+    return {problem.catalogue[e].family for e in other.effects - best.effects} - {
+        problem.catalogue[e].family for e in best.effects
+    }
 
 
 def look_alikes_of(problem: Problem, search: Search, best: Model, models: Sequence[Model]) -> list[list[str]]:

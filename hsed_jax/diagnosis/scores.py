@@ -82,7 +82,7 @@ class Around:
             amplitudes: the index of each, and what other parameters are held at beside it.
         """
         places = [self._moved(self._x, k) for k, _ in amplitudes.values()]
-        members = [self._fit.member.beside([k], held) for k, held in amplitudes.values()]
+        members = [self._fit.member.beside(np.asarray([k]), held) for k, held in amplitudes.values()]
         differences, own = self._across([(x, m) for (x, _), m in zip(places, members, strict=True)])
         found = {}
         for effect, slope, free in zip(amplitudes, differences, own, strict=True):

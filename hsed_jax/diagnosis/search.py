@@ -21,7 +21,7 @@ from hsed_jax.diagnosis.fits import Choice, Fits, Model, Set, spread
 from hsed_jax.diagnosis.held_out import Gain, folds_of, left_out_predictions
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import Descent, NestedModels, Target, Task
-from hsed_jax.diagnosis.problem import Forms
+from hsed_jax.diagnosis.problem import Forms, of_other_drivers, of_other_shapes
 from hsed_jax.diagnosis.scores import Around, Promise, Trial, score_p_value
 from hsed_jax.errors import UserError
 
@@ -99,6 +99,7 @@ class Search:
         self.scores: dict[str, float] = {}
         self.missed = 0.0
         self.predicted: dict[Set, Gain] = {}
+        self._tried: set[Set] = set()
 
     def run(self) -> None:
         """Search, from the model as it is."""
@@ -107,7 +108,7 @@ class Search:
             around = self._neighbours()
             self._fit(around)
             # Where nothing will be named, what is said of a candidate is how large it may be.
-            if self.best or self._is_open():
+            if self.best or self.is_open():
                 self._deepen(around)
             self._judge()
             found = self._next()
@@ -249,7 +250,10 @@ class Search:
         self._fits.fit(self.target, [self._in_forms(s) for s in around if s <= self.best])
         grown = {s for s in around if not s <= self.best}
         starts: dict[Choice, list[np.ndarray]] = {}
-        for base in {s - {e} for s in grown for e in s} & set(self._around()):
+        for base in {s & self.best for s in grown} - self._tried:
+            if base not in self._fits:
+                continue
+            self._tried.add(base)
             others = [e for s in grown if s > base for e in s - base]
             for choice, points in self._promising(base, others).items():
                 starts.setdefault(choice, points)
@@ -259,9 +263,10 @@ class Search:
         """Choices of one effect beside a fitted set, in the forms that promise most, and where to fit each from."""
         top = self._fits.top(base)
         fit = self._fits.best(base)
+        is_open = bool(base) or self.is_open()
         trials: list[tuple[str, str, Trial]] = []
         for effect in others:
-            for label, form in self.effects[effect].items():
+            for label, form in list(self.effects[effect].items())[: None if is_open else 1]:
                 shares = spread(len(form.columns))
                 for x in self.models.box.quantiles(form.columns, shares if form.form.is_default else shares[:_SIZES]):
                     start = fit.x.copy()
@@ -275,7 +280,6 @@ class Search:
         for forms in of_forms.values():
             for label, found in forms.items():
                 forms[label] = sorted(found, key=lambda p: -p.gain)[:_STARTS]
-        is_open = bool(base) or self._is_open()
         ranked = sorted(of_forms.items(), key=lambda item: -max(found[0].gain for found in item[1].values()))
         chosen: dict[Choice, list[np.ndarray]] = {}
         for effect, forms in ranked[: _REACH if base else None]:
@@ -300,7 +304,7 @@ class Search:
             _NEAR, 0.5 * (ranked[0].log_posterior - self.model(self.best).log_posterior)
         )
         near = [m for m in ranked[: _DEEP if self.best else 2 * _DEEP] if m.log_posterior >= enough]
-        for others in (_of_other_drivers, _of_other_shapes):
+        for others in (of_other_drivers, of_other_shapes):
             self._report(f"forms of {_text(near[0].effects)}")
             choices = []
             for model in map(self.model, [m.effects for m in near]):
@@ -348,16 +352,19 @@ class Search:
         best, others = self.best, [e for e in self.effects if e not in self.best]
         fewer = [best - {e} for e in best]
         exchanged = [best - {out} | {new} for out in best for new in others]
-        may_grow = not best or (len(best) < MOST_EFFECTS and self._is_open())
+        may_grow = not best or (len(best) < MOST_EFFECTS and self.is_open())
         more = [best | {new} for new in others] if may_grow else []
         return [best, *fewer, *exchanged, *more]
 
-    def _is_open(self) -> bool:
+    def is_open(self) -> bool:
         """Whether there is anything left for a further effect to explain, by size or by a score test."""
         return not self._is_explained(self._fits.best(self.best)) or bool(self.pointed_at(self.best))
 
     def _around(self) -> list[Set]:
-        return [s for s in dict.fromkeys([frozenset(), *self.path, *self._neighbours()]) if s in self._fits]
+        """The fitted sets around the best; of a candidate that none of them has, the set of it alone."""
+        sets = [s for s in dict.fromkeys([frozenset(), *self.path, *self._neighbours()]) if s in self._fits]
+        alone = [frozenset({e}) for e in self.effects if not any(e in s for s in sets)]
+        return [*sets, *(s for s in alone if s in self._fits)]
 
     # What models are judged with.
 
@@ -375,16 +382,6 @@ class Search:
 
     def _log_prior(self, size: int) -> float:
         return -(size + 1) * math.log(2) - math.log(math.comb(len(self.effects), size))
-
-
-def _of_other_drivers(forms: Forms, label: str) -> list[str]:
-    """The forms of the same shape."""
-    return [other for other, form in forms.items() if form.form.name == forms[label].form.name]
-
-
-def _of_other_shapes(forms: Forms, label: str) -> list[str]:
-    """The forms with the same driver."""
-    return [other for other, form in forms.items() if form.form.driver == forms[label].form.driver]
 
 
 def _amplitude(forms: Forms) -> tuple[int, Mapping[int, float]]:
