@@ -248,48 +248,49 @@ class Search:
         To a model without effects every candidate is fitted, to others those that promise most.
         """
         self._fits.fit(self.target, [self._in_forms(s) for s in around if s <= self.best])
-        grown = {s for s in around if not s <= self.best}
+        beside: dict[Set, list[str]] = {}
+        for grown in (s for s in around if not s <= self.best):
+            beside.setdefault(grown & self.best, []).extend(grown - self.best)
         starts: dict[Choice, list[np.ndarray]] = {}
-        for base in {s & self.best for s in grown} - self._tried:
-            if base not in self._fits:
-                continue
-            self._tried.add(base)
-            others = [e for s in grown if s > base for e in s - base]
-            for choice, points in self._promising(base, others).items():
-                starts.setdefault(choice, points)
+        for base, others in beside.items():
+            if base in self._fits and base not in self._tried:
+                self._tried.add(base)
+                starts |= self._promising(base, others)
         self._fits.fit(self.target, starts, starts)
 
     def _promising(self, base: Set, others: Sequence[str]) -> dict[Choice, list[np.ndarray]]:
         """Choices of one effect beside a fitted set, in the forms that promise most, and where to fit each from."""
-        top = self._fits.top(base)
-        fit = self._fits.best(base)
-        is_open = bool(base) or self.is_open()
+        top, is_open = self._fits.top(base), bool(base) or self.is_open()
+        chosen: dict[Choice, list[np.ndarray]] = {}
+        promises = self._promises(self._fits.best(base), others, only_default=not is_open)
+        ranked = sorted(promises.items(), key=lambda item: -max(found[0].gain for found in item[1].values()))
+        for effect, forms in ranked[: _REACH if base else None]:
+            default, *further = forms
+            better = sorted(
+                (f for f in further if forms[f][0].gain > forms[default][0].gain), key=lambda f: -forms[f][0].gain
+            )
+            for label in (default, *better[:_PROMISING]):
+                chosen[top | {(effect, label)}] = [p.start for p in forms[label][: _STARTS if is_open else 1]]
+        return chosen
+
+    def _promises(self, fit: Descent, others: Sequence[str], only_default: bool) -> dict[str, dict[str, list[Promise]]]:
+        """Of each effect and form what several sizes of it promise beside a fit, the best first."""
         trials: list[tuple[str, str, Trial]] = []
         for effect in others:
-            for label, form in list(self.effects[effect].items())[: None if is_open else 1]:
+            for number, (label, form) in enumerate(self.effects[effect].items()):
+                if number and only_default:
+                    break
                 shares = spread(len(form.columns))
-                for x in self.models.box.quantiles(form.columns, shares if form.form.is_default else shares[:_SIZES]):
+                for x in self.models.box.quantiles(form.columns, shares[:_SIZES] if number else shares):
                     start = fit.x.copy()
                     start[form.columns] = x
                     member = fit.member.beside(form.columns, form.held)
                     trials.append((effect, label, Trial(member, start, int(form.columns[0]))))
+        found: dict[str, dict[str, list[Promise]]] = {}
         promises = Around(self.models, self.target, fit).promises([trial for *_, trial in trials])
-        of_forms: dict[str, dict[str, list[Promise]]] = {}
         for (effect, label, _), promise in zip(trials, promises, strict=True):
-            of_forms.setdefault(effect, {}).setdefault(label, []).append(promise)
-        for forms in of_forms.values():
-            for label, found in forms.items():
-                forms[label] = sorted(found, key=lambda p: -p.gain)[:_STARTS]
-        ranked = sorted(of_forms.items(), key=lambda item: -max(found[0].gain for found in item[1].values()))
-        chosen: dict[Choice, list[np.ndarray]] = {}
-        for effect, forms in ranked[: _REACH if base else None]:
-            default = next(iter(self.effects[effect]))
-            better = sorted(
-                (f for f in forms if forms[f][0].gain > forms[default][0].gain), key=lambda f: -forms[f][0].gain
-            )
-            for label in [default, *better[:_PROMISING]] if is_open else [default]:
-                chosen[top | {(effect, label)}] = [p.start for p in forms[label][: None if is_open else 1]]
-        return chosen
+            found.setdefault(effect, {}).setdefault(label, []).append(promise)
+        return {e: {f: sorted(ps, key=lambda p: -p.gain) for f, ps in forms.items()} for e, forms in found.items()}
 
     def _in_forms(self, effects: Set) -> Choice:
         """Effects of the best set in its forms."""
