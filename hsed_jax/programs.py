@@ -22,6 +22,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax import export
@@ -55,7 +56,8 @@ class Program[**P, R]:
 
     def __init__(self, function: Callable[P, R]):
         functools.update_wrapper(self, function)
-        self._function, self._traced = function, eqx.filter_jit(function)
+        self._function: Callable[..., Any] = function
+        self._traced = eqx.filter_jit(function)
         self._made: dict[Any, Callable[..., Any] | None] = {}
         self._lock = threading.Lock()
 
