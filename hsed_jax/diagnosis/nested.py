@@ -28,7 +28,7 @@ _MOST_STEPS = 30
 _MOST_TRIALS = 6
 # Of several starts so many go on after so many steps.
 _RACE = {3: 2, 7: 1}
-# A fit is given up that is so many nats behind the best of its use, and by its last step would need as many more.
+# A start is given up that is so many nats behind the best fit of its use, and at its last step's pace needs more steps than this.
 _BEHIND, _AS_MANY = 20.0, 50
 # Curvature of a coordinate that neither data nor prior hold: its box does.
 _FLAT = 1e-6
@@ -113,6 +113,7 @@ class Descent:
         cost: φ there; infinite where the simulation diverged.
         predicted: outputs of all experiments of the target, SI, (n, J); zero where the use has no weight.
         gradient, hessian: of φ in the free coordinates (Gauss–Newton), (p,) and (p, p).
+        races: it is one of several starts, and given up where it cannot catch up with other fits.
     """
 
     member: Member
@@ -125,6 +126,7 @@ class Descent:
     damping: float = 1e-2
     done: bool = False
     fresh: bool = False
+    races: bool = False
 
     @property
     def free(self) -> Int[np.ndarray, " p"]:
@@ -202,7 +204,9 @@ class NestedModels:
         return fits
 
     def _descended(self, target: Target, tasks: Sequence[Task]) -> list[Descent]:
-        fits = [Descent(t.member, np.clip(t.start, self.box.low, self.box.high), t.use) for t in tasks]
+        fits = [
+            Descent(t.member, np.clip(t.start, self.box.low, self.box.high), t.use, races=t.rivals >= 0) for t in tasks
+        ]
         for one, cost, predicted in zip(fits, *self._costs(target, [(f, f.x) for f in fits]), strict=True):
             one.cost, one.predicted = cost, predicted
             one.done = not np.isfinite(cost)
@@ -236,7 +240,7 @@ class NestedModels:
                     one.x, one.cost, one.predicted, one.fresh = x, cost, predicted, False
                     one.damping = max(one.damping / 5, 1e-9)
                     behind = cost - lead[one.use]
-                    one.done = gain < _GAIN or (behind > _BEHIND and gain * _AS_MANY < behind)
+                    one.done = gain < _GAIN or (one.races and behind > _BEHIND and gain * _AS_MANY < behind)
                 else:
                     one.damping = max(one.damping * 8, 1e-3)
                     # Not even the model of the cost expects more than this.
