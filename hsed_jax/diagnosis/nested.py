@@ -219,7 +219,8 @@ class NestedModels:
             if not active:
                 break
             self._linearise(target, active)
-            self._advance(target, active, {f.use: min(g.cost for g in fits if g.use == f.use) for f in active})
+            lead = {use: min(f.cost for f in fits if f.use == use) for use in {f.use for f in active}}
+            self._advance(target, active, lead)
         _give_up(fits, tasks, 1)
         self._linearise(target, [f for f in fits if np.isfinite(f.cost) and not f.fresh])
         return fits

@@ -100,6 +100,7 @@ class Search:
         self.missed = 0.0
         self.predicted: dict[Set, Gain] = {}
         self._tried: set[Set] = set()
+        self._pointed: dict[Set, tuple[Descent, Target, Set]] = {}
 
     def run(self) -> None:
         """Search, from the model as it is."""
@@ -181,9 +182,14 @@ class Search:
 
     def pointed_at(self, chosen: Set) -> Set:
         """The candidates that a score test around a fitted set is sure of, with their number accounted for."""
-        others = {name: _amplitude(forms) for name, forms in self.effects.items() if name not in chosen}
-        scores = Around(self.models, self.target, self._fits.best(chosen)).score_tests(others)
-        return frozenset(name for name, score in scores.items() if score_p_value(score, len(self.effects)) < _STRICT)
+        fit = self._fits.best(chosen)
+        of_fit, of_target, found = self._pointed.get(chosen, (None, None, frozenset()))
+        if of_fit is not fit or of_target is not self.target:
+            others = {name: _amplitude(forms) for name, forms in self.effects.items() if name not in chosen}
+            scores = Around(self.models, self.target, fit).score_tests(others)
+            found = frozenset(n for n, score in scores.items() if score_p_value(score, len(self.effects)) < _STRICT)
+            self._pointed[chosen] = fit, self.target, found
+        return found
 
     def obstacle(self, larger: Model) -> str | None:
         """Why a model with one effect more than the best is not the one to go on from; None where nothing is against it."""
@@ -301,18 +307,17 @@ class Search:
         """Fit the most probable sets in further forms of each of their effects: with other drivers, and in other shapes."""
         ranked = sorted((self.model(s) for s in sets if s in self._fits), key=lambda m: -m.log_posterior)
         # A formula that is not the specimen's costs many nats where the noise is small.
-        enough = ranked[0].log_posterior - max(
-            _NEAR, 0.5 * (ranked[0].log_posterior - self.model(self.best).log_posterior)
-        )
+        top = ranked[0].log_posterior
+        enough = min(top - _NEAR, 0.5 * (top + self.model(self.best).log_posterior))
         near = [m for m in ranked[: _DEEP if self.best else 2 * _DEEP] if m.log_posterior >= enough]
         for others in (of_other_drivers, of_other_shapes):
             self._report(f"forms of {_text(near[0].effects)}")
             choices = []
             for model in map(self.model, [m.effects for m in near]):
-                top = frozenset(model.forms.items())
-                for effect, label in top:
+                own = frozenset(model.forms.items())
+                for effect, label in own:
                     further = others(self.effects[effect], label)
-                    choices += [(top - {(effect, label)}) | {(effect, other)} for other in further]
+                    choices += [(own - {(effect, label)}) | {(effect, other)} for other in further]
             self._fits.fit(self.target, dict.fromkeys(choices))
 
     def _judge(self) -> None:
