@@ -9,6 +9,7 @@ import argparse
 import inspect
 import io
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from PIL import Image
 
 from hsed_jax.config.load import load_study
 from hsed_jax.inference.priors import Prior
-from hsed_jax.physics.effects import EFFECTS, AbstractEffect
+from hsed_jax.physics.effects import EFFECTS, AbstractEffect, AbstractSpringEffect
 from hsed_jax.physics.effects.base import MULTIPLIED, slots_of
 from hsed_jax.physics.effects.forms import DRIVERS, forms_of
 from hsed_jax.physics.elements import Element
@@ -32,6 +33,7 @@ from hsed_jax.physics.simulator import Conditions, Recorded, Simulator, Timeline
 from hsed_jax.reporting import style
 from hsed_jax.reporting.style import Picture
 from hsed_jax.study.build import Built
+from hsed_jax.study.form_curves import curves_of
 
 DOCS = Path(__file__).resolve().parent
 PAGE, IMAGES = DOCS / "effects.md", DOCS / "images" / "effects"
@@ -220,8 +222,12 @@ def _forms(effect: type[AbstractEffect]) -> list[str]:
     """The table of its forms, and that of the parameters that some of them free."""
     if not effect.forms:
         return []
+    assert issubclass(effect, AbstractSpringEffect)
     known = parameters_of(effect)
-    rows = ["| form | equation | frees | holds | source |", "|---|---|---|---|---|"]
+    name, across = effect.name, re.sub(r"[uvF]_c", r"$\g<0>$", curves_of(effect).across)
+    rows = [f"![Forms of {name}](images/effects/{name}_forms.png)", ""]
+    rows += [f"What the forms contribute, over {across}, each over its own range.", ""]
+    rows += ["| form | equation | frees | holds | source |", "|---|---|---|---|---|"]
     for form in effect.forms:
         frees = ", ".join(f"`{key}`" for key in form.free) or "–"
         held = [f"`{key}` = {value:g}" for key, value in form.held.items() if not known[key].shapes]
@@ -299,10 +305,32 @@ def draw() -> None:
     for name, effect in EFFECTS.items():
         size = {f"{name}.{key}": value for key, value in medium(name).items()}
         picture = (shaken if effect.shaken_only else test).picture(name, size)
-        buffer = io.BytesIO()
-        picture.figure.savefig(buffer, format="png", dpi=120)
-        # Few colours in a palette: a quarter of the size.
-        Image.open(buffer).convert("RGB").quantize(48).save(IMAGES / f"{name}.png", optimize=True)
+        _save(picture, name)
+        if effect.forms:
+            _save(_forms_picture(name), f"{name}_forms")
+
+
+def _save(picture: Picture, name: str) -> None:
+    buffer = io.BytesIO()
+    picture.figure.savefig(buffer, format="png", dpi=120)
+    # Few colours in a palette: a quarter of the size.
+    Image.open(buffer).convert("RGB").quantize(48).save(IMAGES / f"{name}.png", optimize=True)
+
+
+@style.in_house_style
+def _forms_picture(name: str) -> Picture:
+    """The forms of an effect side by side."""
+    effect = EFFECTS[name]
+    assert issubclass(effect, AbstractSpringEffect)
+    across, places, curves = curves_of(effect)
+    figure = style.new_figure(1.3)
+    figure.set_size_inches(1.25 * len(curves) + 0.3, 1.3)
+    for panel, (label, values) in zip(figure.subplots(1, len(curves), squeeze=False)[0], curves.items(), strict=True):
+        panel.plot(places, values, color=style.BLUE, linewidth=1.2)
+        panel.set(xticks=[], yticks=[], title=label)
+        panel.title.set_fontsize(7)
+        panel.margins(y=0.2)
+    return Picture(figure, f"{name}: its forms over {across}.", f"{len(curves)} curves, {name}.")
 
 
 class ComponentTest:

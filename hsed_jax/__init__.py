@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from hsed_jax.analysis.calibration import compare as compare
     from hsed_jax.analysis.calibration import locate as locate
     from hsed_jax.analysis.calibration import simulate as simulate
+    from hsed_jax.analysis.discovery import discover as discover
     from hsed_jax.analysis.remedy import diagnose as diagnose
     from hsed_jax.analysis.remedy import improve as improve
     from hsed_jax.analysis.sensitivity import sensitivity as sensitivity
@@ -45,6 +46,7 @@ _HOMES = {
         "read_campaign",
         "write_campaign",
     ),
+    "analysis.discovery": ("discover",),
     "analysis.remedy": ("diagnose", "improve"),
     "analysis.sensitivity": ("sensitivity",),
     "sweeps.sweep": ("sweep",),

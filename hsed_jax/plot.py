@@ -19,12 +19,14 @@ from hsed_jax.config.schema import Study
 from hsed_jax.criticism.error_map import error_map as error_map_of
 from hsed_jax.design import over_inputs
 from hsed_jax.diagnosis.findings import Diagnosis
+from hsed_jax.discovery.findings import Discovery
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
 from hsed_jax.reporting import (
     cycle_figures,
     design_figures,
     diagnosis_figures,
+    discovery_figures,
     misfit_figures,
     misfit_maps,
     posterior_figures,
@@ -209,6 +211,23 @@ def ranking(diagnosis: Diagnosis) -> Axes:
     if not diagnosis.ranking:
         raise UserError(f"there is no candidate to draw: {diagnosis.sentence}")
     return _one(diagnosis_figures.ranking(diagnosis))
+
+
+def learned(discovery: Discovery, campaign: Campaign) -> Axes:
+    """What was learned over its first coordinate: the curve with its 90 % band, and the formula dashed.
+
+    Of two coordinates there is one curve for each direction, or for the ends and the middle of the reach of the second.
+
+    Arguments:
+        discovery: of `hx.discover`.
+        campaign: that it was made of, whose units are shown.
+
+    Raises:
+        UserError: nothing was learned.
+    """
+    if not discovery.found:
+        raise UserError(f"there is no function to draw: {discovery.sentence}")
+    return _one(discovery_figures.learned(discovery, campaign))
 
 
 def error_fall(improvement: Improvement) -> Axes:

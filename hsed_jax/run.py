@@ -81,6 +81,10 @@ def command_line() -> argparse.ArgumentParser:
         "--add", action="append", metavar="EFFECT", help="add this effect; may be said several times"
     )
     improvement.set_defaults(steps=["calibrate", "compare", "diagnose", "improve"])
+    text = "learn what no effect of the catalogue is: where it sits, its curve, its formula, as an effect of your own"
+    discovery = commands.add_parser("discover", help=text, description=text.capitalize() + ".")
+    _add_run(discovery)
+    discovery.set_defaults(steps=["calibrate", "compare", "diagnose", "discover", "improve"])
     _add_ask_and_tell(commands)
     sweeping.add_commands(commands)
     text = "write the report of a run again, or one page of several runs side by side"
@@ -179,6 +183,7 @@ def _trusted(study: "Study", options: Any) -> "Study":
 def _effects(options: Any) -> int:
     from hsed_jax.physics.effects import EFFECTS
     from hsed_jax.reporting.catalogue import catalogue, entry
+    from hsed_jax.study.form_curves import curves_of
 
     effects = EFFECTS
     if options.study:
@@ -186,7 +191,7 @@ def _effects(options: Any) -> int:
         from hsed_jax.study.own_effects import catalogue_of
 
         effects = catalogue_of(_trusted(load_study(options.study), options))
-    print(entry(options.name, effects) if options.name else catalogue(effects))
+    print(entry(options.name, effects, curves_of) if options.name else catalogue(effects))
     return 0
 
 
@@ -341,6 +346,8 @@ def _said(done: "Run", step: str) -> Iterator[Any]:
         yield done.diagnosis
         if done.remaining is not None:
             yield f"with {' and '.join(done.diagnosis.effects)}: {done.remaining}"
+    elif step == "discover" and done.discovery is not None:
+        yield done.discovery
     elif step == "improve":
         yield done.trail
         if done.improvement is not None:

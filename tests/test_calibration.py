@@ -9,6 +9,7 @@ from scipy.integrate import quad, trapezoid
 from scipy.optimize import minimize
 
 from hsed_jax.config.load import load_study
+from hsed_jax.criticism.prediction import predict
 from hsed_jax.errors import UserError
 from hsed_jax.inference.correlation import memory_of
 from hsed_jax.inference.fit import fit
@@ -455,6 +456,21 @@ def test_several_starts_find_the_better_of_two_modes():
     assert float(find(posterior, data, starts=8).theta[0]) == pytest.approx(-1.0, abs=1e-3)
 
 
+def test_what_was_thrown_against_a_bound_comes_back():
+    # A damped oscillation: from the middle of the priors the first step goes to the lower bound of the frequency, where the
+    # logistic is flat, and a descent that ends there has five times the damping.
+    def respond(theta, conditions):
+        x = conditions.inputs["x"]
+        return (jnp.exp(-theta[1] * x) * jnp.cos(theta[0] * x))[None], True
+
+    times = np.linspace(0.1, 4.0, 30)
+    posterior = posterior_of(
+        respond, {"w": Prior("uniform", [1.0, 9.0]), "c": Prior("loguniform", [0.01, 30.0])}, [0.01]
+    )
+    found = find(posterior, measured_at(times, (np.exp(-0.2 * times) * np.cos(2 * times))[:, None]), starts=2)
+    assert np.asarray(found.theta) == pytest.approx([2.0, 0.2], rel=1e-3)
+
+
 # --- whether to believe the draws --------------------------------------------------------------------------------
 
 
@@ -613,6 +629,10 @@ def test_inflated_errors_are_as_large_as_what_is_left_and_the_chi_square_stays_t
     assert wrong.chi2_per_datum == pytest.approx(left**2)
     np.testing.assert_allclose(wrong.maximum.covariance, left**2 * covariance, rtol=2e-2, atol=1e-12)
     assert "count what is left as error" in wrong.doubt
+    # A comparison measures by the noise, whatever counts as error: only the band is as wide as what is left.
+    predicted = predict(wrong, wrong.data, ())
+    np.testing.assert_allclose(predicted.sigma, 0.1)
+    np.testing.assert_allclose(predicted.sd, 0.1 * left, rtol=0.1)
     # Where the noise is all there is, nothing is widened by much.
     _, left, covariance = bent(0.0, True)
     np.testing.assert_allclose(

@@ -15,8 +15,9 @@ from hsed_jax.criticism.compare import compare
 from hsed_jax.criticism.improve import Step, Trail
 from hsed_jax.diagnosis.findings import Candidate, Diagnosis
 from hsed_jax.physics.scales import Scales
-from hsed_jax.reporting import diagnosis_figures
+from hsed_jax.reporting import diagnosis_figures, style
 from hsed_jax.reporting.diagnosis_figures import before_after, error_fall, parameters_before_after, ranking
+from hsed_jax.reporting.inline_svg import inline
 from hsed_jax.runs.figures import diagnosis_pictures
 from hsed_jax.runs.outcome import Outcome
 from hsed_jax.runs.results import _ranking
@@ -77,6 +78,15 @@ def test_a_bar_is_the_gain_and_named_effects_and_look_alikes_stand_out():
     assert {"0.970", "0.030", "< 0.001", "800.0", "790.5", "−2.0"} <= set(texts(picture))
     assert "pinching or slip" in picture.caption
     assert "pinching with a gain of 800 and a probability of 0.970" in picture.alt
+
+
+def test_hatched_bars_stand_in_a_page(tmp_path):
+    found = diagnosis(
+        [candidate("pinching", 800.0, 0.97), candidate("slip", 790.5, 0.03)], ["pinching"], [["pinching", "slip"]]
+    )
+    _, svg = style.save(ranking(found), tmp_path, "ranking")
+    drawn = inline("ranking", svg.read_text(encoding="utf-8")).svg
+    assert '<pattern id="ranking-' in drawn and "url(#ranking-" in drawn
 
 
 def test_the_best_candidates_are_shown_the_named_ones_first():
@@ -194,6 +204,7 @@ def test_what_there_is_material_for(monkeypatch):
     nothing = dict.fromkeys(
         (
             "diagnosis",
+            "discovery",
             "trail",
             "comparison",
             "improved_comparison",
@@ -243,7 +254,8 @@ def test_the_page_of_effects_is_up_to_date(docs):
 def test_the_page_names_every_effect_and_each_has_a_small_figure(docs):
     text = docs.PAGE.read_text(encoding="utf-8")
     sizes = {path.stem: path.stat().st_size for path in docs.IMAGES.glob("*.png")}
-    assert sizes.keys() == docs.EFFECTS.keys() and len(sizes) > 30
+    formed = {f"{name}_forms" for name, effect in docs.EFFECTS.items() if f"(images/effects/{name}_forms.png)" in text}
+    assert sizes.keys() == docs.EFFECTS.keys() | formed and len(docs.EFFECTS) > 30 and len(formed) > 15
     assert max(sizes.values()) <= 40_000
     for name, effect in docs.EFFECTS.items():
         assert f"### {name}\n" in text and f"(images/effects/{name}.png)" in text

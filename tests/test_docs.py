@@ -12,6 +12,10 @@ from pydantic.fields import FieldInfo
 
 import hsed_jax
 from hsed_jax.config.schema import Study
+from hsed_jax.discovery.grammar import SHAPES
+from hsed_jax.discovery.places import places
+from hsed_jax.physics.effects.coordinates import COORDINATES
+from hsed_jax.physics.effects.free_function import SLOTS
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -93,6 +97,26 @@ def test_default_and_options_are_those_of_the_schema(key):
         assert yaml.safe_load(row.default.strip("`")) == field.default
     for option in options(field.annotation):
         assert f"`{option}`" in row.meaning
+
+
+def test_the_places_of_a_discovery_are_those_of_the_code():
+    page = text_of("discovery.md")
+    rows = re.findall(r"^\| `(\w+)` \|(?: (.*) \| (.*) \| (yes|–) \||.*\|)$", page, re.MULTILINE)
+    coordinates = [row for row in rows if row[1]]
+    assert tuple(name for name, *rest in rows if not any(rest)) == SLOTS
+    known = [(name, c.words, f"${c.symbol}$", "yes" if c.needs_time else "–") for name, c in COORDINATES.items()]
+    # What stands between bars would end a cell.
+    assert [re.sub(r"\\lvert |\\lvert(?=\\)|\\rvert ?", "|", "\t".join(row)) for row in coordinates] == [
+        "\t".join(row) for row in known
+    ]
+    counts = [len({place[:2] for place in places(slots, has_time=True)}) for slots in (SLOTS, SLOTS[:1])]
+    assert f"That is {counts[0]} places of a Bouc–Wen law, {counts[1]} of another." in page
+
+
+def test_the_grammar_of_a_discovery_is_that_of_the_code():
+    (block,) = re.findall(r"```text\n(.*?)```", text_of("discovery.md"), re.DOTALL)
+    shapes = [s.text.format(x="x", **{number.symbol: number.symbol for number in s.numbers}) for s in SHAPES]
+    assert re.split(r" {2,}|\n", block.strip()) == shapes
 
 
 def test_every_public_name_is_in_the_reference():

@@ -352,6 +352,7 @@ LOOP = {
 }
 
 
+@pytest.mark.slow
 def test_a_designed_cyclic_test_finds_the_hidden_degradation(tmp_path):
     law = {"A": 5.0e6, "beta": 100.0, "gamma": 0.0, "n": 1.0}
     hidden = {"virtual": {"parameters": law, "effects": {"stiffness_degradation": {"delta": 0.1}},
@@ -370,6 +371,7 @@ def test_a_designed_cyclic_test_finds_the_hidden_degradation(tmp_path):
     assert (tmp_path / "run" / "figures" / "fig3_excitation.svg").is_file()
 
 
+@pytest.mark.slow
 def test_a_run_with_an_applied_force_reaches_its_report(pushed, tmp_path):
     loop = yaml.safe_dump({**yaml.safe_load(FRAME), **LOOP, "observe": "quantities", "error": {"relative": 1e-3}})
     study = pushed("steps=[design, calibrate, compare, diagnose]", text=loop)

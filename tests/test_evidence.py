@@ -8,7 +8,7 @@ from scipy import stats
 from scipy.integrate import quad
 
 from hsed_jax.diagnosis.box import Box
-from hsed_jax.diagnosis.evidence import importance, laplace
+from hsed_jax.diagnosis.evidence import laplace, sample_posterior
 from hsed_jax.diagnosis.lanes import Lanes
 from hsed_jax.diagnosis.nested import Descent, NestedModels, Target, Task
 from hsed_jax.inference.priors import Prior
@@ -71,7 +71,7 @@ def test_evidence_of_a_linear_gaussian_model_is_exact(columns):
     exact = stats.multivariate_normal(X @ MEANS[columns], covariance).logpdf(DATA) + LEFT_OUT
     # Second order is all there is, wherever the fit ended.
     assert laplace(fit, models) == pytest.approx(exact, abs=1e-3)
-    sampled = importance(fit, models, target, 2000, 0)
+    sampled = sample_posterior(fit, models, target, 2000, 0)
     assert sampled.log_evidence == pytest.approx(exact, abs=4 / np.sqrt(sampled.effective))
     assert sampled.effective > 1000
 
@@ -82,7 +82,7 @@ def test_sampled_moments_are_those_of_the_gaussian_posterior():
     precision = DESIGN.T @ DESIGN / SIGMA**2 + np.diag(1 / DEVIATIONS**2)
     covariance = np.linalg.inv(precision)
     mean = covariance @ (DESIGN.T @ DATA / SIGMA**2 + MEANS / DEVIATIONS**2)
-    sampled = importance(fit, models, target, 4000, 1)
+    sampled = sample_posterior(fit, models, target, 4000, 1)
     assert sampled.weights.sum() == pytest.approx(1.0) and sampled.thetas.shape == (4120, 3)
     for k in columns:
         sd = np.sqrt(covariance[k, k])
@@ -95,7 +95,7 @@ def test_sampled_moments_are_those_of_the_gaussian_posterior():
 
 def test_the_same_seed_gives_the_same_sample_and_another_a_different_one():
     models, target, fit = fitted(linear([0, 1]), normals([0, 1]))
-    first, again, other = (importance(fit, models, target, 200, seed) for seed in (5, 5, 6))
+    first, again, other = (sample_posterior(fit, models, target, 200, seed) for seed in (5, 5, 6))
     np.testing.assert_array_equal(first.thetas, again.thetas)
     assert first.log_evidence == again.log_evidence != other.log_evidence
 
@@ -132,7 +132,7 @@ def test_evidence_of_an_amplitude_on_its_bound_is_that_of_quadrature(distance, s
     total, first, second = (sum(quad(density, a, b, args=(n,))[0] for a, b in pairwise(edges)) for n in range(3))
     exact = np.log(total) - offset
     assert laplace(fit, models) == pytest.approx(exact, abs=2e-3)
-    sampled = importance(fit, models, target, 1500, 0)
+    sampled = sample_posterior(fit, models, target, 1500, 0)
     assert sampled.log_evidence == pytest.approx(exact, abs=0.08)
     moments = sampled.moments(0)
     assert moments["mean"] == pytest.approx(first / total, rel=0.08)
@@ -157,7 +157,7 @@ def two_amplitudes():
 
 def test_evidence_of_two_amplitudes_on_their_bounds_by_sampling(two_amplitudes):
     models, target, fit, exact = two_amplitudes
-    assert importance(fit, models, target, 4000, 0).log_evidence == pytest.approx(exact, abs=0.05)
+    assert sample_posterior(fit, models, target, 4000, 0).log_evidence == pytest.approx(exact, abs=0.05)
 
 
 def test_evidence_of_two_amplitudes_on_their_bounds_by_laplace(two_amplitudes):
@@ -176,7 +176,7 @@ def test_a_parameter_that_does_nothing_leaves_the_evidence_as_it_was(name, argum
     without = laplace(fit, alone)
     models, target, fit = fitted(linear([0, 1]), {**normals([0, 1]), "idle": Prior(name, arguments)})
     assert laplace(fit, models) == pytest.approx(without, abs=0.01)
-    sampled = importance(fit, models, target, 4000, 0)
+    sampled = sample_posterior(fit, models, target, 4000, 0)
     assert sampled.log_evidence == pytest.approx(without, abs=0.06)
     # Its posterior is its prior.
     prior = {"uniform": stats.uniform(-2, 7), "normal": stats.norm(1, 3), "half_normal": stats.halfnorm(scale=0.7)}
@@ -220,7 +220,7 @@ def test_evidence_of_a_curved_posterior_by_sampling_is_that_of_quadrature():
         return np.trapezoid(np.trapezoid(values, b), a)
 
     total = integral(height)
-    sampled = importance(fit, models, target, 4000, 0)
+    sampled = sample_posterior(fit, models, target, 4000, 0)
     assert sampled.log_evidence == pytest.approx(np.log(total), abs=0.05)
     for k, values in ((0, A), (1, B)):
         mean = integral(height * values) / total
@@ -232,9 +232,9 @@ def test_evidence_of_a_curved_posterior_by_sampling_is_that_of_quadrature():
 def test_evidence_leaves_out_where_the_simulation_diverges():
     # Half of the posterior is gone: half of the evidence, too.
     models, target, fit = fitted(wave, {"a": Prior("normal", [0.0, 1.0])}, pulled(0.0)[0])
-    whole = importance(fit, models, target, 4000, 0).log_evidence
+    whole = sample_posterior(fit, models, target, 4000, 0).log_evidence
     models = NestedModels(Fragile(wave, lambda theta: theta[0] < 0), models.box, np.zeros(1))
-    sampled = importance(fit, models, target, 4000, 0)
+    sampled = sample_posterior(fit, models, target, 4000, 0)
     assert sampled.log_evidence == pytest.approx(whole - np.log(2), abs=0.06)
     assert np.all(sampled.thetas[sampled.weights > 0, 0] >= 0)
 
@@ -247,6 +247,6 @@ def test_a_fit_that_diverged_has_no_evidence():
 def test_a_sample_that_diverges_everywhere_has_no_evidence_and_is_survived():
     models, target, fit = fitted(linear([0]), normals([0]))
     models = NestedModels(Fragile(linear([0]), lambda theta: theta[0] < np.inf), models.box, np.zeros(1))
-    sampled = importance(fit, models, target, 50, 0)
+    sampled = sample_posterior(fit, models, target, 50, 0)
     assert sampled.log_evidence == -np.inf and sampled.effective == 0.0
     assert np.isfinite(list(sampled.moments(0).values())).all()

@@ -25,6 +25,7 @@ from hsed_jax.physics.simulator import Conditions, Recorded, Timeline
 from hsed_jax.reporting.catalogue import entry
 from hsed_jax.reporting.formulas import in_text
 from hsed_jax.study.build import Built
+from hsed_jax.study.form_curves import curves_of
 
 F, U, V, E = SCALES = Scales(force=1.2e5, elongation=0.25, rate=1.5, energy=2e4)
 SEVERAL = tuple(name for name, effect in EFFECTS.items() if len(forms_of(effect)) > 1)
@@ -129,12 +130,30 @@ EQUATIONS = {
                 )
             ),
         ),
+        "in series": (
+            "compliance",
+            lambda p, x, s: (
+                np.sqrt(2 / np.pi) * (p.delta * U / (w := p.play * STRENGTH)) * np.exp(-(s.z**2) / (2 * w**2))
+            ),
+        ),
     },
     "support_flexibility": {
         "linear": ("compliance", lambda p, x, s: p.delta * U / F + 0 * s.z),
         "power": (
             "compliance",
             lambda p, x, s: p.delta * U / F * p.power * np.maximum(np.abs(s.z / F), 0.02) ** (p.power - 1),
+        ),
+        "free": (
+            "compliance",
+            lambda p, x, s: (
+                p.delta
+                * U
+                / F
+                * (
+                    p.power * np.maximum(np.abs(s.z / F), 0.02) ** (p.power - 1)
+                    + p.bedding * np.exp(-np.abs(s.z) / (p.bedded * F))
+                )
+            ),
         ),
     },
     "stiffness_degradation": degradation("eta"),
@@ -214,7 +233,20 @@ EQUATIONS = {
         ),
         "window": (
             "compliance",
-            lambda p, x, s: p.delta * x * U / (1.8554381 * (w := p.width * STRENGTH)) * np.exp(-((s.z / w) ** 6)),
+            lambda p, x, s: p.delta * x * U / (0.92771933 * (w := p.width * STRENGTH)) * np.exp(-((s.z / w) ** 6)),
+        ),
+        "free": (
+            "compliance",
+            lambda p, x, s: (
+                p.delta
+                * x
+                * U
+                / (w := p.width * STRENGTH)
+                * (
+                    (1 - p.flat) * np.sqrt(2 / np.pi) * np.exp(-0.5 * (s.z / w) ** 2)
+                    + p.flat / 0.92771933 * np.exp(-((s.z / w) ** 6))
+                )
+            ),
         ),
     },
     "fracture": {"sudden": ("force", lost(lambda p: 0.02)), "gradual": ("force", lost(lambda p: p.width))},
@@ -239,6 +271,10 @@ EQUATIONS = {
         "logarithmic": ("a", lambda p, x, s: 1 + p.delta * np.log(1 + np.abs(s.v) / V)),
         "power": ("a", lambda p, x, s: 1 + p.delta * (np.abs(s.v) / V) ** p.power),
         "strength": ("nu", lambda p, x, s: 1 / (1 + p.delta * np.log(1 + np.abs(s.v) / V))),
+        "free": [
+            ("a", lambda p, x, s: 1 + p.of_both * p.delta * (np.abs(s.v) / V) ** p.power),
+            ("nu", lambda p, x, s: 1 / (1 + p.of_strength * p.delta * (np.abs(s.v) / V) ** p.power)),
+        ],
     },
     "pinching": {
         "foliente": ("h", foliente),
@@ -247,6 +283,25 @@ EQUATIONS = {
         "elongation": (
             "h",
             lambda p, x, s: 1 - severity(p, x) * np.exp(-((s.u / (p.psi * (s.largest_elongation + 1e-3 * U))) ** 2)),
+        ),
+        "free": (
+            "h",
+            lambda p, x, s: (
+                1
+                - severity(p, x)
+                * np.exp(
+                    -(
+                        np.abs(
+                            (
+                                (1 - p.of_elongation) * (s.z * np.sign(s.v) / STRENGTH - p.q)
+                                + p.of_elongation * s.u / (s.largest_elongation + 1e-3 * U)
+                            )
+                            / p.psi
+                        )
+                        ** (2 * p.flatness)
+                    )
+                )
+            ),
         ),
     },
 }
@@ -293,15 +348,13 @@ def test_a_bristle_bends_with_its_stiffness_and_slides_at_one():
 
 @pytest.mark.parametrize("label", forms_of(EFFECTS["slip"]))
 def test_the_length_of_slip_is_what_its_name_says(label):
-    # The compliance over all forces is the length that is slipped through from one sign of the force to the other.
+    # The compliance over forces of one sign is the length that is slipped through on the way to none.
     effect, force = EFFECTS["slip"], np.linspace(-STRENGTH, STRENGTH, 4001)
     form = forms_of(effect)[label]
     at = {name: np.full(force.size, values[3]) for name, values in state().items()} | {"z": force}
     compliance = jax.vmap(effect(delta=0.4, width=0.1, **form.held).contribute)(point(at))["compliance"]
     driver = at["energy"][0] / E * U if form.driver else at["largest_elongation"][0]
-    assert np.trapezoid(compliance, force) == pytest.approx(
-        2 * 0.4 * driver if form.name == "gaussian" else 0.4 * driver
-    )
+    assert np.trapezoid(compliance, force) == pytest.approx(2 * 0.4 * driver)
 
 
 # --- one program for all of them ---------------------------------------------------------------------------------
@@ -361,12 +414,33 @@ def test_a_power_of_one_is_the_number_itself_traced_or_not():
     assert np.isfinite(jax.vmap(jax.jacfwd(raised))(values, jnp.full(5, 0.3))).all()
 
 
-# --- as text -----------------------------------------------------------------------------------------------------
+# --- as pictures and as text -------------------------------------------------------------------------------------
+
+
+def test_curves_are_the_equations_of_the_forms():
+    across, x, values = curves_of(EFFECTS["stiffness_degradation"])
+    assert "driver" in across and (x[0], x[-1]) == (0.0, 1.0)
+    np.testing.assert_allclose(values["linear"], 0.5 * x, atol=1e-15)
+    np.testing.assert_allclose(values["exponential"], np.exp(0.5 * x) - 1, atol=1e-15)
+    across, u, values = curves_of(EFFECTS["hardening"])
+    assert "elongation, from" in across
+    np.testing.assert_allclose(values["tension only"], 0.5 * np.maximum(u, 0.0), atol=1e-15)
+
+
+@pytest.mark.parametrize("name", SEVERAL)
+def test_forms_are_shown_over_what_tells_them_apart(name):
+    across, x, values = curves_of(EFFECTS[name])
+    assert list(values) == [form.name for form in EFFECTS[name].forms]
+    assert all(v.shape == x.shape and np.isfinite(v).all() for v in values.values())
+    assert sum(np.ptp(v) > 1e-6 for v in values.values()) >= len(values) / 2
+    shown = entry(name, EFFECTS, curves_of)
+    assert across in shown
+    assert shown.count("█") + shown.count("─") >= len(values)
 
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_the_entry_of_an_effect_shows_its_forms_without_latex(name):
-    text, effect = entry(name, EFFECTS), EFFECTS[name]
+    text, effect = entry(name, EFFECTS, curves_of), EFFECTS[name]
     assert not set("\\{}$") & set(re.sub(r"prior .*", "", text))
     lines = text.splitlines()
     for form in effect.forms:

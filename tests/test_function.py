@@ -277,6 +277,7 @@ def wrapped(folder):
     return load_study(folder / "law.yaml"), load_study(folder / "wrapped.yaml")
 
 
+@pytest.mark.slow
 def test_the_simulator_in_a_plain_function_is_designed_with_and_calibrated_as_the_law(wrapped, tmp_path, capsys):
     ours, theirs = (hx.run(study, tmp_path / study.study, progress=False, figures=False) for study in wrapped)
     for name in ("A", "beta"):

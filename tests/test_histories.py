@@ -468,6 +468,7 @@ def test_a_record_longer_than_the_model_was_built_for_is_refused(calibration):
 # --- a design that observes histories ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_design_that_observes_histories_calibrates_as_a_calibration_alone(tmp_path):
     told = [
         "observe=histories",

@@ -21,6 +21,7 @@ LEVELS = (
     ("design",),
     ("criticism",),
     ("diagnosis",),
+    ("discovery",),
     ("reporting",),
     ("config",),
     ("study",),

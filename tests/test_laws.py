@@ -17,7 +17,7 @@ from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.effects.base import slots_of
-from hsed_jax.physics.effects.forms import default_form
+from hsed_jax.physics.effects.forms import default_form, forms_of
 from hsed_jax.physics.elements import Element
 from hsed_jax.physics.excitations import Imposed, NearFaultPulse, Tabulated
 from hsed_jax.physics.laws import LAWS, BoucWen
@@ -371,6 +371,87 @@ def test_an_effect_that_a_law_has_no_place_for_is_no_silence():
         ValueError, match="slip: it writes to the slot compliance, which the law takeda has no place for"
     ):
         specimen.force(0.1, 0.0, specimen.start())
+
+
+# --- a law that hardens ------------------------------------------------------------------------------------------
+
+
+HARDENING = {"A": 5e4, "beta": 800.0, "gamma": -1100.0}  # of the benchmark of Noël & Schoukens
+
+
+def hardened(path) -> np.ndarray:
+    """Bouc–Wen force with n = 1 at each elongation of a path, by its exponentials."""
+    A, beta, gamma = HARDENING.values()
+    forces, z = [0.0], 0.0
+    for du in np.diff(path):
+        slope = gamma - beta  # against the force; b: dz = (A − b|z|) du
+        if z * du < 0:
+            to_zero = np.log1p(-slope * abs(z) / A) / -slope
+            if abs(du) < to_zero:
+                z = np.sign(z) * (A / slope + (abs(z) - A / slope) * np.exp(slope * abs(du)))
+                forces.append(z)
+                continue
+            z, du = 0.0, np.sign(du) * (abs(du) - to_zero)
+        slope = gamma + beta
+        z = np.sign(du) * (A / slope + (abs(z) - A / slope) * np.exp(-slope * abs(du)))
+        forces.append(z)
+    return np.asarray(forces)
+
+
+def test_a_bouc_wen_law_that_hardens_follows_its_exponentials():
+    steps, amplitude, omega = 400, 2e-3, 2 * np.pi * 3
+    time = np.arange(2 * steps + 1) / (2 * steps)
+    imposed = Imposed(amplitude * np.sin(omega * time), amplitude * omega * np.cos(omega * time))
+    fine = hardened(amplitude * np.sin(omega * np.linspace(0, 1, 100 * steps + 1)))
+    simulator = Simulator(None, None, Timeline(1 / steps, steps), elements=(Element(law=BoucWen),))
+    recorded = Recorded(Tabulated(jax.tree.map(jnp.asarray, imposed)), jnp.full(steps, 1 / steps))
+    found = simulator.respond({**HARDENING, "n": 1.0}, Conditions({}, recorded), ("force",))
+    assert found.ok
+    # Stiffer on loading than the elastic spring, and stiffer still on unloading: it dissipates.
+    peak = np.abs(fine).max()
+    assert peak > 1.2 * HARDENING["A"] * amplitude
+    assert found.quantities["dissipated_energy"] > 0
+    np.testing.assert_allclose(found.channels["force"], fine[::100], rtol=0, atol=1e-3 * peak)
+    assert found.quantities["peak_force"] == pytest.approx(peak, rel=1e-4)
+
+
+def test_a_law_that_hardens_has_no_strength_and_effects_measure_by_where_it_is_twice_as_stiff():
+    law = BoucWen(**HARDENING)
+    assert law.strength == np.inf and law.yield_elongation == np.inf
+    assert law.yardstick == pytest.approx(5e4 / 300)
+    loading = Specimen(law).rates(0.0, 1.0, {**Specimen(law).start(), "hysteretic": law.yardstick})["hysteretic"]
+    assert loading == pytest.approx(2 * law.stiffness)
+    sharp = BoucWen(**HARDENING, n=1.5)
+    assert sharp.strength == np.inf and sharp.yardstick == pytest.approx((5e4 / 300) ** (1 / 1.5))
+    # One that softens has its strength for both; in between both go beyond all bounds, and derivatives are numbers.
+    softening = BoucWen(5e4, 800.0, -500.0)
+    assert softening.strength == softening.yardstick == pytest.approx(5e4 / 300)
+    assert BoucWen(5e4, 800.0, -800.0).strength == np.inf
+    for gamma in (-500.0, -800.0, -1100.0):
+        slopes = jax.jacfwd(lambda g, n: BoucWen(5e4, 800.0, g, n).yardstick, (0, 1))(gamma, 1.5)
+        assert np.isfinite(slopes).all()
+
+
+@pytest.mark.parametrize("effect", ["slip", "pinching", "yield_sharpness", "gap"])
+@pytest.mark.parametrize("gamma", [-800.0, -1100.0])
+def test_effects_with_a_strength_in_their_formula_are_had_with_a_law_that_hardens(effect, gamma):
+    kind = EFFECTS[effect]
+    form = "in series" if effect == "gap" else None
+    known = (forms_of(kind)[form] if form else default_form(kind)).parameters(kind)
+    held = (forms_of(kind)[form] if form else default_form(kind)).held
+    values = {name: 0.3 if name == "delta" else max(one.neutral or 0.0, 0.1) for name, one in known.items()}
+    scales = Scales(100.0, 2e-3, 0.4, 0.1)
+
+    def rate(given, z):
+        specimen = Specimen(BoucWen(5e4, 800.0, gamma), (kind(**held, **given),), scales)
+        memory = {name: jnp.asarray(1e-3) for name in specimen.start()} | {"hysteretic": z}
+        return specimen.rates(1e-3, 0.1, memory)["hysteretic"]
+
+    for z in (0.0, 10.0, 100.0, 1000.0):
+        value, slopes = rate(values, z), jax.jacfwd(rate)(values, z)
+        assert np.isfinite(value) and np.isfinite(list(slopes.values())).all()
+    plain = Specimen(BoucWen(5e4, 800.0, gamma)).rates(1e-3, 0.1, {"hysteretic": 10.0, "energy": 0.0})["hysteretic"]
+    assert gamma == -800.0 or abs(rate(values, 10.0) / plain - 1) > 1e-3  # it does something
 
 
 # --- a study -----------------------------------------------------------------------------------------------------

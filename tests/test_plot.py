@@ -19,6 +19,8 @@ from hsed_jax.analysis.remedy import Improvement
 from hsed_jax.config.experiments import ExperimentsEntry
 from hsed_jax.criticism.improve import Step, Trail
 from hsed_jax.design.sequential import DesignState, Trial
+from hsed_jax.discovery.findings import Curve, Discovery
+from hsed_jax.discovery.places import Place
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.nuts import Chains, Convergence
 from hsed_jax.measurements import Campaign, Channel, Experiment, Record, write_campaign
@@ -103,7 +105,16 @@ def asked():
     return bare(AskTell, conduct=conduct, built=Built(STUDY), expected=lambda asked: found)
 
 
+def discovered():
+    """A learned force in proportion to the elongation."""
+    place = Place("force", ("elongation",))
+    count = len(place.degrees)
+    curve = Curve(place, ((-1.0, 1.0),), np.eye(count)[1], 1e-4 * np.eye(count))
+    return Discovery(True, place=place, formula="F_c u/u_c", curve=curve)
+
+
 CASES = {
+    "learned": (lambda: hx.plot.learned(discovered(), histories(2, 1)[0]), None),
     "expected": (lambda: hx.plot.expected(asked(), "E01"), 2),
     "ground_motions": (lambda: hx.plot.ground_motions(STUDY), 2),
     "histories": (lambda: hx.plot.histories(calibration(histories(2, 1)), "E3"), 3),
@@ -301,6 +312,7 @@ def flat():
         (lambda: hx.plot.where(calibration(quantities(), "quantities")), "plot.error_map"),
         (lambda: hx.plot.error_map(calibration(histories(2, 0))), "one or two inputs that vary"),
         (lambda: hx.plot.ranking(diagnosis([])), "no candidate to draw"),
+        (lambda: hx.plot.learned(Discovery(False, "it is noise"), histories(1, 1)[0]), "no function to draw.*noise"),
         (lambda: hx.plot.expected_improvement(bare(Run, study=STUDY, conduct=None)), "no steps of a design"),
         (lambda: hx.plot.ground_motions(STUDY.model_copy(update={"excitation": None})), "no excitation"),
     ],

@@ -482,10 +482,11 @@ def quick(built, monkeypatch):
     return go
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "overrides",
     [
-        pytest.param(("design.iterations=2",), id="iterations", marks=pytest.mark.slow),
+        pytest.param(("design.iterations=2",), id="iterations"),
         pytest.param(("design.stop.expected_improvement=10.0",), id="expected_improvement"),
     ],
 )

@@ -127,7 +127,7 @@ def test_an_input_and_a_parameter_of_one_name_are_told_apart():
         ([], 1, "samples: 1 is no power of two"),
         ([], 2**40, "samples: 1099511627776 would take 4."),
         (
-            ["model.parameters.gamma={uniform: [-1.2, -0.9]}", "excitation.duration=2.0"],
+            ["model.parameters.gamma={uniform: [-900.0, 900.0]}", "excitation.duration=2.0"],
             8,
             "simulations diverge; narrow",
         ),

@@ -142,6 +142,7 @@ def improve(
     effects: Sequence[str],
     forms: Mapping[str, str] | None = None,
     start: Mapping[str, float] | None = None,
+    own_effects: Sequence[str | Path] = (),
     watch: Watch | None = None,
 ) -> Improvement:
     """Add effects to a calibrated model and calibrate it again, MAP and posterior.
@@ -156,12 +157,15 @@ def improve(
         forms: labels of their forms, where these are not the default ones: `Diagnosis.forms`.
         start: parameters of the model with them, by name, SI, to start one of the searches from: `Diagnosis.optimum`, so that
             what was promised is delivered.
+        own_effects: Python files with effects of your own that the study does not name yet, such as what `Discovery.write` left.
         watch: follows the fits and the calibration.
 
     Raises:
         UserError: no effect is given, or one is unknown, there already, or given twice.
     """
     campaign = calibration.campaign if campaign is None else campaign
+    if own_effects:
+        calibration = replace(calibration, built=_with_files(calibration.built, own_effects))
     if not effects:
         raise UserError("there is no effect to add; name at least one (hsed effects lists the catalogue)")
     study = with_effects(calibration.built, effects, forms)
@@ -171,7 +175,9 @@ def improve(
     forms = {effect: default_form(calibration.built.catalogue[effect]).label for effect in effects} | dict(forms or {})
     problem = problem_of(calibration.built, campaign, effects, watch=watch, known=calibration.map, forms=forms)
     before = compare(calibration, campaign)
-    target = _target(problem, before)
+    train = problem.train
+    # As the calibration fits it, by what that leaves.
+    target = train.target(before.train_prediction.predicted, train.used[None])
     assert problem.start is not None
     models = problem.models
     plain = _best(problem, target, models.member(problem.law), [], problem.start)
@@ -195,12 +201,12 @@ def improve(
     return Improvement(study, calibration, better, before, after, Trail(steps, after.train.noise_floor, notes))
 
 
-def _target(problem: Problem, before: Comparison) -> Target:
-    """What the calibration fits, as it judges what it leaves."""
-    train, predicted = problem.train, before.train_prediction.predicted
-    errors, judged = np.fmax(train.declared, train.left(predicted)), train.judged(predicted)
-    weights = train.used * judged.worth[train.groups]
-    return Target(train.values, train.sigma(errors, predicted), weights[None], judged.memory)
+def _with_files(built: Built, files: Sequence[str | Path]) -> Built:
+    """The study with further files of own effects."""
+    study = built.study
+    named = [*study.model.own_effects, *(str(Path(file).resolve()) for file in files)]
+    model = study.model.model_copy(update={"own_effects": named})
+    return Built(study.model_copy(update={"model": model}), built.campaign)
 
 
 def _best(

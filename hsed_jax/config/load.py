@@ -7,8 +7,9 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from hsed_jax.config.mechanics import prior_or_default
 from hsed_jax.config.schema import Study
-from hsed_jax.config.sections import MODELS, TAGS
+from hsed_jax.config.sections import MODELS, TAGS, one_distribution
 from hsed_jax.errors import UserError
 from hsed_jax.plain import DEPTH, is_file, parse_yaml, shown
 
@@ -119,11 +120,15 @@ _WANTED = {
     "finite_number": "this must be a finite number",
     "too_long": "there are too many values here",
 }
+# Validators of mappings that are priors, as locations of errors name them.
+_OF_PRIORS = (one_distribution.__name__, prior_or_default.__name__)
 
 
 def _wanted(fault: Any) -> str:
     """What a value must be, in the words of a study rather than of the validator."""
     kind, context = fault["type"], fault.get("ctx", {})
+    if kind == "dict_type" and any(reader in str(key) for reader in _OF_PRIORS for key in fault["loc"]):
+        return "this must be a prior, such as {uniform: [1.0, 2.0]}"
     if kind in _WANTED:
         return _WANTED[kind]
     if kind == "literal_error":

@@ -21,11 +21,12 @@ Ratio = Annotated[Number, Field(ge=0, lt=1)]
 End = Whole | Literal["ground"]
 
 
-def _prior_or_default(value: Any) -> Any:
+def prior_or_default(value: Any) -> Any:
+    """Refuse a prior that is not one distribution; `{}` is the default one."""
     return value if value == {} else one_distribution(value)
 
 
-ParameterEntry = Number | Annotated[dict[str, Any], BeforeValidator(_prior_or_default)]
+ParameterEntry = Number | Annotated[dict[str, Any], BeforeValidator(prior_or_default)]
 """A fixed number, or a prior; `{}` is the prior that law or catalogue have for it."""
 FORM, DRIVER = "form", "driver"
 """Keys of an effect that are no parameters: which of its forms it has, and what drives it."""

@@ -132,7 +132,7 @@ class ImproveEntry(Section):
     add: Annotated[list[str], Field(min_length=1)] | None = None
 
 
-Step = Literal["design", "calibrate", "compare", "diagnose", "improve"]
+Step = Literal["design", "calibrate", "compare", "diagnose", "discover", "improve"]
 
 
 class Study(Tabular, Section):

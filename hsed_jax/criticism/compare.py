@@ -152,6 +152,11 @@ def is_material(error: float, noise_floor: float) -> bool:
     return error > _MATERIAL * noise_floor
 
 
+def is_noise(p_value: float | None, error: float, noise_floor: float) -> bool:
+    """Whether what a model leaves is no more than the noise: not significant, or not material; False where nothing is known."""
+    return p_value is not None and (p_value >= SIGNIFICANT or not is_material(error, noise_floor))
+
+
 def discrepancy_p_value(prediction: Prediction, declared: np.ndarray, parameters: int) -> float | None:
     r"""Probability that the noise alone leaves such a residual; None where nothing tells the noise.
 

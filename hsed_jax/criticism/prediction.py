@@ -48,7 +48,7 @@ class Prediction:
         used: where there is a measurement to compare with, (n, J).
         predicted: at θ_MAP, SI, (n, J).
         mean, sd: of the posterior predictive distribution, the error included, (n, J).
-        sigma: sd of the error alone at θ_MAP, (n, J).
+        sigma: sd of the error alone at θ_MAP, as it is declared where it is, (n, J).
         converged: whether the simulation converged, (n,).
         draws_lost: share of the posterior's draws whose simulation diverged, (n,); mean and sd are those of the others.
     """
@@ -138,6 +138,9 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
     measured, used = np.asarray(data.values), np.asarray(data.weights) > 0
     limits = ABSURD * _largest(measured, used, posterior.groups)
     predicted, ok, sigma, mean, sd, lost = (np.asarray(x) for x in _predicted(posterior, thetas, data, limits))
+    if fit.inflation is not None:
+        # What the model leaves widens the band, and is no noise.
+        sigma = sigma / fit.inflation[posterior.groups]
     return Prediction(
         posterior.outputs,
         posterior.groups,

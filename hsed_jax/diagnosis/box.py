@@ -5,7 +5,7 @@ logarithmic scale, in its logarithm.  A bound stays a bound: an amplitude that c
 it, which no unconstrained coordinate can hold.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -78,20 +78,25 @@ def _coordinate(prior: Prior) -> Coordinate:
 class Box:
     """Coordinates x of several parameters θ.
 
+    Arguments:
+        priors: of the parameters, by name.
+        flat: names of those whose prior gives bounds and scale alone, and counts as equally dense everywhere.
+
     Attributes:
+        priors: of the parameters, by name.
         names: of the parameters, P of them.
         low, high: bounds of x, (P,); infinite where there is none.
     """
 
-    def __init__(self, priors: Mapping[str, Prior]):
-        self.names = tuple(priors)
+    def __init__(self, priors: Mapping[str, Prior], flat: Collection[str] = ()):
+        self.names, self.priors = tuple(priors), dict(priors)
         self._priors = tuple(priors.values())
         coordinates = [_coordinate(prior) for prior in self._priors]
         self._is_log = np.asarray([c.is_log for c in coordinates], dtype=bool)
         self._middle, self._spread, self.low, self.high = (
             np.asarray([(c.middle, c.spread, c.low, c.high) for c in coordinates]).reshape(-1, 4).T
         )
-        self._densities = [c.density for c in coordinates]
+        self._densities = [_level() if n in flat else c.density for n, c in zip(priors, coordinates, strict=True)]
         self._quantiles: dict[tuple[int, tuple[float, ...]], np.ndarray] = {}
 
     def theta(self, x: np.ndarray) -> np.ndarray:
@@ -126,6 +131,13 @@ class Box:
         if (k, shares) not in self._quantiles:
             self._quantiles[k, shares] = np.asarray(self._priors[k].quantile(np.asarray(shares)), dtype=float)
         return self._quantiles[k, shares]
+
+
+def _level() -> "CubicSpline":
+    """The density of a coordinate that is equally dense everywhere."""
+    from scipy.interpolate import CubicSpline
+
+    return CubicSpline([-1.0, 1.0], [0.0, 0.0])
 
 
 def _bounds(prior: Prior) -> tuple[float, float]:

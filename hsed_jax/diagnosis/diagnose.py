@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from hsed_jax.criticism.compare import discrepancy_p_value, is_material
+from hsed_jax.criticism.compare import discrepancy_p_value, is_noise
 from hsed_jax.criticism.prediction import Prediction
-from hsed_jax.diagnosis.evidence import Sampled, gaussian, importance
+from hsed_jax.diagnosis.evidence import Sampled, gaussian, sample_posterior
 from hsed_jax.diagnosis.findings import Candidate, Diagnosis
 from hsed_jax.diagnosis.fits import Model, Set
 from hsed_jax.diagnosis.held_out import Gain
@@ -17,7 +18,6 @@ from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.diagnosis.rivals import difference, joined, look_alikes_of, next_experiment, rivals_of, separation
 from hsed_jax.diagnosis.scores import score_p_value
 from hsed_jax.diagnosis.search import Search
-from hsed_jax.inference.correlation import SIGNIFICANT
 
 # Models with at least this probability have their evidence confirmed by sampling.
 _CLOSE = 0.01
@@ -45,12 +45,7 @@ def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None
         report: called with what is being done, for a progress bar.
     """
 
-    def is_explained(fit: Descent) -> bool:
-        probability = _p_value(problem, fit)
-        if probability is None:
-            return False
-        return probability >= SIGNIFICANT or not is_material(problem.train.error(fit.predicted), problem.train.noise)
-
+    is_explained = partial(noise_explains, problem)
     search = Search(
         problem.models, problem.train, problem.law, problem.effects, is_explained, report, problem.test, problem.start
     )
@@ -109,7 +104,7 @@ def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None
 
 
 def _sample(problem: Problem, search: Search, model: Model) -> Sampled:
-    return importance(model.fit, problem.models, search.target, _DRAWS, problem.seed)
+    return sample_posterior(model.fit, problem.models, search.target, _DRAWS, problem.seed)
 
 
 def _confirmed(problem: Problem, search: Search, models: list[Model]) -> tuple[Model, dict[Set, Sampled], list[Model]]:
@@ -262,6 +257,11 @@ def _prediction(problem: Problem, fit: Descent, sigma: np.ndarray) -> Prediction
         sigma,
         np.ones(len(train.values), dtype=bool),
     )
+
+
+def noise_explains(problem: Problem, fit: Descent) -> bool:
+    """Whether what a fit leaves is no more than the noise; False where nothing is known of that."""
+    return is_noise(_p_value(problem, fit), problem.train.error(fit.predicted), problem.train.noise)
 
 
 def _p_value(problem: Problem, fit: Descent) -> float | None:

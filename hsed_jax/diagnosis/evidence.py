@@ -1,23 +1,21 @@
 r"""The evidence of a fit, $Z = \int e^{-\varphi(x)}\,dx$ over the box: by Laplace's method, and by importance sampling.
 
 Laplace's method expands φ to second order at the end of the fit and integrates the Gaussian over the box, which matters where an
-amplitude rests on its bound: half of the Gaussian, or its tail, lies beyond.  Importance sampling (Student's t around the
-Gaussian, learning from its own draws) has no such assumption and gives the posterior's moments as well.
+amplitude rests on its bound: half of the Gaussian, or its tail, lies beyond.  Importance sampling
+(`hsed_jax.inference.importance`) has no such assumption and gives the posterior's moments as well.
 
-Source: Tierney & Kadane 1986; Geweke 1989; Cappé, Guillin, Marin & Robert 2004 (population Monte Carlo).
+Source: Tierney & Kadane 1986.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from scipy.special import log_ndtr, logsumexp
-from scipy.stats import multivariate_t
+from scipy.special import log_ndtr
 
 from hsed_jax.diagnosis.nested import Descent, NestedModels, Target
+from hsed_jax.inference.importance import Proposal, weigh
 
 _FLOOR = 1e-6
-_DEGREES = 5
-_MOST_ROUNDS = 5
 
 
 class Sampled(NamedTuple):
@@ -82,62 +80,35 @@ def laplace(fit: Descent, models: NestedModels) -> float:
     return log_z
 
 
-def importance(fit: Descent, models: NestedModels, target: Target, draws: int, seed: int) -> Sampled:
+def sample_posterior(fit: Descent, models: NestedModels, target: Target, draws: int, seed: int) -> Sampled:
     """log Z and a weighted sample of a fit's posterior.
-
-    The proposal learns from its own draws, with their weights flattened as far as it takes for enough of them to count.
 
     Arguments:
         fit: where it is.
         models: of the fit.
         target: what was fitted.
-        draws: in each round, besides some for every parameter.
+        draws: to weigh, besides some for every parameter.
         seed: of the random numbers.
     """
-    random = np.random.default_rng(seed)
-    size = len(fit.free)
-    center, covariance = gaussian(fit)
     low, high = models.box.low[fit.free], models.box.high[fit.free]
+    center, covariance = gaussian(fit)
     # A coordinate nobody holds is spread over its box, and no further.
     width = np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (high - low), 10.0)
     shrink = np.minimum(1.0, width / np.sqrt(np.diag(covariance)))
-    covariance, center = covariance * np.outer(shrink, shrink), np.clip(center, low, high)
-    enough = 4 * size + 20
-    points, log_weight = np.empty((0, size)), np.empty(0)
-    for number in range(_MOST_ROUNDS):
-        shape: Any = covariance
-        proposal = multivariate_t(center, shape, df=_DEGREES, allow_singular=True)
-        drawn: Any = proposal.rvs(draws + 40 * size, random_state=random)
-        points = np.asarray(drawn).reshape(-1, size)
+    proposal = Proposal(np.clip(center, low, high), shrink[:, None] * np.linalg.cholesky(covariance))
+
+    def log_density(points: np.ndarray) -> np.ndarray:
         inside = np.all((points >= low) & (points <= high), axis=1)
-        log_weight = np.full(len(points), -np.inf)
+        heights = np.full(len(points), -np.inf)
         if inside.any():
-            density = np.atleast_1d(proposal.logpdf(points[inside]))
-            log_weight[inside] = -_costs(fit, models, target, points[inside]) - density
-        if not np.isfinite(log_weight).any():
-            return Sampled(-np.inf, 0.0, models.theta(fit.x, fit.member)[None], np.ones(1))
-        flatness, shares = _flattened(log_weight, enough)
-        if number > 0 and flatness == 1.0 and 1 / np.sum(shares**2) > 3 * enough:
-            break
-        if number < _MOST_ROUNDS - 1:
-            center = shares @ points
-            spread = np.sqrt(shares)[:, None] * (points - center)
-            covariance = 1.1 * (spread.T @ spread) + 1e-14 * np.eye(size)
-    total = float(np.asarray(logsumexp(log_weight)))
-    weights = np.exp(log_weight - total)
-    thetas = np.stack([models.theta(_at(fit, point), fit.member) for point in points])
-    return Sampled(total - float(np.log(len(points))), float(1 / np.sum(weights**2)), thetas, weights)
+            heights[inside] = -_costs(fit, models, target, points[inside])
+        return heights
 
-
-def _flattened(log_weight: np.ndarray, enough: float) -> tuple[float, np.ndarray]:
-    """The largest power up to one of the weights with which enough draws count, and the shares with it."""
-    power = 1.0
-    while True:
-        shares = np.exp(power * (log_weight - log_weight.max()))
-        shares /= shares.sum()
-        if 1 / np.sum(shares**2) >= enough or power < 1e-6:
-            return power, shares
-        power *= 0.7
+    found = weigh(log_density, proposal, draws + 40 * len(fit.free), np.random.default_rng(seed))
+    if not np.isfinite(found.log_evidence):
+        return Sampled(-np.inf, 0.0, models.theta(fit.x, fit.member)[None], np.ones(1))
+    thetas = np.stack([models.theta(_at(fit, point), fit.member) for point in found.points])
+    return Sampled(found.log_evidence, found.worth, thetas, found.weights)
 
 
 def gaussian(fit: Descent) -> tuple[np.ndarray, np.ndarray]:

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from hsed_jax.criticism.compare import is_material
+from hsed_jax.criticism.compare import is_noise
 from hsed_jax.criticism.prediction import Prediction, error_cell
-from hsed_jax.inference.correlation import SIGNIFICANT
 from hsed_jax.physics.scales import Scales
 from hsed_jax.tables import Table, Tabular, cell
 
@@ -121,6 +120,11 @@ class Diagnosis(Tabular):
         return content | {key: value for key, value in optional.items() if value is not None}
 
     @property
+    def is_explained(self) -> bool:
+        """Whether the noise explains what the named effects leave."""
+        return is_noise(self.p_value_after, self.error_after[0], self.noise_floor)
+
+    @property
     def sentence(self) -> str:
         """The verdict in words."""
         ends = " to ".join(error_cell(errors[1]) for errors in (self.error, self.error_after))
@@ -140,8 +144,7 @@ class Diagnosis(Tabular):
         if self.verdict == "unexplained":
             return f"the model is wrong, and nothing in the catalogue mends it ({errors})"
         left = ""
-        is_left = self.p_value_after is not None and self.p_value_after < SIGNIFICANT
-        if is_left and is_material(self.error_after[0], self.noise_floor):
+        if self.p_value_after is not None and not self.is_explained:
             left = (
                 f"; what remains ({self.error_after[0]:.3f} against a noise of {self.noise_floor:.3f}) is not noise yet"
             )

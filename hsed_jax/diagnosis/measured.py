@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from hsed_jax.criticism.compare import normalised_error
+from hsed_jax.diagnosis.nested import Target
 from hsed_jax.inference.correlation import Judged, judge
 from hsed_jax.inference.likelihood import Error, magnitudes
 
@@ -86,3 +87,12 @@ class Measured(NamedTuple):
         residual = self.residual(predicted) / np.where(declared, self.declared, self.left(predicted))[self.groups]
         correlated = [error.correlated for error in self.errors]
         return judge(residual, self.gaps, self.used, self.groups, declared, correlated)
+
+    def target(self, predicted: Float[np.ndarray, "n J"], fitted: Bool[np.ndarray, "M n J"]) -> Target:
+        """What is fitted in several uses of the measurements, judged by what predictions leave of them.
+
+        The error of an output is the declared one or what is left, whichever is larger; samples count for what they are worth.
+        """
+        judged = self.judged(predicted)
+        errors = np.fmax(self.declared, self.left(predicted))
+        return Target(self.values, self.sigma(errors, predicted), fitted * judged.worth[self.groups], judged.memory)

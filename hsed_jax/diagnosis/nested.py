@@ -8,7 +8,7 @@ $$\varphi(x) = \tfrac12\sum_{ij} w_{ij}\Big(\frac{y_{ij}-f_{ij}(\theta(x))}{\sig
   \qquad x_k\in[l_k,u_k]$$
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hsed_jax.diagnosis.box import Box
-from hsed_jax.diagnosis.lanes import Lanes
 from hsed_jax.inference.likelihood import whitened
 from hsed_jax.inference.watch import Watch, fingerprint
 
@@ -34,6 +33,10 @@ _BEHIND, _AS_MANY = 20.0, 50
 _FLAT = 1e-6
 # Outputs that are held at once.
 _NUMBERS = 2**24
+
+
+Predictions = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Of parameters (L, P) and numbers of experiments (L,): outputs (L, J), and whether each converged (L,); `Lanes`, say."""
 
 
 class Target(NamedTuple):
@@ -144,10 +147,14 @@ class NestedModels:
         watch: hears how many fits have ended, and keeps the ends.
     """
 
-    def __init__(self, lanes: Lanes, box: Box, neutral: Float[np.ndarray, " P"], watch: Watch | None = None):
+    def __init__(self, lanes: Predictions, box: Box, neutral: Float[np.ndarray, " P"], watch: Watch | None = None):
         self.lanes, self.box, self._watch = lanes, box, watch or Watch()
         self._neutral = neutral
         self.neutral = box.x(neutral)
+
+    def within(self, box: Box, lanes: Predictions | None = None) -> "NestedModels":
+        """The same models with other priors of their parameters, and with these in another meaning."""
+        return NestedModels(self.lanes if lanes is None else lanes, box, self._neutral)
 
     def member(self, free: Int[np.ndarray, " p"], held: Mapping[int, float] | None = None) -> Member:
         """A model with some coordinates free, some parameters held at given values, and the others neutral."""

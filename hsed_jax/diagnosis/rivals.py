@@ -11,8 +11,8 @@ from hsed_jax.diagnosis.fits import Model, Set
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.diagnosis.search import Search
 
-# Rivals whose posterior odds against the best are at least this are as good.
-_AS_GOOD = 1 / 3
+# Rivals whose posterior odds against the best are at least this are as good: to be named, an effect needs ten, too.
+_AS_GOOD = 1 / 10
 # Of so many models of other physics it is asked whether they predict as well.
 _MOST_TRIED = 8
 # A rival mends the model, too, if it gains at least this share of what the best one gains.

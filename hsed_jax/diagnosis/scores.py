@@ -83,7 +83,7 @@ class Around:
         """
         places = [self._moved(self._x, k) for k, _ in amplitudes.values()]
         members = [self._fit.member.beside(np.asarray([k]), held) for k, held in amplitudes.values()]
-        differences, own = self._across([(x, m) for (x, _), m in zip(places, members, strict=True)])
+        differences, own = self.across([(x, m) for (x, _), m in zip(places, members, strict=True)])
         found = {}
         for effect, slope, free in zip(amplitudes, differences, own, strict=True):
             power = float(free @ free)
@@ -93,7 +93,7 @@ class Around:
 
     def promises(self, trials: Sequence[Trial]) -> list[Promise]:
         """What trials promise."""
-        _, own = self._across([(trial.x, trial.member) for trial in trials])
+        _, own = self.across([(trial.x, trial.member) for trial in trials])
         found = []
         for trial, free in zip(trials, own, strict=True):
             along, power = float(free @ self._residual), float(free @ free)
@@ -103,14 +103,29 @@ class Around:
             found.append(Promise(size * along - 0.5 * size**2 * power, start))
         return found
 
-    def _across(self, points: Sequence[tuple[np.ndarray, Member]]) -> tuple[np.ndarray, np.ndarray]:
-        """Differences from the fit and what of them its parameters cannot make, (B, N) each; zero where one diverges."""
+    def across(self, points: Sequence[tuple[np.ndarray, Member]]) -> tuple[np.ndarray, np.ndarray]:
+        """Standardised differences of models at points from the fit, zero where one diverges, and what of them its parameters
+        cannot make, (B, N) each."""
         if not points:
             return np.zeros((0, self._residual.size)), np.zeros((0, self._residual.size))
         outputs, ok = self._models.predict(points, self._rows)
         is_whole = ok.all(axis=1)[:, None, None]
         differences = self._standardised(np.where(is_whole, outputs - self._outputs, 0.0)).reshape(len(points), -1)
-        return differences, differences - (differences @ self._basis) @ self._basis.T
+        return differences, self.own(differences)
+
+    def own(self, differences: Float[np.ndarray, "B N"]) -> Float[np.ndarray, "B N"]:
+        """What of standardised differences the parameters of the fit cannot make."""
+        return differences - (differences @ self._basis) @ self._basis.T
+
+    @property
+    def residual(self) -> Float[np.ndarray, " N"]:
+        """What the fit leaves, standardised."""
+        return self._residual
+
+    @property
+    def origin(self) -> Float[np.ndarray, " P"]:
+        """The fit, with everything else neutral."""
+        return self._x.copy()
 
     def _moved(self, x: np.ndarray, k: int) -> tuple[np.ndarray, float]:
         """A point a little further in one coordinate, away from the nearer bound, and by how much."""

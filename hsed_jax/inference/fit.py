@@ -37,6 +37,7 @@ class Fit(Tabular):
         chi2_per_datum: mean square of what the model leaves, in units of the declared noise; None where none is declared.
         p_value: probability that the declared noise alone leaves so much.
         is_inflated: whether what the model leaves beyond the declared noise was counted as error.
+        inflation: by how much that made the error of each output larger than what is declared, (G,); None: not at all.
     """
 
     posterior: Posterior
@@ -48,6 +49,7 @@ class Fit(Tabular):
     chi2_per_datum: float | None = None
     p_value: float | None = None
     is_inflated: bool = False
+    inflation: np.ndarray | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -172,7 +174,10 @@ def fit(
     chains = draw(posterior, data, maximum, jnp.asarray(0.8), key, settings, watch, seconds)
     standardised = np.asarray(_standardised(declared, data, maximum.theta))
     chi2, p_value = _left_unexplained(standardised, data, declared, _judged(standardised, data, declared, errors))
-    told = {"chi2_per_datum": chi2, "p_value": p_value, "is_inflated": any(error.inflate for error in errors)}
+    is_inflated = any(error.inflate for error in errors)
+    told = {"chi2_per_datum": chi2, "p_value": p_value, "is_inflated": is_inflated}
+    if is_inflated:
+        told["inflation"] = np.asarray(posterior.declared) / np.asarray(declared.declared)
     return Fit(posterior, data, maximum, chains, convergence(chains), units, **told)
 
 

@@ -1,58 +1,93 @@
-r"""Importance sampling of the posterior: draws of a Student t around the mode, weighted to be exact.
+r"""Importance sampling: draws of a Student t, weighted to be exact for a density that is known up to a constant.
 
-The posterior of a calibration is nearly Gaussian, so that a proposal of heavier tails, $w_s = p(u_s)/t(u_s)$, makes nearly every
-simulation an independent draw, where a chain needs dozens of them for one.  The proposal learns its centre and its spread from
-its own draws.  Whether that was enough is told by the Pareto shape of the weights (below 0.7) and by how many draws they are
-worth.
+A posterior is nearly Gaussian around its mode, so that a proposal of heavier tails, $w_s = p(x_s)/t(x_s)$, makes nearly every
+simulation an independent draw, where a chain needs dozens of them for one; and the mean of the weights is the evidence
+$Z = \int p(x)\,dx$.  The proposal learns its centre and its spread from its own draws.  Whether that was enough is told by the
+Pareto shape of the weights (below 0.7) and by how many draws they are worth.
 
 Source: Geweke 1989; Cappé, Guillin, Marin & Robert 2004 (population Monte Carlo); Vehtari, Simpson, Gelman, Yao & Gabry 2024
 (Pareto smoothed importance sampling).
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Float
+from scipy.special import gammaln, logsumexp
 
-from hsed_jax.inference.likelihood import Data
-from hsed_jax.inference.maximum import Maximum
-from hsed_jax.inference.posterior import Posterior
 from hsed_jax.physics.batch import TILE
-from hsed_jax.programs import program
 
 _DEGREES = 5.0
 _MOST_ROUNDS = 5
 # A round ends the learning when its draws are worth this share of their number.
 _GOOD = 0.5
-# The weights of a poor proposal are flattened until so many draws per parameter count.
-_ENOUGH = 10
 # Beyond this Pareto shape the weights have no mean that can be relied on; of less worth than this share, a chain is better.
 _SHAPE, _WORTHY = 0.7, 0.1
 # Fewer weights than this have no tail to take a shape from.
 _TELLING = 25
 
+Points = Float[np.ndarray, "S p"]
+Heights = Float[np.ndarray, " S"]
 
-class Weighted(NamedTuple):
-    """Weighted draws of a posterior.
+
+class Proposal(NamedTuple):
+    """A Student t of five degrees of freedom.
 
     Attributes:
-        u: unconstrained coordinates, (S, p).
-        log_density: log density in u, (S,).
+        center: its mode, (p,).
+        frame: L with x = center + L w, w standard, (p, p).
+    """
+
+    center: Float[np.ndarray, " p"]
+    frame: Float[np.ndarray, "p p"]
+
+    def draw(self, random: np.random.Generator, draws: int) -> tuple[Points, Heights]:
+        """Points and their log density."""
+        size = self.center.size
+        w = random.standard_normal((draws, size)) * np.sqrt(_DEGREES / random.chisquare(_DEGREES, (draws, 1)))
+        normalisation = (
+            gammaln(0.5 * (_DEGREES + size)) - gammaln(0.5 * _DEGREES) - 0.5 * size * np.log(_DEGREES * np.pi)
+        )
+        normalisation -= np.linalg.slogdet(self.frame)[1]
+        height = normalisation - 0.5 * (_DEGREES + size) * np.log1p(np.sum(w**2, axis=1) / _DEGREES)
+        return self.center + w @ self.frame.T, height
+
+    def learnt(self, points: Points, log_weight: Heights) -> "Proposal":
+        """The proposal that a round's draws call for, their weights flattened as far as it takes for enough of them to count."""
+        size = self.center.size
+        enough = min(4 * size + 20, 0.5 * len(points))
+        power, share = 1.0, _shares(log_weight)
+        while _worth(share) < enough and power > 1e-6:
+            power *= 0.7
+            share = _shares(power * log_weight)
+        middle = share @ points
+        apart = np.linalg.solve(self.frame, (np.sqrt(share)[:, None] * (points - middle)).T)
+        factor = np.linalg.cholesky(apart @ apart.T + 1e-6 * np.eye(size))
+        return Proposal(middle, self.frame @ factor)
+
+
+class Weighted(NamedTuple):
+    """Weighted draws of a density.
+
+    Attributes:
+        points: where, (S, p).
+        log_density: there; -inf where there is none, (S,).
         weights: summing to one, (S,).
+        log_evidence: log Z; -inf where no draw has a density.
         shape: Pareto shape of the largest weights.
     """
 
-    u: Float[np.ndarray, "S p"]
-    log_density: Float[np.ndarray, " S"]
-    weights: Float[np.ndarray, " S"]
+    points: Points
+    log_density: Heights
+    weights: Heights
+    log_evidence: float
     shape: float
 
     @property
     def worth(self) -> float:
         """Number of draws that the weighted ones are worth (Kish)."""
-        return float(1 / np.sum(self.weights**2))
+        return _worth(self.weights) if np.isfinite(self.log_evidence) else 0.0
 
     @property
     def reliable(self) -> bool:
@@ -60,76 +95,55 @@ class Weighted(NamedTuple):
         if not np.isfinite(self.shape):
             return False
         # What a few draws say of their tail is uncertain (Vehtari et al. 2024, section 3.2.4).
-        return bool(self.shape < min(_SHAPE, 1 - 1 / np.log10(len(self.u))) and self.worth >= _WORTHY * len(self.u))
+        least = _WORTHY * len(self.points)
+        return bool(self.shape < min(_SHAPE, 1 - 1 / np.log10(len(self.points))) and self.worth >= least)
 
 
-def weigh(posterior: Posterior, data: Data, maximum: Maximum, key: PRNGKeyArray, draws: int) -> Weighted:
-    """Draw from around the mode and weigh.
+def weigh(
+    log_density: Callable[[Points], Heights], proposal: Proposal, draws: int, random: np.random.Generator
+) -> Weighted:
+    """Draw from around a mode and weigh.
 
     Arguments:
-        posterior: of the study.
-        data: measured outputs.
-        maximum: the mode and the whitening there.
-        key: of the random numbers.
+        log_density: of many points; -inf or nan where there is none.
+        proposal: to begin with.
         draws: S; the rounds before the last, in which the proposal learns, have fewer.
+        random: the source of the draws.
     """
-    center, frame = maximum.start, maximum.whitening
-    learning = min(draws, TILE * (1 + center.size // 4))
-    for number in range(_MOST_ROUNDS):
-        share, center, frame = _learn(posterior, data, center, frame, jax.random.fold_in(key, number), learning)
-        if share > _GOOD:
+    learning = min(draws, TILE * (1 + proposal.center.size // 4))
+    for _ in range(_MOST_ROUNDS):
+        points, _, log_weight = _round(log_density, proposal, learning, random)
+        if not np.isfinite(log_weight).any() or _worth(_shares(log_weight)) > _GOOD * learning:
             break
-    u, log_density, log_weight = _draw(posterior, data, center, frame, jax.random.fold_in(key, _MOST_ROUNDS), draws)
-    log_weight = np.asarray(log_weight)
-    if not np.isfinite(log_weight).any():
-        return Weighted(np.asarray(u), np.asarray(log_density), np.full(draws, 1 / draws), np.inf)
-    weights = np.exp(log_weight - log_weight.max())
-    return Weighted(np.asarray(u), np.asarray(log_density), weights / weights.sum(), _pareto_shape(log_weight))
+        proposal = proposal.learnt(points, log_weight)
+    points, height, log_weight = _round(log_density, proposal, draws, random)
+    total = float(np.asarray(logsumexp(log_weight)))
+    if not np.isfinite(total):
+        return Weighted(points, height, np.full(draws, 1 / draws), -np.inf, np.inf)
+    weights = np.exp(log_weight - total)
+    return Weighted(points, height, weights / weights.sum(), total - float(np.log(draws)), _pareto_shape(log_weight))
 
 
-@program
-def _draw(posterior, data, center, frame, key, draws):
-    of_normal, of_length = jax.random.split(key)
-    normal = jax.random.normal(of_normal, (draws, center.size))
-    length = jnp.sqrt(_DEGREES / (2 * jax.random.gamma(of_length, _DEGREES / 2, (draws,))))
-    w = normal * length[:, None]
-    u = center + w @ frame.T
-    log_density = jax.lax.map(lambda x: posterior.log_density(x, data), u, batch_size=TILE)
-    log_density = jnp.where(jnp.isnan(log_density), -jnp.inf, log_density)
-    of_proposal = -0.5 * (_DEGREES + center.size) * jnp.log1p(jnp.sum(w**2, axis=1) / _DEGREES)
-    return u, log_density, log_density - of_proposal
+def _round(
+    log_density: Callable[[Points], Heights], proposal: Proposal, draws: int, random: np.random.Generator
+) -> tuple[Points, Heights, Heights]:
+    points, of_proposal = proposal.draw(random, draws)
+    height = np.asarray(log_density(points))
+    height = np.where(np.isnan(height), -np.inf, height)
+    return points, height, height - of_proposal
 
 
-@program
-def _learn(posterior, data, center, frame, key, draws):
-    """The share of a round's draws that count, and centre and frame of the next proposal."""
-    u, _, log_weight = _draw(posterior, data, center, frame, key, draws)
-    log_weight = log_weight - jnp.max(log_weight)
-
-    def shares(power):
-        return jax.nn.softmax(jnp.where(jnp.isfinite(log_weight), power * log_weight, -jnp.inf))
-
-    def counting(share):
-        return 1 / jnp.sum(share**2)
-
-    enough = jnp.minimum(_ENOUGH * center.size, 0.5 * draws)
-    power = jax.lax.while_loop(
-        lambda power: (counting(shares(power)) < enough) & (power > 1e-6), lambda power: 0.7 * power, 1.0
-    )
-    share = shares(power)
-    middle = share @ u
-    apart = jnp.sqrt(share)[:, None] * (u - middle)
-    spread = jnp.linalg.solve(frame, apart.T)
-    factor = jnp.linalg.cholesky(spread @ spread.T + 1e-6 * jnp.eye(center.size))
-    learnt = jnp.all(jnp.isfinite(factor))
-    return (
-        counting(shares(1.0)) / draws,
-        jnp.where(learnt, middle, center),
-        jnp.where(learnt, frame @ factor, frame),
-    )
+def _shares(log_weight: Heights) -> Heights:
+    finite = np.where(np.isfinite(log_weight), log_weight, -np.inf)
+    share = np.exp(finite - finite.max())
+    return share / share.sum()
 
 
-def _pareto_shape(log_weight: Float[np.ndarray, " S"]) -> float:
+def _worth(share: Heights) -> float:
+    return float(1 / np.sum(share**2))
+
+
+def _pareto_shape(log_weight: Heights) -> float:
     from arviz_stats.base.array import array_stats
 
     finite = log_weight[np.isfinite(log_weight)]
@@ -139,12 +153,9 @@ def _pareto_shape(log_weight: Float[np.ndarray, " S"]) -> float:
     return float(array_stats.psislw(finite.max() - finite)[1])
 
 
-def resampled(
-    weighted: Weighted, count: int, key: PRNGKeyArray
-) -> tuple[Float[Array, "count p"], Float[Array, " count"]]:
+def resampled(weighted: Weighted, count: int, random: np.random.Generator) -> tuple[Points, Heights]:
     """Equally weighted draws (count, p) and their log density, by systematic resampling, in random order."""
-    of_offset, of_order = jax.random.split(key)
-    places = (np.arange(count) + float(jax.random.uniform(of_offset))) / count
+    places = (np.arange(count) + random.uniform()) / count
     chosen = np.minimum(np.searchsorted(np.cumsum(weighted.weights), places), len(weighted.weights) - 1)
-    chosen = np.asarray(jax.random.permutation(of_order, chosen))
-    return jnp.asarray(weighted.u[chosen]), jnp.asarray(weighted.log_density[chosen])
+    chosen = random.permutation(chosen)
+    return weighted.points[chosen], weighted.log_density[chosen]

@@ -25,6 +25,8 @@ _MOST_STEPS = 60
 # Newton's method towards the mode of the density in u ends where it expects to gain less than this many nats.
 _LEAST_GAIN = 1e-4
 _MOST_NEWTON_STEPS, _MOST_HALVINGS = 20, 6
+# What ended at a bound starts again at this share of the way to it, at most so often.
+_RETURN, _MOST_RETURNS = 0.5, 3
 # An end of the race this many standard deviations from the mode should be half the square of it lower [nats]; one that is higher
 # is in another mode, if the density between them falls so far below both.
 _APART, _LEAST_DIP = 5.0, 2.0
@@ -121,13 +123,33 @@ def _dips(posterior: Posterior, data: Data, one: Maximum, other: Maximum) -> boo
 
 
 def _mode(posterior: Posterior, data: Data, start: Float[Array, " p"]) -> Maximum:
-    u, converged = _descend(posterior, data, start)
+    u, converged = _off_the_bounds(posterior, data, *_descend(posterior, data, start))
     theta, to_theta = _physical(posterior, u)
     found = _expand(posterior, data, u)
     covariance = to_theta @ np.linalg.inv(found.curvature) @ np.asarray(to_theta).T
     start, log_density, whitening = _sampling_frame(posterior, data, u)
     log_evidence = log_density + 0.5 * u.size * LOG_2PI + jnp.linalg.slogdet(whitening)[1]
     return Maximum(u, theta, found.log_posterior, covariance, log_evidence, start, whitening, converged)
+
+
+def _off_the_bounds(
+    posterior: Posterior, data: Data, u: Float[Array, " p"], converged: Bool[Array, ""]
+) -> tuple[Float[Array, " p"], Bool[Array, ""]]:
+    """The end of a descent, or a better one.
+
+    A first step too long throws a coordinate against its bound, which lies at infinity of u and where no slope leads back:
+    whoever ends there goes down once more from where there is one.
+    """
+    for _ in range(_MOST_RETURNS):
+        if np.array_equal(_held(u), u):
+            break
+        back = jnp.where(_held(u) == u, u, _RETURN * _held(u))
+        again, is_end = _descend(posterior, data, back)
+        before, after = (float(_expand(posterior, data, at).log_posterior) for at in (u, again))
+        if not after > before + _LEAST_GAIN:
+            break
+        u, converged = again, is_end
+    return u, converged
 
 
 def _held(u: Float[Array, " p"]) -> Float[Array, " p"]:

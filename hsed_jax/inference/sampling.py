@@ -14,12 +14,13 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from hsed_jax.inference.blocks import follow
 from hsed_jax.inference.emulator import emulate
-from hsed_jax.inference.importance import resampled, weigh
+from hsed_jax.inference.importance import Proposal, Weighted, resampled, weigh
 from hsed_jax.inference.likelihood import LOG_2PI, Data
 from hsed_jax.inference.maximum import Maximum
 from hsed_jax.inference.nuts import Chains, Settings, advance, arrived, begin, convergence
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.watch import Watch, fingerprint
+from hsed_jax.physics.batch import TILE
 from hsed_jax.programs import program
 
 # Error of the emulated log density [nats] that still leaves most proposals accepted.
@@ -72,7 +73,7 @@ def _mixed(found: list[Chains], shares: Float[np.ndarray, " modes"], key: PRNGKe
     chains, draws = found[0].theta.shape[0], min(c.theta.shape[1] for c in found)
     ends = np.round(np.cumsum(shares) * draws).astype(int)
     counts = np.diff(ends, prepend=0)
-    random = np.random.default_rng(np.asarray(jax.random.key_data(key)))
+    random = _generator(key)
     chosen = np.empty((chains, draws), dtype=int)
     for chain in chosen:
         mode = random.permutation(np.repeat(np.arange(len(found)), counts))
@@ -114,9 +115,10 @@ def _of_one_mode(
         u, height = _gaussian(maximum, first, number)
         return _independent(posterior, u, height, step_size, settings, number)
     if settings.sampler == "importance":
-        weighted = weigh(posterior, data, maximum, first, number)
+        random = _generator(first)
+        weighted = weigh_around(posterior, data, maximum, number, random)
         if weighted.reliable:
-            u, height = resampled(weighted, number, second)
+            u, height = map(jnp.asarray, resampled(weighted, number, random))
             return _independent(posterior, u, height, step_size, settings, weighted.worth)
     emulator = emulate(posterior, data, maximum, first)
     error = float(emulator.error)
@@ -151,6 +153,23 @@ def _of_one_mode(
         emulator_error=error if accurate else None,
         cut_short=f"{budget} after {made} of {settings.draws} draws" if made < settings.draws else None,
     )
+
+
+def weigh_around(
+    posterior: Posterior, data: Data, maximum: Maximum, draws: int, random: np.random.Generator
+) -> Weighted:
+    """Weighted draws of u around a mode."""
+    proposal = Proposal(np.asarray(maximum.start), np.asarray(maximum.whitening))
+    return weigh(lambda u: np.asarray(_heights(posterior, data, jnp.asarray(u))), proposal, draws, random)
+
+
+def _generator(key: PRNGKeyArray) -> np.random.Generator:
+    return np.random.default_rng(np.asarray(jax.random.key_data(key)))
+
+
+@program
+def _heights(posterior: Posterior, data: Data, u: Float[Array, "S p"]) -> Float[Array, " S"]:
+    return jax.lax.map(lambda x: posterior.log_density(x, data), u, batch_size=TILE)
 
 
 @program

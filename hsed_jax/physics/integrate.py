@@ -69,7 +69,7 @@ class RungeKutta4(diffrax.AbstractSolver):
     def step(self, terms: PyTree, t0: Any, t1: Any, y0: Progress, args: Any, solver_state: PyTree, made_jump: Any):
         """One step from step number `t0` to `t1 = t0 + 1`."""
         del made_jump
-        system, _ = args
+        system, *_ = args
         number = jnp.asarray(jnp.rint(t0), int)
         lengths = jnp.asarray(self.step_length)
         h = lengths if lengths.ndim == 0 else lengths[number]
@@ -81,7 +81,7 @@ class RungeKutta4(diffrax.AbstractSolver):
             return jax.tree.map(lambda y, k: y + length * k, start, rates)
 
         def rates(state: State, sample: PyTree) -> State:
-            return terms.vf(t0, y0._replace(state=state), (system, sample)).state
+            return terms.vf(t0, y0._replace(state=state), (system, sample, h)).state
 
         start = y0.state
         flow = rates(start, first)
@@ -193,7 +193,7 @@ def integrate(
         t1=float(steps),
         dt0=1.0,
         y0=Progress(still, begin, system.channels(still, sample, channels)),
-        args=(system, sample),
+        args=(system, sample, 0.0),
         stepsize_controller=diffrax.ConstantStepSize(),
         saveat=diffrax.SaveAt(subs=_saves({name: _place(system, name) for name in names}, channels, every)),
         adjoint=diffrax.ForwardMode() if adjoint is None else adjoint,
@@ -209,9 +209,9 @@ def integrate(
 
 
 def _vector_field(number: Any, progress: Progress, args: Any) -> Progress:
-    system, sample = args
+    system, sample, step = args
     still = jax.tree.map(jnp.zeros_like, progress)
-    return still._replace(state=system.rates(progress.state, sample))
+    return still._replace(state=system.rates(progress.state, sample, step))
 
 
 @final

@@ -228,8 +228,6 @@ class Simulator(AbstractModel):
             forcing = felt(forcing, slots, jax.numpy.asarray(length))
         system = self._system(given, slots)
         response = integrate(system, forcing, length, steps, channels=channels, quantities=quantities, every=every)
-        for specimen in system.specimens:
-            response = response._replace(ok=response.ok & specimen.law.is_bounded)
         if slots is None:
             return response
         return measured(response, slots, length, every, is_imposed=self.structure is None)

@@ -3,7 +3,8 @@ r"""The specimen: a spring law with any number of effects around it.
 $$r = f(\Delta u, \text{states}) + \sum \text{force},\qquad \dot e = r\,\Delta\dot u$$
 
 with f the force of the law's element, whose slots effects write to, and `force` what they add beside it.  Inside a slack s there
-is no force, and the element beyond it feels the elongation less the slack, $\Delta u - \mathrm{clip}(\Delta u, -s, s)$.
+is no force, and the element beyond it feels the elongation less the slack, $\Delta u - \mathrm{clip}(\Delta u, -s, s)$.  An
+integration may cross a slack in a step: for it, force and flow of the element count with the share of the step that is outside.
 """
 
 from collections.abc import Iterable
@@ -53,13 +54,15 @@ class Specimen(eqx.Module):
         """Time derivatives of the states."""
         return self.force_and_rates(elongation, rate, memory)[1]
 
-    def force_and_rates(self, elongation: Scalar, rate: Scalar, memory: Memory) -> tuple[Scalar, Memory]:
-        """Restoring force r [N], and time derivatives of the states."""
+    def force_and_rates(
+        self, elongation: Scalar, rate: Scalar, memory: Memory, step: Scalar = 0.0
+    ) -> tuple[Scalar, Memory]:
+        """Restoring force r [N], and time derivatives of the states; the average over a step [s] of what jumps within it."""
         point = self._point(elongation, rate, memory)
         slots = self._slots(point)
         flow = self.law.flow(_beyond(elongation, slots), rate, memory, slots)
-        flow = {name: _outside(elongation, slots, value) for name, value in flow.items()}
-        force, point = self._force(point, slots)
+        flow = {name: _outside(point, slots, value, step) for name, value in flow.items()}
+        force, point = self._force(point, slots, step)
         rates = {name: jnp.zeros_like(value) for name, value in memory.items()}
         rates |= {**flow, "energy": force * rate}
         rates |= {state.name: state.rate(rate) for state in self._shared if state.rate is not None}
@@ -71,7 +74,7 @@ class Specimen(eqx.Module):
         """The states after a step that came to this elongation [m] at this rate [m/s], or turned there."""
         slots = self._slots(self._point(elongation, rate, memory))
         committed = self.law.settle(_beyond(elongation, slots), memory, slots)
-        kept = {s.name: s.settled(memory[s.name], elongation) for s in self._shared if s.settled is not None}
+        kept = {s.name: s.settled(memory[s.name], elongation, rate) for s in self._shared if s.settled is not None}
         return {**memory, **committed, **kept}
 
     def turned(self, turn: Turn, before: Memory, flow: Memory, after: Memory) -> tuple[Memory, Scalar]:
@@ -91,7 +94,7 @@ class Specimen(eqx.Module):
         return tuple(dict.fromkeys(state for effect in self.effects for state in effect.needs))
 
     def _point(self, elongation: Scalar, rate: Scalar, memory: Memory) -> SpringPoint:
-        return SpringPoint(elongation, rate, memory["hysteretic"], memory, self.scales, self.law.strength)
+        return SpringPoint(elongation, rate, memory["hysteretic"], memory, self.scales, self.law.yardstick)
 
     def _slots(self, point: SpringPoint) -> Slots:
         contributions = [effect.contribute(point) for effect in self.effects]
@@ -100,14 +103,14 @@ class Specimen(eqx.Module):
                 raise ValueError(f"{effect.name}: {missing}")
         return combine(contributions)
 
-    def _force(self, point: SpringPoint, slots: Slots) -> tuple[Scalar, SpringPoint]:
+    def _force(self, point: SpringPoint, slots: Slots, step: Scalar = 0.0) -> tuple[Scalar, SpringPoint]:
         """Restoring force, and the point with the force that the element has now."""
         element = self.law.force(_beyond(point.elongation, slots), point.memory, slots)
         if element is not point.hysteretic:
             # A law of paths knows its force only now; forces beside it may depend on it.
             point = point._replace(hysteretic=element)
             slots = self._slots(point)
-        return _outside(point.elongation, slots, element) + slots("force"), point
+        return _outside(point, slots, element, step) + slots("force"), point
 
 
 def unserved(effect: type[AbstractEffect], law: type[AbstractSpringLaw], form: str | None = None) -> str:
@@ -129,7 +132,12 @@ def _beyond(elongation: Scalar, slots: Slots) -> Scalar:
     return elongation if is_zero(slack) else elongation - jnp.clip(elongation, -slack, slack)
 
 
-def _outside(elongation: Scalar, slots: Slots, value: Scalar) -> Array | Scalar:
-    """A value of the element, none inside the slack."""
+def _outside(point: SpringPoint, slots: Slots, value: Scalar, step: Scalar) -> Array | Scalar:
+    """A value of the element, none inside the slack: of a step around this instant the share that is outside."""
     slack = slots("slack")
-    return value if is_zero(slack) else jnp.where(jnp.abs(elongation) >= slack, value, 0.0)
+    if is_zero(slack):
+        return value
+    u, half = point.elongation, 0.5 * jnp.abs(point.rate) * step
+    inside = jnp.maximum(jnp.minimum(u + half, slack) - jnp.maximum(u - half, -slack), 0.0)
+    passed = 1 - inside / jnp.where(half > 0, 2 * half, 1.0)
+    return value * jnp.where(half > 0, passed, jnp.abs(u) >= slack)

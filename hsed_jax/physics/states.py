@@ -18,14 +18,15 @@ class SharedState:
         unit: SI.
         meaning: one line.
         rate: its time derivative, from that of the elongation [m/s]; None: it changes at the ends of steps only.
-        settled: its value after a step, from the value before it and the elongation reached [m]; None: as it was integrated.
+        settled: its value after a step, from the value before it and the elongation [m] and rate [m/s] reached, the rate zero at
+            a reversal; None: as it was integrated.
     """
 
     name: str
     unit: str
     meaning: str
     rate: Callable[[Scalar], Scalar] | None = None
-    settled: Callable[[Scalar, Scalar], Scalar] | None = None
+    settled: Callable[[Scalar, Scalar, Scalar], Scalar] | None = None
 
 
 LARGEST_ELONGATION = SharedState(
@@ -33,7 +34,16 @@ LARGEST_ELONGATION = SharedState(
     "m",
     "largest elongation reached, to either side",
     # Kept and not integrated: a maximum has no rate.
-    settled=lambda value, elongation: jnp.maximum(value, jnp.abs(elongation)),
+    settled=lambda value, elongation, rate: jnp.maximum(value, jnp.abs(elongation)),
 )
 
 TRAVEL = SharedState("travel", "m", "length of the path of the elongation", rate=jnp.abs)
+
+TIME = SharedState("time", "s", "time since the start", rate=jnp.ones_like)
+
+LAST_REVERSAL = SharedState(
+    "last_reversal",
+    "m",
+    "elongation at the last reversal",
+    settled=lambda value, elongation, rate: jnp.where(rate == 0, elongation, value),
+)

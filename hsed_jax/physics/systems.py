@@ -51,8 +51,8 @@ class AbstractSystem(eqx.Module):
         """The state at rest."""
 
     @abstractmethod
-    def rates(self, state: State, sample: Any) -> State:
-        """Time derivative of the state under one sample of the excitation."""
+    def rates(self, state: State, sample: Any, step: Scalar = 0.0) -> State:
+        """Time derivative of the state under one sample of the excitation; of what jumps within a step [s] its average."""
 
     @abstractmethod
     def kinematics(self, state: State, sample: Any) -> tuple[tuple[Scalar, Scalar], ...]:
@@ -125,10 +125,10 @@ class ShakenStructure(AbstractSystem):
         still = tuple(jnp.zeros(()) for _ in self.structure.masses)
         return State(still, still, tuple(specimen.start() for specimen in self.specimens))
 
-    def rates(self, state: State, sample: Any) -> State:
+    def rates(self, state: State, sample: Any, step: Scalar = 0.0) -> State:
         """ü = −M⁻¹(C u̇ + K u + Σ b r − p) − a_g, and the specimens' own rates."""
         moved = [
-            specimen.force_and_rates(*motion, memory)
+            specimen.force_and_rates(*motion, memory, step)
             for specimen, motion, memory in zip(
                 self.specimens, self.kinematics(state, sample), state.memory, strict=True
             )
@@ -192,9 +192,10 @@ class DrivenSpring(AbstractSystem):
         """The virgin spring."""
         return State((), (), (self._specimen.start(),))
 
-    def rates(self, state: State, sample: Imposed) -> State:
+    def rates(self, state: State, sample: Imposed, step: Scalar = 0.0) -> State:
         """The spring's own rates."""
-        return State((), (), (self._specimen.rates(sample.elongation, sample.rate, state.memory[0]),))
+        _, rates = self._specimen.force_and_rates(sample.elongation, sample.rate, state.memory[0], step)
+        return State((), (), (rates,))
 
     def kinematics(self, state: State, sample: Imposed) -> tuple[tuple[Scalar, Scalar], ...]:
         """The imposed elongation [m] and its rate [m/s]."""

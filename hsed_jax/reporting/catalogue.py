@@ -1,13 +1,20 @@
 """The catalogue of effects as text: what `hsed effects` prints."""
 
 import inspect
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
 
 from hsed_jax.errors import UserError
 from hsed_jax.physics.effects import Catalogue
-from hsed_jax.physics.effects.base import AbstractEffect
+from hsed_jax.physics.effects.base import AbstractEffect, AbstractSpringEffect
 from hsed_jax.physics.effects.forms import DRIVERS
 from hsed_jax.physics.parameters import Parameter, parameters_of
 from hsed_jax.reporting.formulas import in_text
+
+_BARS = "▁▂▃▄▅▆▇█"
 
 
 def catalogue(effects: Catalogue) -> str:
@@ -20,8 +27,13 @@ def catalogue(effects: Catalogue) -> str:
     return "\n".join([*lines, "", "`hsed effects NAME` shows equation, parameters and reference."])
 
 
-def entry(name: str, effects: Catalogue) -> str:
+def entry(name: str, effects: Catalogue, curves_of: Callable[[type[AbstractSpringEffect]], Any]) -> str:
     """Equation, parameters, forms with what drives them, and reference of one effect.
+
+    Arguments:
+        name: of the effect.
+        effects: the catalogue.
+        curves_of: what forms look like (`hsed_jax.study.form_curves`).
 
     Raises:
         UserError: there is no such effect.
@@ -33,7 +45,12 @@ def entry(name: str, effects: Catalogue) -> str:
     lines = [f"{name} ({effect.family})", "", in_text(inspect.getdoc(effect) or ""), "", "parameters:"]
     lines += [line for p in known.values() if not p.shapes for line in _parameter(p)]
     if effect.forms:
-        lines += ["", "forms (`form: NAME`; the first is meant where none is named):", *_forms(effect)]
+        # An effect outside the spring has no state to be drawn over.
+        curves = curves_of(effect) if issubclass(effect, AbstractSpringEffect) else None
+        lines += ["", "forms (`form: NAME`; the first is meant where none is named):"]
+        lines += _forms(effect, curves.values if curves else {})
+        if curves:
+            lines += [f"  pictures: what a form adds or multiplies by, over {curves.across}, each over its own range"]
         freed = {key for form in effect.forms for key in form.free}
         if freed:
             lines += [
@@ -58,8 +75,8 @@ def _parameter(known: Parameter) -> list[str]:
     return lines
 
 
-def _forms(effect: type[AbstractEffect]) -> list[str]:
-    """Each form in a line or two: its name and equation, what it frees or holds, and where it comes from."""
+def _forms(effect: type[AbstractEffect], curves: Mapping[str, Float[np.ndarray, " n"]]) -> list[str]:
+    """Each form in a few lines: its name and equation, a picture, what it frees or holds, and where it comes from."""
     known = parameters_of(effect)
     width = max(len(form.name) for form in effect.forms)
     lines = []
@@ -70,7 +87,17 @@ def _forms(effect: type[AbstractEffect]) -> list[str]:
         said += [form.reference] if form.reference else []
         lines.append(f"  {form.name:{width}}  {in_text(form.equation) or 'as above'}")
         lines += [f"  {'':{width}}    {'; '.join(said)}"] if said else []
+        lines += [f"  {'':{width}}    {_spark(curves[form.name])}"] if form.name in curves else []
     return lines
+
+
+def _spark(values: Float[np.ndarray, " n"]) -> str:
+    """A curve in a line of characters; a flat one where it has no shape."""
+    values = values[::2]
+    if np.ptp(values) < 1e-9:
+        return "─" * len(values)
+    heights = np.rint((len(_BARS) - 1) * (values - values.min()) / np.ptp(values)).astype(int)
+    return "".join(_BARS[height] for height in heights)
 
 
 def _first_line(effect: type) -> str:

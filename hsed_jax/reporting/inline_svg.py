@@ -11,7 +11,8 @@ _COLOURS = {style.BLACK: "ink", "#ffffff": "paper", "#e4e4e4": "grid", style.BLU
             style.DARK_GREY: "faint", style.GREY: "faint", "#c8c8c8": "pale", "#d0d0d0": "grid"}  # fmt: skip
 _SVG = "{http://www.w3.org/2000/svg}"
 _DRAWN = [
-    _SVG + tag for tag in ("svg", "defs", "style", "g", "path", "use", "clipPath", "rect", "image", "text", "tspan")
+    _SVG + tag
+    for tag in ("svg", "defs", "style", "g", "path", "use", "clipPath", "pattern", "rect", "image", "text", "tspan")
 ]
 ElementTree.register_namespace("", _SVG[1:-1])
 ElementTree.register_namespace("xlink", "http://www.w3.org/1999/xlink")

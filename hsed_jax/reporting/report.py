@@ -21,6 +21,7 @@ _SHOWN = 12
 _STILL = {
     "fall": ("error_fall",),
     "diagnosis": ("ranking",),
+    "discovery": ("learned",),
     "improvement": ("parameters_before_after",),
     "design": ("fig5_expected_improvement", "fig6_exploration", "fig7_estimates", "fig4bis_one_experiment_map"),
     "cycles": ("cycles",),
@@ -48,6 +49,8 @@ def report_page(run: FinishedRun) -> str:
         warnings=list(warnings(run)),
         stills=stills,
         ranking=_ranking(run),
+        learned=sentence(run.summary.get("discovery", {}).get("sentence", "")),
+        places=_places(run),
         experiments=_experiments(run),
         references=_references(run),
         repeat=_repeat(run),
@@ -163,6 +166,21 @@ def _ranking(run: FinishedRun) -> dict[str, Any]:
         numbers += [error_cell(candidate.get(key)) for key in ("error_train", "error_test")]
         rows.append([style.words(candidate["effect"]), candidate["family"], "; ".join(sizes), *numbers])
     return {"heads": heads, "rows": rows, "named": named, "rest": len(diagnosis["ranking"]) - len(rows)}
+
+
+def _places(run: FinishedRun) -> dict[str, Any]:
+    """The places where something was looked for that the catalogue does not hold: heads and rows."""
+    tried = run.summary.get("discovery", {}).get("ranking", [])
+    rows = [
+        [
+            run.campaign.pair.words(one["words"]),
+            f"{one['probability']:.3f}",
+            f"{one['log_evidence_gain']:.1f}",
+            error_cell(one["error_train"]),
+        ]
+        for one in tried
+    ]
+    return {"heads": ["place", "probability", "log-evidence gain", "error, fitted"], "rows": rows}
 
 
 def _falls(run: FinishedRun) -> list[tuple[str, str, str]]:

@@ -10,6 +10,7 @@ from hsed_jax.design.sequential import DesignState
 from hsed_jax.physics.outputs import of_each
 from hsed_jax.reporting import design_figures, diagnosis_figures, figures
 from hsed_jax.reporting.cycle_figures import cycles
+from hsed_jax.reporting.discovery_figures import learned
 from hsed_jax.reporting.misfit_figures import misfit_pictures
 from hsed_jax.reporting.posterior_figures import posterior
 from hsed_jax.reporting.style import Picture
@@ -96,6 +97,8 @@ def diagnosis_pictures(outcome: Outcome) -> Iterator[tuple[str, Picture]]:
     diagnosis, trail = outcome.diagnosis, outcome.trail
     if diagnosis is not None and diagnosis.ranking:
         yield "ranking", diagnosis_figures.ranking(diagnosis)
+    if outcome.discovery is not None and outcome.discovery.found:
+        yield "learned", learned(outcome.discovery, outcome.campaign)
     if trail is not None and len(trail.steps) > 1:
         yield "error_fall", diagnosis_figures.error_fall(trail)
     if outcome.comparison is not None and outcome.improved_comparison is not None:

@@ -12,6 +12,7 @@ from hsed_jax.criticism.locate import Location
 from hsed_jax.design.sequential import DesignState, SequentialDesign
 from hsed_jax.design.space import InputSpace
 from hsed_jax.diagnosis.findings import Diagnosis
+from hsed_jax.discovery.findings import Discovery
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.laboratories.virtual import VirtualLaboratory
@@ -38,6 +39,7 @@ class Outcome:
         design: the sequential design, and its state, steps (as in the journal) and reason to stop, where it ran.
         fit, comparison, location, diagnosis: results of the steps that ran.
         remaining: where the model with the named effects still fails.
+        discovery: what was learned that the catalogue does not hold.
         trail, improved, improved_comparison: the fall of the error, the improved model, and how far it is from the
             measurements.
         scales: characteristic values that amplitudes of effects are relative to; None where there are no effects.
@@ -62,6 +64,7 @@ class Outcome:
     location: Location | None
     diagnosis: Diagnosis | None
     remaining: Location | None
+    discovery: Discovery | None
     trail: Trail | None
     improved: Fit | None
     improved_comparison: Comparison | None
@@ -107,6 +110,8 @@ def summary(outcome: Outcome) -> dict[str, Any]:
         content["diagnosis"] = outcome.diagnosis.summary()
         if outcome.remaining is not None:
             content["diagnosis"]["remaining"] = outcome.remaining.summary()
+    if outcome.discovery is not None:
+        content["discovery"] = outcome.discovery.summary()
     if outcome.trail is not None:
         content["improvement"] = outcome.trail.summary()
         if outcome.improved is not None and outcome.improved_comparison is not None:

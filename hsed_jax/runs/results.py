@@ -2,7 +2,7 @@
 
 The groups `posterior`, `sample_stats` and `observed_data` are ArviZ's, so ArviZ opens the file as it is; `posterior_improved`,
 `sample_stats_improved` and `predictions_improved` are the same of the improved model, and `ranking` is the table of the
-diagnosis.
+diagnosis, `discovery` the function that was learned.
 """
 
 from collections.abc import Mapping
@@ -14,6 +14,7 @@ from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.locate import Location
 from hsed_jax.design.over_inputs import surrogate
 from hsed_jax.diagnosis.findings import Diagnosis
+from hsed_jax.discovery.findings import Discovery
 from hsed_jax.inference.fit import Fit
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.runs.outcome import Outcome
@@ -31,6 +32,8 @@ def results_tree(outcome: Outcome, illustrations: Mapping[str, xr.Dataset]) -> x
         groups["where"] = _where(outcome.location)
     if outcome.diagnosis is not None and outcome.diagnosis.ranking:
         groups["ranking"] = _ranking(outcome.diagnosis)
+    if outcome.discovery is not None and outcome.discovery.found:
+        groups["discovery"] = _discovery(outcome.discovery)
     if outcome.improved is not None:
         groups |= {f"{name}_improved": group for name, group in _posterior(outcome.improved).items()}
     if outcome.improved_comparison is not None:
@@ -128,6 +131,21 @@ def _ranking(diagnosis: Diagnosis) -> xr.Dataset:
         table[f"amplitude_{statistic}"] = ("rank", [amplitude[statistic] for amplitude in amplitudes])
     table["named"] = ("rank", [c.effect in diagnosis.effects for c in candidates])
     return xr.Dataset(table, {"rank": np.arange(1, len(candidates) + 1)}, {"verdict": diagnosis.verdict})
+
+
+def _discovery(discovery: Discovery) -> xr.Dataset:
+    """The learned function along its first coordinate, SI, a line for each value of the second."""
+    assert discovery.place is not None
+    lines = discovery.lines()
+    table: dict = {
+        key: (("line", "point"), [getattr(line, key) for line in lines]) for key in ("x", "mean", "low", "high")
+    }
+    if lines[0].formula is not None:
+        table["formula"] = (("line", "point"), [line.formula for line in lines])
+    if lines[0].at is not None:
+        table["at"] = ("line", [line.at for line in lines])
+    about = {"slot": discovery.place.slot, "of": list(discovery.place.of), "formula": discovery.formula}
+    return xr.Dataset(table, attrs=about)
 
 
 def _observed(outcome: Outcome) -> xr.Dataset:

@@ -7,6 +7,7 @@ from typing import Any
 from tqdm import tqdm
 
 from hsed_jax.analysis.calibration import Calibration, calibrate_built, compare, locate
+from hsed_jax.analysis.discovery import discover
 from hsed_jax.analysis.remedy import Improvement, diagnose, improve
 from hsed_jax.config.schema import Study
 from hsed_jax.criticism import locate as locating
@@ -14,6 +15,7 @@ from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.improve import Trail, step_of
 from hsed_jax.criticism.locate import Location
 from hsed_jax.diagnosis.findings import Diagnosis
+from hsed_jax.discovery.findings import Discovery
 from hsed_jax.errors import UserError
 from hsed_jax.interruptions import Interrupted, answered_by
 from hsed_jax.laboratories.base import ExperimentFailed, Measured
@@ -75,7 +77,7 @@ class Run:
 
     Attributes:
         conduct: of the design, where it ran.
-        calibration, comparison, location, diagnosis, remaining, improvement: results of the steps that ran.
+        calibration, comparison, location, diagnosis, remaining, discovery, improvement: results of the steps that ran.
     """
 
     def __init__(
@@ -108,6 +110,7 @@ class Run:
         self.location: Location | None = None
         self.diagnosis: Diagnosis | None = None
         self.remaining: Location | None = None
+        self.discovery: Discovery | None = None
         self.improvement: Improvement | None = None
         self.trail: Trail | None = None
 
@@ -178,7 +181,7 @@ class Run:
             status=status,
             posterior=self.built.posterior,
             model=self.built.simulator,
-            catalogue=self.built.catalogue,
+            catalogue=(self.built if self.improvement is None else self.improvement.calibration.built).catalogue,
             laboratory=laboratory if isinstance(laboratory, VirtualLaboratory) else None,
             units=self.built.units,
             campaign=self.campaign,
@@ -193,6 +196,7 @@ class Run:
             location=self.location,
             diagnosis=self.diagnosis,
             remaining=self.remaining,
+            discovery=self.discovery,
             trail=self.trail,
             improved=None if self.improvement is None else self.improvement.calibration.fit,
             improved_comparison=None if self.improvement is None else self.improvement.after,
@@ -289,15 +293,31 @@ class Run:
         if self.diagnosis.effects:
             self.remaining = locating.locate(self.diagnosis.prediction, self.campaign)
 
+    def _discover(self) -> None:
+        assert self.calibration is not None
+        with self._watch("discover") as watch:
+            self.discovery = discover(self.calibration, diagnosis=self.diagnosis, watch=watch)
+        if self.discovery.found:
+            self.discovery.write(self.store.path / self.discovery.file)
+
     def _improve(self) -> None:
         assert self.calibration is not None
         assert self.comparison is not None
-        effects = self.study.improve.add or (self.diagnosis.effects if self.diagnosis is not None else [])
+        effects, known = self._to_add()
         if not effects:
             self.trail = Trail([step_of([], self.comparison, self.calibration.map)], self.comparison.train.noise_floor)
             return
-        known = {} if self.diagnosis is None else {"forms": self.diagnosis.forms, "start": self.diagnosis.optimum}
         with self._watch("improve") as watch:
             self.improvement = improve(self.calibration, effects=effects, watch=watch, **known)
         self.trail = self.improvement.trail
         self.improvement.write(self.store.improved)
+
+    def _to_add(self) -> tuple[list[str], dict[str, Any]]:
+        """The effects to add, and what is known of them."""
+        diagnosis, discovery = self.diagnosis, self.discovery
+        if discovery is not None and discovery.found and not self.study.improve.add:
+            files = [self.store.path / discovery.file]
+            return [*discovery.effects, discovery.effect], {"forms": discovery.forms, "own_effects": files}
+        if diagnosis is None:
+            return self.study.improve.add or [], {}
+        return self.study.improve.add or diagnosis.effects, {"forms": diagnosis.forms, "start": diagnosis.optimum}

@@ -24,7 +24,7 @@ from hsed_jax.measurements import Campaign, Experiment, Record
 from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.effects.forms import default_form
 from hsed_jax.physics.excitations import AbstractExcitation
-from hsed_jax.physics.outputs import is_driver, owner_of
+from hsed_jax.physics.outputs import is_driver, own_name, owner_of
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.simulator import Conditions
 from hsed_jax.physics.timeline import Timeline, times
@@ -186,9 +186,8 @@ def _groups(catalogue: Catalogue) -> dict[str, int]:
 def _neutral(free: dict[str, Prior], effects: Catalogue) -> np.ndarray:
     values = []
     for name, prior in free.items():
-        effect, _, parameter = name.rpartition(".")
-        if effect in effects:
-            neutral = parameters_of(effects[effect])[parameter].neutral
+        if (effect := owner_of(name)) in effects:
+            neutral = parameters_of(effects[effect])[own_name(name)].neutral
             assert neutral is not None
             values.append(neutral)
         else:

@@ -11,7 +11,7 @@ from hsed_jax.study.specimens import Naming, effects_of
 
 # An experiment as an object, with its inputs and quantities [bytes].
 _EXPERIMENT = 1000
-ORDER = ["design", "calibrate", "compare", "diagnose", "improve"]
+ORDER = ["design", "calibrate", "compare", "diagnose", "discover", "improve"]
 
 
 def check_plan(study: Study) -> None:
@@ -28,6 +28,12 @@ def check_plan(study: Study) -> None:
         raise UserError("steps: compare needs a calibrated model; put calibrate before it")
     if {"diagnose", "improve"} & set(steps) and "compare" not in steps:
         raise UserError("steps: diagnose and improve need the comparison; put calibrate, compare before them")
+    if "discover" in steps and "diagnose" not in steps:
+        raise UserError("steps: discover looks for what the catalogue does not hold; put diagnose before it")
+    if "discover" in steps and study.structure is not None and study.structure.specimens is not None:
+        raise UserError(
+            "steps: discover looks into one specimen, and this study has specimens with names; leave it out"
+        )
     if "improve" in steps and "diagnose" not in steps and study.improve.add is None:
         raise UserError("steps: improve needs diagnose before it, or improve.add with the effects to add")
     if study.experiments.folder is not None and "design" not in steps:

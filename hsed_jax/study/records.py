@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 # Seconds for each step of each experiment on one core, by step of a study, as measured on the project's campaigns; and of
 # compiling.  What a search needs depends on the data by a factor of three.
-_SECONDS = {"calibrate": 3e-4, "compare": 2e-5, "diagnose": 5e-3, "improve": 1.2e-3}
+_SECONDS = {"calibrate": 3e-4, "compare": 2e-5, "diagnose": 5e-3, "discover": 3e-3, "improve": 1.2e-3}
 _COMPILING = 30.0
 # Memory [B]: of the program; on each core, of a step in a tile of lanes and of a number in a chunk of them; of a number of each
 # experiment in a search, which holds a batch of them at most.

@@ -6,7 +6,6 @@ shared by all specimens that have no model of their own.  Of linear springs the 
 """
 
 import difflib
-import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -204,8 +203,6 @@ class Naming:
                         within(where, bound, known)
             else:
                 fixed[name] = within(where, float(entry), known)
-        highest = dict(fixed) | {name: math.inf if p.bounds[1] is None else p.bounds[1] for name, p in free.items()}
-        self._check_possible("model.parameters", highest)
         free |= of_structure
         if not free:
             first = next(iter(self.of_laws))
@@ -280,7 +277,6 @@ class Naming:
                 if known.neutral is None and own not in truth and (element.is_apart or name not in truth):
                     missing = own if element.is_apart else name
                     raise UserError(f"{where}.parameters.{missing}: this key is required ({known.meaning})")
-        self._check_possible(f"{where}.parameters", truth)
         for effect, values in entry.effects.items():
             form, allowed = self.checked_effect(f"{where}.effects", effect, values)
             truth |= {f"{effect}.{name}": value for name, value in form.held.items()}
@@ -288,14 +284,6 @@ class Naming:
                 if name not in (FORM, DRIVER):
                     truth[f"{effect}.{name}"] = within(f"{where}.effects.{effect}.{name}", value, allowed[name])
         return truth
-
-    def _check_possible(self, where: str, highest: Mapping[str, float]) -> None:
-        """Refuse what a law says is impossible anywhere; where parts of a prior are, those simulations fail."""
-        for element in self.elements:
-            if fault := element.law.impossible(element.parameters(by_owner(highest))):
-                name, words = fault
-                own = named(element.name, name)
-                raise UserError(f"{where}.{own if own in highest else name}: {words}")
 
     def checked_effect(self, where: str, effect: str, entries: Mapping[str, Any]) -> tuple[Form, dict[str, Parameter]]:
         """The form of an effect, and its parameters under both their names.

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from hsed_jax.config.mechanics import StructureEntry
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
+from hsed_jax.physics.outputs import own_name
 from hsed_jax.physics.structures import OWNER, ModalDamping, RayleighDamping, Spring, Structure, parameter_of
 from hsed_jax.study.parts import possible, prior, within
 
@@ -75,9 +76,9 @@ def stiffest(structure: Structure | None, of_structure: Mapping[str, Prior]) -> 
     """The structure where its periods are shortest: the stiffest springs, the lightest masses that priors allow."""
     assert structure is not None
     numbers = {
-        name.removeprefix(f"{OWNER}."): float(prior.quantile(0.001 if "mass_" in name else 0.999))
-        for name, prior in of_structure.items()
-        if name.startswith((f"{OWNER}.mass_", f"{OWNER}.stiffness_"))
+        name: float(prior.quantile(0.001 if name.startswith("mass_") else 0.999))
+        for name, prior in ((own_name(full), prior) for full, prior in of_structure.items())
+        if name.startswith(("mass_", "stiffness_"))
     }
     return structure.told(numbers)
 
@@ -116,7 +117,7 @@ def true_numbers(where: str, given: Mapping[str, float], of_structure: Mapping[s
     Raises:
         UserError: one is missing, impossible, or has no prior.
     """
-    calibrated = [name.removeprefix(f"{OWNER}.") for name in of_structure]
+    calibrated = [own_name(name) for name in of_structure]
     for name in given:
         if name not in calibrated:
             known = f"with one are {', '.join(calibrated)}" if calibrated else "none has one"

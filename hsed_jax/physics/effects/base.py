@@ -40,7 +40,8 @@ class SpringPoint(NamedTuple):
             commit.
         memory: further states by name, among them `energy` e [J].
         scales: characteristic values.
-        strength: force at which the virgin element yields, or its bound, $[A/(\beta+\gamma)]^{1/n}$ of Bouc–Wen [N].
+        strength: force at which the virgin element yields, or its bound, $[A/(\beta+\gamma)]^{1/n}$ of Bouc–Wen [N]; of a law
+            without one what stands for it (`AbstractSpringLaw.yardstick`).
     """
 
     elongation: Scalar

@@ -5,7 +5,7 @@ from typing import ClassVar, Literal, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
-from hsed_jax.physics.effects.forms import FREE, Form
+from hsed_jax.physics.effects.forms import FREE, Form, near_no_force
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_number, is_zero
 from hsed_jax.physics.states import LARGEST_ELONGATION, SharedState
@@ -17,7 +17,11 @@ _SMALL = 0.02
 @register
 @final
 class Gap(AbstractSpringEffect):
-    r"""A slack: no force within $\delta u_c$ to either side of the origin."""
+    r"""A slack: no force within $\delta u_c$ to either side of the origin.
+
+    In series it is the play of a connection, which goes along with the element and opens at every reversal: $\delta u_c$ are
+    gone through, to either side of no force, while the force stays below $w_z z_u$.
+    """
 
     name: ClassVar[str] = "gap"
     family: ClassVar[str] = "contact"
@@ -44,6 +48,13 @@ class Gap(AbstractSpringEffect):
             free=("of_largest", "of_energy"),
             in_units=False,
         ),
+        Form(
+            "in series",
+            r"c(z) = \sqrt{2/\pi}\,\frac{\delta u_c}{\sigma}e^{-z^2/2\sigma^2},\ \sigma = w_z z_u",
+            "Nordin & Gutman 2002 (backlash)",
+            held={"in_series": 1.0},
+            free=("play",),
+        ),
     )
 
     delta: Scalar = parameter(
@@ -58,6 +69,15 @@ class Gap(AbstractSpringEffect):
     )
     of_largest: Scalar = share_parameter("w", "whether it widens with the largest elongation")
     of_energy: Scalar = share_parameter("w_e", "whether it widens with the absorbed energy")
+    in_series: Scalar = share_parameter("w_s", "whether it goes along with the element")
+    play: Scalar = shape_parameter(
+        "w_z",
+        "force that closes it, over strength",
+        neutral=0.05,
+        lower=0.01,
+        upper=1.0,
+        prior={"lognormal": [-3.0, 0.7]},
+    )
 
     @property
     def needs(self) -> tuple[SharedState, ...]:
@@ -65,7 +85,7 @@ class Gap(AbstractSpringEffect):
         return () if is_zero(self.of_largest) else (LARGEST_ELONGATION,)
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
-        """An addend to `slack`."""
+        """An addend to `slack`, or to `compliance`."""
         fixed = point.scales.elongation
         width = fixed
         if not is_zero(self.of_largest):
@@ -73,7 +93,13 @@ class Gap(AbstractSpringEffect):
         if not is_zero(self.of_energy):
             used = jnp.maximum(point.memory["energy"], 0.0) / point.scales.energy
             width = jnp.maximum(width + self.of_energy * (used - 1) * fixed, 0.0)
-        return {"slack": self.delta * width}
+        found = {}
+        if not is_number(self.in_series, 1):
+            found["slack"] = (1 - self.in_series) * self.delta * width
+        if not is_zero(self.in_series):
+            profile = near_no_force(point.hysteretic, self.play * point.strength)
+            found["compliance"] = self.in_series * self.delta * fixed * profile
+        return found
 
 
 @register
@@ -94,6 +120,12 @@ class SupportFlexibility(AbstractSpringEffect):
             free=("power",),
             in_units=False,
         ),
+        Form(
+            FREE,
+            r"\frac{du}{dF} = \delta\frac{u_c}{F_c}\left(p|F/F_c|^{p-1} + b\,e^{-|F|/wF_c}\right)",
+            free=("power", "bedding", "bedded"),
+            in_units=False,
+        ),
     )
 
     delta: Scalar = parameter(
@@ -108,12 +140,23 @@ class SupportFlexibility(AbstractSpringEffect):
     power: Scalar = shape_parameter(
         "p", "power of the force", neutral=1.0, lower=0.3, upper=6.0, prior={"lognormal": [0.0, 0.6]}
     )
+    bedding: Scalar = shape_parameter(
+        "b", "how much softer it is before it is bedded", neutral=0.0, lower=0.0, upper=50.0, prior={"half_normal": 3.0}
+    )
+    bedded: Scalar = shape_parameter(
+        "w",
+        "force at which it is bedded, over characteristic force",
+        neutral=0.2,
+        lower=0.02,
+        prior={"lognormal": [-1.6, 0.7]},
+    )
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `compliance`."""
-        compliance = self.delta * (point.scales.elongation / point.scales.force)
+        slope, force = 1.0, jnp.abs(point.hysteretic / point.scales.force)
         if not is_number(self.power, 1):
             # A support that gives way at no force at all would hold the element there: the slope ends where the force is small.
-            ratio = jnp.maximum(jnp.abs(point.hysteretic / point.scales.force), _SMALL)
-            compliance = compliance * self.power * ratio ** (self.power - 1)
-        return {"compliance": compliance}
+            slope = self.power * jnp.maximum(force, _SMALL) ** (self.power - 1)
+        if not is_zero(self.bedding):
+            slope = slope + self.bedding * jnp.exp(-force / self.bedded)
+        return {"compliance": self.delta * (point.scales.elongation / point.scales.force) * slope}

@@ -106,6 +106,11 @@ def raised(value: Scalar, power: Scalar) -> Scalar:
     return value * jnp.exp((power - 1) * jnp.log(jnp.maximum(jnp.abs(value), 1e-9)))
 
 
+def near_no_force(force: Scalar, width: Scalar) -> Scalar:
+    r"""A profile around no force, $\sqrt{2/\pi}\,e^{-z^2/2\sigma^2}/\sigma$, of one to either side."""
+    return jnp.sqrt(2 / jnp.pi) * jnp.exp(-0.5 * (force / width) ** 2) / width
+
+
 def one_side() -> Any:
     """The parameter that says whether a force acts to both sides."""
     return shape_parameter(

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
 from hsed_jax.physics.effects.driven import AbstractDrivenEffect
-from hsed_jax.physics.effects.forms import Form
+from hsed_jax.physics.effects.forms import FREE, Form, near_no_force
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_zero
 
-# ∫ exp(−x⁶) dx over all x.
-_OF_WINDOW = 2 * math.gamma(7 / 6)
+# ∫ exp(−x⁶) dx to one side: a slip as long as the Gaussian one.
+_OF_WINDOW = math.gamma(7 / 6)
 
 
 @register
@@ -31,8 +31,9 @@ class Slip(AbstractDrivenEffect):
     drivers: ClassVar[tuple[str, ...]] = ("largest_elongation", "energy")
     forms: ClassVar[tuple[Form, ...]] = (
         Form("gaussian"),
-        Form("window", r"c(z) = \frac{\delta\max|\Delta u|}{1.855\,\sigma}e^{-(z/\sigma)^6}",
+        Form("window", r"c(z) = \frac{\delta\max|\Delta u|}{0.928\,\sigma}e^{-(z/\sigma)^6}",
              "Sivaselvan & Reinhorn 2000", held={"flat": 1.0}),
+        Form(FREE, r"c(z) = (1 - w_f)c_\mathrm{gaussian} + w_f c_\mathrm{window}", free=("flat",)),
     )  # fmt: skip
 
     delta: Scalar = parameter(
@@ -53,9 +54,9 @@ class Slip(AbstractDrivenEffect):
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `compliance`."""
         sigma = self.width * point.strength
-        place = (point.hysteretic / sigma) ** 2
-        shape = jnp.sqrt(2 / jnp.pi) * jnp.exp(-0.5 * place) / sigma
+        shape = near_no_force(point.hysteretic, sigma)
         if not is_zero(self.flat):
+            place = (point.hysteretic / sigma) ** 2
             shape = shape + self.flat * (jnp.exp(-place * place * place) / (_OF_WINDOW * sigma) - shape)
         length = jnp.maximum(self.driven(point), 0.0) * point.scales.elongation
         return {"compliance": self.delta * length * shape}

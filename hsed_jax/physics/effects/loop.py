@@ -175,6 +175,8 @@ class RateDependence(AbstractSpringEffect):
         Form("power", r"a = 1 + \delta(|\Delta\dot u|/v_c)^p", "Cowper & Symonds 1957", held={"of_power": 1.0},
              free=("power",)),
         Form("strength", r"1/\nu = 1 + \delta\ln(1 + |\Delta\dot u|/v_c)", held={"of_both": 0.0, "of_strength": 1.0}),
+        Form(FREE, r"a = 1 + w_a\delta(|\Delta\dot u|/v_c)^p,\ 1/\nu = 1 + w_\nu\delta(|\Delta\dot u|/v_c)^p",
+             held={"of_power": 1.0}, free=("power", "of_both", "of_strength")),
     )  # fmt: skip
 
     delta: Scalar = parameter(
@@ -232,6 +234,9 @@ class Pinching(AbstractDrivenEffect):
         Form("elongation", r"h = 1 - \zeta_s(1 - e^{-px})\exp(-(\Delta u/\psi_0 \max|\Delta u|)^2)",
              "Lowes & Altoontash 2003",
              held={"q": 0.0, "spread": 0.0, "ratio": 1.0, "widening": 0.0, "of_elongation": 1.0}),
+        Form(FREE, r"h = 1 - \zeta_s(1 - e^{-px})\exp(-(y/\psi_0)^{2m}),\ "
+             r"y = (1 - w_u)(z\,\mathrm{sign}\,\Delta\dot u/z_u - q) + w_u\Delta u/\max|\Delta u|",
+             held={"spread": 0.0, "ratio": 1.0, "widening": 0.0}, free=("flatness", "of_elongation")),
     )  # fmt: skip
 
     zeta: Scalar = parameter(

@@ -76,7 +76,12 @@ class AbstractSpringLaw(eqx.Module):
     @property
     @abstractmethod
     def strength(self) -> Scalar:
-        """Force at which the virgin element yields, or its bound [N]; infinite, or a large number, where it is elastic."""
+        """Force at which the virgin element yields, or its bound [N]; infinite where it has none."""
+
+    @property
+    def yardstick(self) -> Scalar:
+        """Force by which effects measure that of the element [N]: the strength, and what stands for it where there is none."""
+        return self.strength
 
     @property
     def yield_elongation(self) -> Scalar:
@@ -87,21 +92,6 @@ class AbstractSpringLaw(eqx.Module):
     def steepness(self) -> Scalar:
         """How fast, along the elongation, the force of the virgin element comes to its limit [1/m]."""
         return 1 / self.yield_elongation
-
-    @property
-    def is_bounded(self) -> Array | bool:
-        """Whether the force stays finite with these parameters."""
-        return True
-
-    @classmethod
-    def impossible(cls, highest: Mapping[str, float]) -> tuple[str, str] | None:
-        """What no value of the parameters makes possible, as the parameter to change and words for it.
-
-        Arguments:
-            highest: the upper ends of parameters, by name; what a study leaves out is absent.
-        """
-        del highest
-        return None
 
     @abstractmethod
     def start(self) -> Memory:

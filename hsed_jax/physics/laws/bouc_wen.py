@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from typing import ClassVar, final
 
 import jax.numpy as jnp
-from jaxtyping import Array
 
 from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, Turn, still
 from hsed_jax.physics.laws.reversal import mended_force
@@ -20,7 +19,13 @@ class BoucWen(AbstractSpringLaw):
 
     An element in series with compliance c turns the slope $dz/d\Delta u = g$ into $g/(1+cg)$.  With nothing in the slots
     (a = ν = η = h = 1) it is Eq. 15 of Abbiati & Marelli without the degradation.  The force z is in newtons, so A is a
-    stiffness; the force tends to $[A/(\beta+\gamma)]^{1/n}$.
+    stiffness; the force tends to the strength $[A/(\beta+\gamma)]^{1/n}$.
+
+    **With β + γ < 0 it hardens**: the stiffness grows on loading, to $A + |\beta+\gamma||z|^n$, and the law has no strength.  The
+    force is finite at any elongation all the same, at most $\frac{A}{|\beta+\gamma|}(e^{|\beta+\gamma|\Delta u} - 1)$ after
+    Δu from no force (n = 1), and β ≥ 0 makes it dissipate.  Effects whose formulas have a strength z_u take the force
+    $[A/|\beta+\gamma|]^{1/n}$ at which the stiffness on loading has doubled; it goes to infinity where β + γ comes to
+    zero, as the strength does from the other side.
     """
 
     name: ClassVar[str] = "bouc_wen"
@@ -41,9 +46,17 @@ class BoucWen(AbstractSpringLaw):
 
     @property
     def strength(self) -> Scalar:
-        """Ultimate force of the virgin element [N]; where it is elastic, a large number stands for none."""
-        strength = self.A / jnp.maximum(self.beta + self.gamma, 1e-12)
-        return strength if isinstance(self.n, int | float) and self.n == 1 else strength ** (1 / self.n)
+        """Ultimate force of the virgin element [N]; infinite where β + γ ≤ 0, and it is elastic on loading or hardens."""
+        return jnp.where(self.beta + self.gamma > 0, self.yardstick, jnp.inf)
+
+    @property
+    def yardstick(self) -> Scalar:
+        """The strength, or where the law hardens the force at which its stiffness on loading has doubled [N].
+
+        Where it is elastic on loading, a large number stands for neither, so that derivatives are numbers.
+        """
+        force = self.A / jnp.maximum(jnp.abs(self.beta + self.gamma), 1e-12)
+        return force if isinstance(self.n, int | float) and self.n == 1 else force ** (1 / self.n)
 
     @property
     def steepness(self) -> Scalar:
@@ -52,25 +65,6 @@ class BoucWen(AbstractSpringLaw):
         if isinstance(self.n, int | float) and self.n == 1:
             return softening
         return self.n * self.A ** (1 - 1 / self.n) * softening ** (1 / self.n)
-
-    @property
-    def is_bounded(self) -> Array | bool:
-        """Whether the force has a bound, which β + γ < 0 takes away: on loading the stiffness grows with the force.
-
-        At β + γ = 0 the element is elastic on loading, the limit of a large strength.
-        """
-        return self.beta + self.gamma >= 0
-
-    @classmethod
-    def impossible(cls, highest: Mapping[str, float]) -> tuple[str, str] | None:
-        """A law without an ultimate force; where only a part of a prior has none, simulations there are failures."""
-        beta, gamma = highest["beta"], highest.get("gamma", 0.0)
-        if beta + gamma >= 0:
-            return None
-        return "gamma", (
-            f"beta + gamma is {beta + gamma:g} at most, and the force of such a law grows without bound; "
-            "gamma must be at least -beta (the effect hardening gives a stiffness after yielding)"
-        )
 
     def start(self) -> Memory:
         """No force."""
@@ -91,8 +85,8 @@ class BoucWen(AbstractSpringLaw):
         if not is_zero(gamma):
             softening = softening + gamma * rate * _power(magnitude, self.n, 0)
         if not is_zero(sharper := slots("n")):
-            # (|z|/z_u)^δ leaves the strength z_u where it is: sharpness alone changes.
-            softening = softening * _power(magnitude / self.strength, sharper, 0)
+            # (|z|/z_u)^δ leaves the strength z_u, or what stands for it, where it is: sharpness alone changes.
+            softening = softening * _power(magnitude / self.yardstick, sharper, 0)
         # h/η first: rates at one η then share one division.
         flow = slots("h") / slots("eta") * (slots("a") * self.A * rate - slots("nu") * softening)
         if not is_zero(compliance := slots("compliance")):

@@ -1,0 +1,249 @@
+"""The search for a place: every one is screened, the promising ones are fitted inside the simulation, and the best must hold.
+
+The parameters of the law have flat priors here, those of the function do not: of all functions that fit alike the smallest is
+taken, so that whatever the law's own parameters can do, they do.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtri
+
+from hsed_jax.diagnosis.box import Box
+from hsed_jax.diagnosis.evidence import laplace
+from hsed_jax.diagnosis.held_out import Gain, folds_of, left_out_predictions
+from hsed_jax.diagnosis.nested import Descent, NestedModels, Target, Task
+from hsed_jax.diagnosis.problem import Problem
+from hsed_jax.diagnosis.scores import Around
+from hsed_jax.discovery.places import Place, Reaches
+from hsed_jax.discovery.screen import ByPolynomials, Promised, evidence, learned, located, screened
+from hsed_jax.inference.priors import Prior
+
+# So many places of one and of two coordinates are fitted, and each so often with the size and length that its last fit asks for.
+_FITTED, _ROUNDS = {1: 5, 2: 4}, 3
+# No coefficient is held tighter than this.
+_LEAST = 1e-6
+# Of a normal distribution, half of what lies between its 16 % and 84 % quantiles: the unit of a coordinate.
+_SPREAD = float(ndtri(0.84))
+# Of the time of fading over u_c/v_c.
+_FADING = Prior("lognormal", [0.9, 1.0])
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A place, its function fitted inside the simulation.
+
+    Attributes:
+        promised: what it promised.
+        place: where it is, with the time of fading that was fitted.
+        reaches: of its coordinates, as the fit had them.
+        models, fit: the fit, and the models it is one of; its last free coordinates are the coefficients.
+        columns: of the coefficients of the function.
+        deviations: of their priors, (m,).
+        log_evidence: over all lengths and sizes.
+    """
+
+    promised: Promised
+    place: Place
+    reaches: tuple[tuple[float, float], ...]
+    models: NestedModels
+    fit: Descent
+    columns: np.ndarray
+    deviations: np.ndarray
+    log_evidence: float = -np.inf
+
+    @property
+    def coefficients(self) -> np.ndarray:
+        """Those of the function, (m,)."""
+        return self.models.theta(self.fit.x, self.fit.member)[self.columns]
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Of the coefficients, with the law as unsure as it is, (m, m)."""
+        law, own = self._blocks
+        covariance = np.linalg.inv(self.fit.hessian + 1e-9 * np.eye(len(law) + len(own)))[np.ix_(own, own)]
+        return covariance * np.outer(self._scale, self._scale)
+
+    @property
+    def normal_equations(self) -> tuple[np.ndarray, np.ndarray]:
+        """G and b of the coefficients (`hsed_jax.discovery.screen`), the law adjusted to first order."""
+        law, own = self._blocks
+        hessian = self.fit.hessian.copy()
+        hessian[own, own] -= _SPREAD**2
+        across, inner = hessian[np.ix_(own, law)], hessian[np.ix_(law, law)] + 1e-9 * np.eye(len(law))
+        strength = hessian[np.ix_(own, own)] - across @ np.linalg.solve(inner, across.T)
+        strength = 0.5 * (strength + strength.T) / np.outer(self._scale, self._scale)
+        # At the optimum the pull of the data is that of the prior.
+        return strength, strength @ self.coefficients + self.coefficients / self.deviations**2
+
+    @property
+    def _blocks(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where parameters of the law and coefficients stand among the free coordinates."""
+        count = len(self.fit.free)
+        return np.arange(count - len(self.columns)), np.arange(count - len(self.columns), count)
+
+    @property
+    def _scale(self) -> np.ndarray:
+        return _SPREAD * self.deviations
+
+
+class Judged(NamedTuple):
+    """What a model predicts of what it was not fitted to.
+
+    Attributes:
+        error: normalised error on the test experiments, or on those left out in turn.
+        gain: squared errors taken away from predictions of what was left out in turn.
+    """
+
+    error: float
+    gain: Gain
+
+
+class PlaceSearch:
+    """The search.
+
+    Arguments:
+        problem: the model with the free function as its one candidate.
+        reaches: of its coordinates.
+        report: called with what is being done.
+
+    Attributes:
+        models, base: the model as it is, and its fit.
+        target: what fits were judged with last.
+        promised: what all places promise.
+        fitted: the places that were fitted, the most probable first.
+    """
+
+    def __init__(self, problem: Problem, reaches: Reaches, report: Callable[[str], None] = lambda line: None):
+        self._problem, self._reaches, self._report = problem, reaches, report
+        self._lanes = ByPolynomials(problem.models.lanes, problem.names)
+        self._folds = folds_of(problem.train.used, problem.train.groups)
+        self.models = self._with({})
+        free = self.models.member(problem.law)
+        x = self.models.neutral if problem.start is None else problem.start
+        self.target = self._judged_by(np.zeros_like(problem.train.values))
+        for _ in range(2):
+            self.base = self.models.fit(self.target, [Task(free, x)])[0]
+            x, self.target = self.base.x, self._judged_by(self.base.predicted)
+        self.base = self.models.fit(self.target, [Task(free, x)])[0]
+        self.promised: list[Promised] = []
+        self.fitted: list[Fitted] = []
+
+    def run(self, chosen: Sequence[Place]) -> None:
+        """Screen places and fit those that promise most."""
+        self._report(f"{len(chosen)} places")
+        around = Around(self.models, self.target, self.base)
+        count = len(self._problem.train.values)
+        self.promised = screened(around, self.base.member, self._problem.names, chosen, self._reaches, count)
+        best: dict[tuple, Promised] = {}
+        for promised in self.promised:
+            best.setdefault(promised.place[:2], promised)
+        # A function of two coordinates fits whatever one of them fits, and must be seen beside it.
+        tried = [
+            p for count in (1, 2) for p in [q for q in best.values() if len(q.place.of) == count][: _FITTED[count]]
+        ]
+        self.fitted = [self._fit(promised) for promised in tried]
+        for _ in range(2):
+            lead = min(self.fitted, key=lambda f: f.fit.cost)
+            self._report(f"all beside {lead.place.words}")
+            self.target = self._judged_by(lead.fit.predicted)
+            self.fitted = [
+                self._fits(f.promised, f.place, f.deviations, [f.coefficients], f.fit.x) for f in self.fitted
+            ]
+        self.base = self.models.fit(self.target, [Task(self.base.member, self.base.x)])[0]
+        self.fitted.sort(key=lambda f: -f.log_evidence)
+
+    @property
+    def log_evidence(self) -> float:
+        """Of the model as it is."""
+        return laplace(self.base, self.models)
+
+    def judged(self, one: Fitted | None) -> Judged:
+        """What a fitted place, or the model as it is, predicts of what was not used."""
+        models, fit = (self.models, self.base) if one is None else (one.models, one.fit)
+        return judged(self._problem, self.target, (models, fit), (self.models, self.base))
+
+    def _fit(self, promised: Promised) -> Fitted:
+        """Fit a place: from what it promises and from a small part of that."""
+        self._report(promised.place.words)
+        starts = [promised.coefficients, 0.2 * promised.coefficients]
+        return self._fits(promised, promised.place, promised.deviations, starts, self.base.x)
+
+    def _fits(
+        self,
+        promised: Promised,
+        place: Place,
+        deviations: np.ndarray,
+        starts: Sequence[np.ndarray],
+        x: np.ndarray,
+    ) -> Fitted:
+        """Fit a place with the length and size, and the reach of what fades, that each fit asks for in the next."""
+        found: Fitted | None = None
+        fade = self._problem.names.index("learned.fade")
+        for _ in range(_ROUNDS):
+            columns, held = located(place, self._problem.names, self._reaches)
+            # The time of fading is free like the law, before the coefficients.
+            own = np.asarray([fade, *columns] if place.fades else columns)
+            member = self.base.member.beside(own, held)
+            deviations = np.maximum(deviations, _LEAST)
+            names = [self._problem.names[k] for k in columns]
+            priors = {n: Prior("normal", [0.0, float(d)]) for n, d in zip(names, deviations, strict=True)}
+            models = self._with({"learned.fade": _FADING, **priors})
+            tasks = []
+            for start in starts:
+                point = x.copy()
+                point[columns] = start / (_SPREAD * deviations)
+                point[fade] = models.point({"learned.fade": place.fade})[fade]
+                tasks.append(Task(member, point))
+            fit = min(models.fit(self.target, tasks), key=lambda f: f.cost)
+            reaches = self._reaches.of(place)
+            if place.fades:
+                place = place._replace(fade=float(models.theta(fit.x, fit.member)[fade]))
+            found = Fitted(promised, place, reaches, models, fit, columns, deviations)
+            if not np.isfinite(fit.cost):
+                break
+            asked = learned(*found.normal_equations, place)
+            over_others = asked.gain - evidence(*found.normal_equations, deviations)[0]
+            found = replace(found, log_evidence=laplace(fit, models) + over_others)
+            if np.allclose(asked.deviations, deviations) and not place.fades:
+                break
+            deviations, starts, x = asked.deviations, [found.coefficients], fit.x
+        assert found is not None
+        return found
+
+    def _with(self, priors: Mapping[str, Prior]) -> NestedModels:
+        """The models with these priors of coefficients, and flat ones of the law."""
+        return self._problem.models.within(flat(self._problem, priors), self._lanes)
+
+    def _judged_by(self, predicted: np.ndarray) -> Target:
+        return self._problem.train.target(predicted, self._folds.fitted)
+
+
+def flat(problem: Problem, priors: Mapping[str, Prior]) -> Box:
+    """The coordinates of a problem with these priors of some parameters, and flat ones of the law."""
+    law = [problem.names[k] for k in problem.law]
+    return Box({**problem.models.box.priors, **priors}, flat=law)
+
+
+def judged(
+    problem: Problem, target: Target, now: tuple[NestedModels, Descent], before: tuple[NestedModels, Descent]
+) -> Judged:
+    """What a model predicts of what was not used, beside the model as it is."""
+    folds = folds_of(problem.train.used, problem.train.groups)
+    parts = folds.left_out[1:]
+
+    def left_out(models: NestedModels, fit: Descent) -> tuple[np.ndarray, float]:
+        (predicted,) = left_out_predictions(models, target, folds, [fit])
+        if predicted is None:
+            return np.full(len(parts), np.inf), np.inf
+        return problem.train.squares(predicted, parts), problem.train.error(predicted, folds.left_out.any(axis=0))
+
+    (squares, error), (squares_before, _) = left_out(*now), left_out(*before)
+    if problem.test is not None:
+        models, fit = now
+        rows = len(problem.train.values) + np.arange(len(problem.test.values))
+        outputs, ok = models.predict([(fit.x, fit.member)], rows)
+        error = problem.test.error(outputs[0]) if ok.all() else np.inf
+    return Judged(float(error), Gain(squares_before - squares))

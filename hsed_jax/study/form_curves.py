@@ -1,0 +1,102 @@
+"""What the forms of an effect look like: what each contributes, over that which tells them apart."""
+
+from collections import defaultdict
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hsed_jax.inference.priors import Prior
+from hsed_jax.physics.effects.base import MULTIPLIED, AbstractSpringEffect, SpringPoint
+from hsed_jax.physics.effects.forms import Form
+from hsed_jax.physics.parameters import Parameter
+from hsed_jax.physics.scales import Scalar, Scales
+
+_PLACES = 48
+# Where what is not swept rests: away from nothing, where no force has a shape, and within what drives.
+_RESTING = {"elongation": 0.1, "rate": 0.5, "force": 0.5, "driver": 0.5}
+_ACROSS = {
+    "driver": "its driver x, from 0 to 1",
+    "elongation": "the elongation, from −u_c to u_c",
+    "rate": "the rate of elongation, from −v_c to v_c",
+    "force": "the force of the element, from −F_c to F_c",
+}
+_AMPLITUDE = 0.5
+# What is lost after a long path is lost within the picture.
+_LIFE = {"life": 0.5}
+
+
+class Curves(NamedTuple):
+    """What forms of an effect contribute.
+
+    Attributes:
+        across: what they are told apart by, in words, with its range.
+        places: along it, over the characteristic value, (n,).
+        values: by the name of the form: the sum of what it adds and of what it multiplies by, less one, (n,).
+    """
+
+    across: str
+    places: Float[np.ndarray, " n"]
+    values: dict[str, Float[np.ndarray, " n"]]
+
+
+def curves_of(effect: type[AbstractSpringEffect]) -> Curves:
+    """The contributions of the forms of a spring's effect, all characteristic values being one.
+
+    The amplitude is one half, shape parameters that a form frees are one standard deviation of their priors from the middle,
+    and of elongation, rate, force and driver that one is swept over which fewest forms are the same everywhere, and of these the
+    one over which they differ most.
+
+    Raises:
+        ValueError: the effect has no forms.
+    """
+    if not effect.forms:
+        raise ValueError(f"{effect.name} has one formula and no forms")
+    swept = {name: _swept(effect, name) for name in _ACROSS}
+    name = max(swept, key=lambda key: _apart(swept[key].values))
+    return swept[name]
+
+
+def _swept(effect: type[AbstractSpringEffect], across: str) -> Curves:
+    places = np.linspace(0.0 if across == "driver" else -1.0, 1.0, _PLACES)
+    at = {key: jnp.asarray(places if key == across else np.full(_PLACES, rest)) for key, rest in _RESTING.items()}
+    return Curves(_ACROSS[across], places, {form.name: _contributed(effect, form, at) for form in effect.forms})
+
+
+def _contributed(
+    effect: type[AbstractSpringEffect], form: Form, at: dict[str, Float[Array, " n"]]
+) -> Float[np.ndarray, " n"]:
+    known = form.parameters(effect)
+    first = next(iter(known))
+    freed = {key: _away(p) for key, p in known.items() if p.shapes}
+    shown = {key: value for key, value in _LIFE.items() if key in known}
+    made = effect(**{first: _AMPLITUDE, **shown, **freed, **form.held})
+
+    def total(at: dict[str, Float[Array, ""]]) -> Float[Array, ""]:
+        # All that it may have gone through; a bristle slides beyond a quarter of the characteristic elongation.
+        memory: dict[str, Scalar] = defaultdict(lambda: at["driver"])
+        memory["bristle"] = jnp.clip(4 * at["elongation"], -1.0, 1.0)
+        point = SpringPoint(at["elongation"], at["rate"], at["force"], memory, Scales(1.0, 1.0, 1.0, 1.0), 1.0)
+        return jnp.asarray(sum(value - (slot in MULTIPLIED) for slot, value in made.contribute(point).items()))
+
+    return np.asarray(jax.vmap(total)(at))
+
+
+def _away(known: Parameter) -> float:
+    """A value of a shape parameter that shows what it does: one standard deviation of its prior to the side that is further
+    from where the default form is."""
+    neutral = known.neutral
+    assert neutral is not None
+    if not known.prior:
+        return neutral
+    prior = Prior(*next(iter(known.prior.items())))
+    return max((float(prior.quantile(share)) for share in (0.16, 0.84)), key=lambda value: abs(value - neutral))
+
+
+def _apart(values: dict[str, Float[np.ndarray, " n"]]) -> tuple[int, float]:
+    """How many shapes have any, and how far they are from one another, each over its own range."""
+    ranges = [float(np.ptp(v)) for v in values.values()]
+    shapes = np.stack([(v - v.min()) / max(size, 1e-12) for v, size in zip(values.values(), ranges, strict=True)])
+    return sum(size > 1e-9 for size in ranges), float(np.sum(np.var(shapes, axis=0)))
