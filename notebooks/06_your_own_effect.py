@@ -30,6 +30,7 @@ import hsed_jax as hx
 from hsed_jax.physics.effects import EFFECTS, AbstractSpringEffect
 from hsed_jax.physics.parameters import parameter
 from hsed_jax.reporting.catalogue import entry
+from hsed_jax.study.form_curves import curves_of
 
 # %% [markdown]
 # ## The class
@@ -60,7 +61,7 @@ class Bumper(AbstractSpringEffect):
 # As the catalogue shows it:
 
 # %%
-print(entry("bumper", EFFECTS.joined([Bumper])))
+print(entry("bumper", EFFECTS.joined([Bumper]), curves_of))
 
 # %% [markdown]
 # ## Is it right?
