@@ -135,7 +135,7 @@ def point(at) -> SpringPoint:
     """Random states, (n,), by name of what a coordinate looks at."""
     count = at["u"].size
     scales = Scales(*(np.full(count, scale) for scale in SCALES))
-    return SpringPoint(at["u"], at["v"], at["z"], at, scales, np.full(count, 6e4))
+    return SpringPoint(at["u"], at["v"], at["z"], at, scales, np.full(count, 6e4), np.full(count, 5e5))
 
 
 def states(count=80):

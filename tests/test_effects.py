@@ -52,10 +52,13 @@ def points(count: int = 200) -> SpringPoint:
         "energy": energy,
         "largest_elongation": np.abs(du) * draw.uniform(1.0, 5.0, count),
         "travel": travel,
+        "reversals": np.floor(travel) + 0.37,  # between numbers: an onset at one has no derivative
     }
-    for state in ("relaxing", "plastic", "bristle"):
+    for state in ("relaxing", "plastic", "bristle", "bristle_at"):
         memory |= {state: draw.normal(scale=1e5 if state == "relaxing" else 0.5, size=count)}
-    return SpringPoint(du, rate, z, memory, Scales(*(np.full(count, s) for s in SCALES)), np.full(count, 1e5))
+    return SpringPoint(
+        du, rate, z, memory, Scales(*(np.full(count, s) for s in SCALES)), np.full(count, 1e5), np.full(count, 5e5)
+    )
 
 
 def made(name: str, label: str | None = None, value=lambda known: jnp.asarray(known.neutral)):
@@ -262,7 +265,7 @@ def test_no_two_effects_own_one_state():
     names = [state for _, state in owned]
     assert len(names) == len(set(names))
     assert not shared & set(names)
-    assert shared == {"largest_elongation", "travel"}
+    assert shared == {"largest_elongation", "travel", "reversals"}
 
 
 def orders(names: tuple[str, ...] = SPRING, limit: int = 6) -> list[tuple[str, ...]]:

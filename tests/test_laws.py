@@ -54,7 +54,7 @@ def along(law, elongations, **parameters) -> np.ndarray:
     specimen = Specimen(LAWS[law](**parameters))
 
     def step(memory, u):
-        return specimen.settle(u, 0.0, memory), specimen.force(u, 0.0, memory)
+        return specimen.settle(u, 0.0, memory, jnp.asarray(False)), specimen.force(u, 0.0, memory)
 
     return np.asarray(jax.jit(lambda us: jax.lax.scan(step, specimen.start(), us)[1])(jnp.asarray(elongations)))
 
@@ -273,7 +273,7 @@ def test_derivatives_are_finite_wherever_a_path_may_be(law):
         specimen = Specimen(LAWS[law](**dict(zip(names, theta, strict=True))))
 
         def step(memory, u):
-            return specimen.settle(u, 0.0, memory), specimen.force(u, 0.0, memory)
+            return specimen.settle(u, 0.0, memory, jnp.asarray(False)), specimen.force(u, 0.0, memory)
 
         return jax.lax.scan(step, specimen.start(), path)[1]
 
@@ -348,7 +348,7 @@ def test_a_law_behind_a_slack_is_the_law_of_what_is_beyond_it(law):
     specimen = Specimen(LAWS[law](**CASES[law]), (gap,), SCALES)
 
     def step(memory, u):
-        return specimen.settle(u, 0.0, memory), specimen.force(u, 0.0, memory)
+        return specimen.settle(u, 0.0, memory, jnp.asarray(False)), specimen.force(u, 0.0, memory)
 
     found = np.asarray(jax.lax.scan(step, specimen.start(), jnp.asarray(path))[1])
     beyond = along(law, path - np.clip(path, -slack, slack), **CASES[law])

@@ -12,7 +12,7 @@ from typing import final
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Bool
 
 from hsed_jax.physics.effects.base import AbstractEffect, AbstractSpringEffect, SpringPoint, combine, slots_of
 from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, Turn
@@ -70,11 +70,14 @@ class Specimen(eqx.Module):
             rates |= effect.flow(point)
         return force, rates
 
-    def settle(self, elongation: Scalar, rate: Scalar, memory: Memory) -> Memory:
+    def settle(self, elongation: Scalar, rate: Scalar, memory: Memory, turned: Bool[Array, ""]) -> Memory:
         """The states after a step that came to this elongation [m] at this rate [m/s], or turned there."""
-        slots = self._slots(self._point(elongation, rate, memory))
+        point = self._point(elongation, rate, memory)
+        slots = self._slots(point)
         committed = self.law.settle(_beyond(elongation, slots), memory, slots)
-        kept = {s.name: s.settled(memory[s.name], elongation, rate) for s in self._shared if s.settled is not None}
+        kept = {s.name: s.settled(memory[s.name], elongation, turned) for s in self._shared if s.settled is not None}
+        for effect in self.effects:
+            kept |= effect.settle(point)
         return {**memory, **committed, **kept}
 
     def turned(self, turn: Turn, before: Memory, flow: Memory, after: Memory) -> tuple[Memory, Scalar]:
@@ -87,14 +90,16 @@ class Specimen(eqx.Module):
         """
         at_turn, at_end = self.law.mended(turn, before, flow, after, self.rates)
         rate = jnp.where(turn.happens, 0.0, turn.after)
-        return self.settle(turn.elongation, rate, at_end), self.force(turn.elongation, rate, at_turn)
+        return self.settle(turn.elongation, rate, at_end, turn.happens), self.force(turn.elongation, rate, at_turn)
 
     @property
     def _shared(self) -> tuple[SharedState, ...]:
         return tuple(dict.fromkeys(state for effect in self.effects for state in effect.needs))
 
     def _point(self, elongation: Scalar, rate: Scalar, memory: Memory) -> SpringPoint:
-        return SpringPoint(elongation, rate, memory["hysteretic"], memory, self.scales, self.law.yardstick)
+        return SpringPoint(
+            elongation, rate, memory["hysteretic"], memory, self.scales, self.law.yardstick, self.law.stiffness
+        )
 
     def _slots(self, point: SpringPoint) -> Slots:
         contributions = [effect.contribute(point) for effect in self.effects]

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 Scalar = Float[Array, ""] | float
 
@@ -18,15 +18,15 @@ class SharedState:
         unit: SI.
         meaning: one line.
         rate: its time derivative, from that of the elongation [m/s]; None: it changes at the ends of steps only.
-        settled: its value after a step, from the value before it and the elongation [m] and rate [m/s] reached, the rate zero at
-            a reversal; None: as it was integrated.
+        settled: its value after a step, from the value before it, the elongation [m] reached, and whether that turned on the way,
+            when it is the one at the turn; None: as it was integrated.
     """
 
     name: str
     unit: str
     meaning: str
     rate: Callable[[Scalar], Scalar] | None = None
-    settled: Callable[[Scalar, Scalar, Scalar], Scalar] | None = None
+    settled: Callable[[Scalar, Scalar, Bool[Array, ""]], Scalar] | None = None
 
 
 LARGEST_ELONGATION = SharedState(
@@ -34,7 +34,7 @@ LARGEST_ELONGATION = SharedState(
     "m",
     "largest elongation reached, to either side",
     # Kept and not integrated: a maximum has no rate.
-    settled=lambda value, elongation, rate: jnp.maximum(value, jnp.abs(elongation)),
+    settled=lambda value, elongation, turned: jnp.maximum(value, jnp.abs(elongation)),
 )
 
 TRAVEL = SharedState("travel", "m", "length of the path of the elongation", rate=jnp.abs)
@@ -45,5 +45,12 @@ LAST_REVERSAL = SharedState(
     "last_reversal",
     "m",
     "elongation at the last reversal",
-    settled=lambda value, elongation, rate: jnp.where(rate == 0, elongation, value),
+    settled=lambda value, elongation, turned: jnp.where(turned, elongation, value),
+)
+
+REVERSALS = SharedState(
+    "reversals",
+    "1",
+    "number of reversals of the elongation",
+    settled=lambda value, elongation, turned: value + turned,
 )

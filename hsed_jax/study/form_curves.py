@@ -77,8 +77,8 @@ def _contributed(
     def total(at: dict[str, Float[Array, ""]]) -> Float[Array, ""]:
         # All that it may have gone through; a bristle slides beyond a quarter of the characteristic elongation.
         memory: dict[str, Scalar] = defaultdict(lambda: at["driver"])
-        memory["bristle"] = jnp.clip(4 * at["elongation"], -1.0, 1.0)
-        point = SpringPoint(at["elongation"], at["rate"], at["force"], memory, Scales(1.0, 1.0, 1.0, 1.0), 1.0)
+        memory |= {"bristle": jnp.clip(4 * at["elongation"], -1.0, 1.0), "bristle_at": at["elongation"]}
+        point = SpringPoint(at["elongation"], at["rate"], at["force"], memory, Scales(1.0, 1.0, 1.0, 1.0), 1.0, 1.0)
         return jnp.asarray(sum(value - (slot in MULTIPLIED) for slot, value in made.contribute(point).items()))
 
     return np.asarray(jax.vmap(total)(at))

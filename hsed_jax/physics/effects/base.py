@@ -42,6 +42,7 @@ class SpringPoint(NamedTuple):
         scales: characteristic values.
         strength: force at which the virgin element yields, or its bound, $[A/(\beta+\gamma)]^{1/n}$ of Bouc–Wen [N]; of a law
             without one what stands for it (`AbstractSpringLaw.yardstick`).
+        stiffness: of the virgin element [N/m].
     """
 
     elongation: Scalar
@@ -50,6 +51,7 @@ class SpringPoint(NamedTuple):
     memory: dict[str, Scalar]
     scales: Scales
     strength: Scalar
+    stiffness: Scalar
 
 
 class Setup(NamedTuple):
@@ -110,7 +112,7 @@ class AbstractSpringEffect(AbstractEffect):
     Attributes:
         needs: states of the spring that it looks at besides force and energy (`hsed_jax.physics.states`); two effects that need
             one state share it.
-        states: names of states of its own, zero in a virgin spring; their rates are its `flow`.
+        states: names of states of its own, zero in a virgin spring; their rates are its `flow`, or a step commits them.
         linear_only: it is what a spring that is not linear has already.
     """
 
@@ -133,6 +135,11 @@ class AbstractSpringEffect(AbstractEffect):
 
     def flow(self, point: SpringPoint) -> dict[str, Scalar]:
         """Time derivatives of its own states, by name."""
+        del point
+        return {}
+
+    def settle(self, point: SpringPoint) -> dict[str, Scalar]:
+        """Its own states that a step commits, by name, after one that came to this point, or turned there."""
         del point
         return {}
 
@@ -227,7 +234,7 @@ def slots_of(effect: type[AbstractEffect], form: str | None = None) -> tuple[str
         if isinstance(made, AbstractSetupEffect):
             return made.contribute(Setup(scales, 1, 1))
         assert isinstance(made, AbstractSpringEffect)
-        return made.contribute(SpringPoint(value, value, value, defaultdict(lambda: value), scales, value))
+        return made.contribute(SpringPoint(value, value, value, defaultdict(lambda: value), scales, value, value))
 
     return tuple(jax.eval_shape(contributions, 1.0))
 

@@ -5,7 +5,7 @@ from typing import ClassVar, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import Scalar, SpringPoint, register
-from hsed_jax.physics.effects.driven import AbstractDrivenEffect
+from hsed_jax.physics.effects.driven import AbstractDamagedEffect
 from hsed_jax.physics.effects.forms import FREE, Form, raised
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_zero
@@ -14,7 +14,7 @@ from hsed_jax.physics.scales import is_zero
 _GONE = 30.0
 
 
-class AbstractDegradation(AbstractDrivenEffect):
+class AbstractDegradation(AbstractDamagedEffect):
     r"""A factor that grows from one with a driver x: $1 + [e^{\kappa y} - 1]/\kappa$, $y = \delta\max(x - x_0, 0)^p$.
 
     κ = g − s is zero for linear growth, one for exponential, and where it is negative the factor ends at 1 + 1/|κ|.

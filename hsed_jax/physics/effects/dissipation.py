@@ -5,6 +5,7 @@ from typing import ClassVar, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
+from hsed_jax.physics.effects.driven import AbstractWornForce, heating, wearing
 from hsed_jax.physics.effects.forms import FREE, Form, one_side, raised, sided
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_zero
@@ -15,7 +16,7 @@ _STICKING = 0.02
 
 @register
 @final
-class ViscousDamping(AbstractSpringEffect):
+class ViscousDamping(AbstractWornForce):
     r"""A linear dashpot in parallel: $\delta\,F_c\,\Delta\dot u/v_c$."""
 
     name: ClassVar[str] = "viscous_damping"
@@ -30,6 +31,7 @@ class ViscousDamping(AbstractSpringEffect):
         Form("closing only", r"\delta F_c\min(\Delta\dot u, 0)/v_c", held={"side": -1.0}),
         Form(FREE, r"\delta F_c\left(1 - w_u + w_u|\Delta u|/u_c\right)\Delta\dot u/v_c,\ "
              r"\text{times } 1 - |w| \text{ one way}", free=("side", "of_elongation"), in_units=False),
+        heating(r"\delta F_c(\Delta\dot u/v_c)", "Black & Makris 2007 (oil that warms)"),
     )  # fmt: skip
 
     delta: Scalar = parameter(
@@ -48,7 +50,7 @@ class ViscousDamping(AbstractSpringEffect):
         rate = sided(point.rate / point.scales.rate, self.side)
         if not is_zero(self.of_elongation):
             rate = rate * (1 + self.of_elongation * (jnp.abs(point.elongation) / point.scales.elongation - 1))
-        return {"force": self.delta * point.scales.force * rate}
+        return {"force": self.delta * point.scales.force * rate * self.lasting(point)}
 
 
 @register
@@ -122,11 +124,11 @@ class PowerDamping(AbstractSpringEffect):
 
 @register
 @final
-class CoulombFriction(AbstractSpringEffect):
+class CoulombFriction(AbstractWornForce):
     r"""Dry friction in parallel: $\delta\,F_c\,\tanh(\Delta\dot u/v_s)$, $v_s = 0.02\,v_c$.
 
-    As the force of a bristle it is $\delta F_c q$, $\dot q = (\Delta\dot u - |\Delta\dot u|\,q)/b u_c$: a spring of that
-    stiffness until it slides.
+    As the force of a bristle it is $\delta F_c q$, $dq/d\Delta u = (1 - q\,\mathrm{sign}\,\Delta\dot u)/b u_c$: a spring of that
+    stiffness until it slides.  Between reversals that has a solution, which holds for the shortest of bristles.
     """
 
     name: ClassVar[str] = "coulomb_friction"
@@ -135,8 +137,10 @@ class CoulombFriction(AbstractSpringEffect):
     forms: ClassVar[tuple[Form, ...]] = (
         Form("sharp"),
         Form("regularised", r"\delta F_c\tanh(\Delta\dot u/w v_c)", free=("sticking",)),
-        Form("bristle", r"\delta F_c q,\ \dot q = (\Delta\dot u - |\Delta\dot u|\,q)/b u_c", "Dahl 1968",
+        Form("bristle", r"\delta F_c q,\ dq/d\Delta u = (1 - q\,\mathrm{sign}\,\Delta\dot u)/b u_c", "Dahl 1968",
              held={"of_bristle": 1.0}, free=("bristle",)),
+        wearing(r"\delta F_c\tanh(\Delta\dot u/v_s)", "Mokha, Constantinou & Reinhorn 1990"),
+        heating(r"\delta F_c\tanh(\Delta\dot u/v_s)", "Lomiento, Bonessio & Benzoni 2013"),
     )  # fmt: skip
 
     delta: Scalar = parameter(
@@ -162,20 +166,24 @@ class CoulombFriction(AbstractSpringEffect):
         """An addend to `force`."""
         slid = jnp.tanh(point.rate / (self.sticking * point.scales.rate))
         if not is_zero(self.of_bristle):
-            slid = slid + self.of_bristle * (point.memory["bristle"] - slid)
-        return {"force": self.delta * point.scales.force * slid}
+            slid = slid + self.of_bristle * (self._bent(point) - slid)
+        return {"force": self.delta * point.scales.force * slid * self.lasting(point)}
 
     @property
     def states(self) -> tuple[str, ...]:
-        """The force of the bristle, over that at which it slides."""
-        return () if is_zero(self.of_bristle) else ("bristle",)
+        """The force of the bristle, over that at which it slides, and the elongation at which it was that [m]."""
+        return () if is_zero(self.of_bristle) else ("bristle", "bristle_at")
 
-    def flow(self, point: SpringPoint) -> dict[str, Scalar]:
-        """The rate of the bristle's force over that at which it slides [1/s]."""
+    def settle(self, point: SpringPoint) -> dict[str, Scalar]:
+        """The bristle as it is bent now."""
         if is_zero(self.of_bristle):
             return {}
-        length = self.bristle * point.scales.elongation
-        return {"bristle": (point.rate - jnp.abs(point.rate) * point.memory["bristle"]) / length}
+        return {"bristle": self._bent(point), "bristle_at": point.elongation}
+
+    def _bent(self, point: SpringPoint) -> Scalar:
+        """Its force over that at which it slides, after a way without a reversal."""
+        way = (point.elongation - point.memory["bristle_at"]) / (self.bristle * point.scales.elongation)
+        return point.memory["bristle"] - jnp.expm1(-jnp.abs(way)) * (jnp.sign(way) - point.memory["bristle"])
 
 
 @register

@@ -2,11 +2,13 @@
 
 from typing import ClassVar
 
+import jax.numpy as jnp
+
 from hsed_jax.physics.effects.base import AbstractSpringEffect, SpringPoint
-from hsed_jax.physics.effects.forms import DRIVERS, chosen, driven_by
-from hsed_jax.physics.parameters import share_parameter
-from hsed_jax.physics.scales import Scalar, is_zero
-from hsed_jax.physics.states import SharedState
+from hsed_jax.physics.effects.forms import DRIVERS, Form, chosen
+from hsed_jax.physics.parameters import shape_parameter, share_parameter
+from hsed_jax.physics.scales import Scalar, is_number, is_zero
+from hsed_jax.physics.states import TRAVEL, SharedState
 
 
 class AbstractDrivenEffect(AbstractSpringEffect):
@@ -37,14 +39,83 @@ class AbstractDrivenEffect(AbstractSpringEffect):
     @property
     def needs(self) -> tuple[SharedState, ...]:
         """The states of its drivers."""
-        return tuple(state for name in self._shares if (state := DRIVERS[name].state) is not None)
+        return tuple(state for name in self._shares for state in DRIVERS[name].states)
 
     def driven(self, point: SpringPoint) -> Scalar:
         """What drives it at one instant, of order one."""
         shares = self._shares
         if len(shares) == 1:
-            return driven_by(next(iter(shares)), point)
+            return self._driver(next(iter(shares)), point)
         total = 0.0
         for name, share in shares.items():
-            total = total + share * driven_by(name, point)
+            total = total + share * self._driver(name, point)
         return total
+
+    def _driver(self, name: str, point: SpringPoint) -> Scalar:
+        driver = DRIVERS[name]
+        return driver.value(point, getattr(self, driver.free[0]) if driver.free else 0.0)
+
+
+class AbstractDamagedEffect(AbstractDrivenEffect):
+    """An effect of damage, which is measured in more ways than one.
+
+    Attributes:
+        driver_3, driver_4, driver_5: one for the driver that counts in place of the first.
+        driver_share: share of the largest elongation in a damage index.
+    """
+
+    drivers: ClassVar[tuple[str, ...]] = (
+        *AbstractDrivenEffect.drivers,
+        *("hysteretic_energy", "reversals", "damage_index"),
+    )
+
+    driver_3: Scalar = share_parameter("w_3", "share of another driver")
+    driver_4: Scalar = share_parameter("w_4", "share of another driver")
+    driver_5: Scalar = share_parameter("w_5", "share of another driver")
+    driver_share: Scalar = share_parameter("w_d", "share of the largest elongation in the damage index", neutral=0.5)
+
+
+class AbstractWornForce(AbstractSpringEffect):
+    r"""A force that a test changes: times $1 + \rho(1 - e^{-x/x_w})$, x the path for wear, the absorbed energy for heat.
+
+    Attributes:
+        worn: how much is gained in the end, or lost.
+        wears: the x by which two thirds of that have come.
+        heats: whether x is the absorbed energy.
+    """
+
+    worn: Scalar = shape_parameter(
+        r"\rho", "what it has gained in the end, over what it was", neutral=0.0, lower=-0.95, upper=5.0,
+        prior={"truncated_normal": {"loc": 0.0, "scale": 0.5, "low": -0.95, "high": 5.0}},
+    )  # fmt: skip
+    wears: Scalar = shape_parameter(
+        "x_w", "path, or energy, by which two thirds of that have come", neutral=0.5, lower=0.02,
+        prior={"lognormal": [-0.7, 1.0]},
+    )  # fmt: skip
+    heats: Scalar = share_parameter("w_h", "whether it changes with absorbed energy in place of the path")
+
+    @property
+    def needs(self) -> tuple[SharedState, ...]:
+        """The path, where it wears."""
+        return () if is_zero(self.worn) or is_number(self.heats, 1) else (TRAVEL,)
+
+    def lasting(self, point: SpringPoint) -> Scalar:
+        """The factor at one instant."""
+        if is_zero(self.worn):
+            return 1.0
+        path, energy = (DRIVERS[name].value(point, 0.0) for name in ("path", "energy"))
+        x = energy if is_number(self.heats, 1) else path if is_zero(self.heats) else path + self.heats * (energy - path)
+        return 1 - self.worn * jnp.expm1(-jnp.maximum(x, 0.0) / self.wears)
+
+
+_FACTOR = r"\left[1 + \rho(1 - e^{-x/x_w})\right]"
+
+
+def wearing(equation: str, reference: str) -> Form:
+    """The form of a force that changes along the path."""
+    return Form("wearing", rf"{equation}{_FACTOR},\ x = sF_c/E_c", reference, free=("worn", "wears"))
+
+
+def heating(equation: str, reference: str) -> Form:
+    """The form of a force that changes with the energy that was absorbed."""
+    return Form("heating", rf"{equation}{_FACTOR},\ x = e/E_c", reference, held={"heats": 1.0}, free=("worn", "wears"))

@@ -4,22 +4,24 @@ A place is a slot and what drives it.  Every form of an effect is the same expre
 one compiled program serves them all; where a parameter is the number that leaves an expression out, the compiler never sees it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax.numpy as jnp
 
 from hsed_jax.physics.parameters import Parameter, parameters_of, shape_parameter
 from hsed_jax.physics.scales import Scalar, is_number, is_zero
-from hsed_jax.physics.states import LARGEST_ELONGATION, TRAVEL, SharedState
+from hsed_jax.physics.states import LARGEST_ELONGATION, REVERSALS, TRAVEL, SharedState
 
 if TYPE_CHECKING:
     from hsed_jax.physics.effects.base import AbstractEffect, SpringPoint
 
 FREE = "free"
 """The form of several shape parameters at once: the same physics in a formula that nobody wrote down."""
+# So many reversals, five cycles, count like the characteristic value of another driver.
+_REVERSALS = 10.0
 
 
 @dataclass(frozen=True)
@@ -66,36 +68,67 @@ class Form:
         return f"{self.name or 'standard'} of {self.driver}" if self.driver else self.name
 
 
-class Driver:
+class Driver(NamedTuple):
     """What has been gone through, and makes a specimen another one: of order one, and never falling but for elastic energy.
 
     Attributes:
         words: in a sentence.
         measure: LaTeX; it over its characteristic value, the x of equations.
-        state: of the spring; None where every spring has it.
+        value: it at one instant, from the point and the share of the second of two that it is made of.
+        states: of the spring that it looks at, besides the absorbed energy, which every spring has.
+        free: the parameter that says the share, where it is made of two.
     """
 
-    def __init__(self, words: str, measure: str, state: SharedState | None):
-        self.words, self.measure, self.state = words, measure, state
+    words: str
+    measure: str
+    value: "Callable[[SpringPoint, Scalar], Scalar]"
+    states: tuple[SharedState, ...] = ()
+    free: tuple[str, ...] = ()
+
+
+def _energy(point: "SpringPoint", share: Scalar) -> Scalar:
+    return point.memory["energy"] / point.scales.energy
+
+
+def _dissipated(point: "SpringPoint", share: Scalar) -> Scalar:
+    return (point.memory["energy"] - 0.5 * point.hysteretic**2 / point.stiffness) / point.scales.energy
+
+
+def _path(point: "SpringPoint", share: Scalar) -> Scalar:
+    return point.memory["travel"] * (point.scales.force / point.scales.energy)
+
+
+def _largest(point: "SpringPoint", share: Scalar) -> Scalar:
+    return point.memory["largest_elongation"] / point.scales.elongation
+
+
+def _damage(point: "SpringPoint", share: Scalar) -> Scalar:
+    energy = _energy(point, share)
+    return energy + share * (_largest(point, share) - energy)
+
+
+def _reversals(point: "SpringPoint", share: Scalar) -> Scalar:
+    return point.memory["reversals"] / _REVERSALS
 
 
 DRIVERS = {
-    "energy": Driver("absorbed energy", "e/E_c", None),
-    "path": Driver("length of the path of the elongation", "sF_c/E_c", TRAVEL),
+    "energy": Driver("absorbed energy", "e/E_c", _energy),
+    "path": Driver("length of the path of the elongation", "sF_c/E_c", _path, (TRAVEL,)),
     "largest_elongation": Driver(
-        "largest elongation reached, to either side", r"\max|\Delta u|/u_c", LARGEST_ELONGATION
+        "largest elongation reached, to either side", r"\max|\Delta u|/u_c", _largest, (LARGEST_ELONGATION,)
+    ),
+    "hysteretic_energy": Driver(
+        "absorbed energy less what the virgin element would give back", r"(e - z^2/2k_0)/E_c", _dissipated
+    ),
+    "reversals": Driver("number of reversals", rf"N/{_REVERSALS:.0f}", _reversals, (REVERSALS,)),
+    "damage_index": Driver(
+        "largest elongation and absorbed energy together (Park & Ang 1985)",
+        r"(1-w_d)\,e/E_c + w_d\max|\Delta u|/u_c",
+        _damage,
+        (LARGEST_ELONGATION,),
+        ("driver_share",),
     ),
 }
-
-
-def driven_by(name: str, point: "SpringPoint") -> Scalar:
-    """A driver at one instant, over its characteristic value: $e/E_c$, $s F_c/E_c$ or $\\max|\\Delta u|/u_c$."""
-    scales = point.scales
-    if name == "energy":
-        return point.memory["energy"] / scales.energy
-    if name == "path":
-        return point.memory["travel"] * (scales.force / scales.energy)
-    return point.memory["largest_elongation"] / scales.elongation
 
 
 def raised(value: Scalar, power: Scalar) -> Scalar:
@@ -138,7 +171,11 @@ def forms_of(effect: "type[AbstractEffect]") -> dict[str, Form]:
         held = {} if number == 0 else {chosen(number): 1.0}
         for first, shape in enumerate(shapes):
             form = replace(
-                shape, driver=driver if number else "", held={**shape.held, **held}, is_default=number == first == 0
+                shape,
+                driver=driver if number else "",
+                held={**shape.held, **held},
+                free=(*shape.free, *(DRIVERS[driver].free if driver else ())),
+                is_default=number == first == 0,
             )
             found[form.label] = form
     return found

@@ -5,7 +5,7 @@ from typing import Any, ClassVar, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
-from hsed_jax.physics.effects.driven import AbstractDrivenEffect
+from hsed_jax.physics.effects.driven import AbstractDamagedEffect, AbstractDrivenEffect
 from hsed_jax.physics.effects.forms import FREE, Form, raised
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_zero
@@ -116,7 +116,7 @@ class Asymmetry(AbstractSpringEffect):
 
 @register
 @final
-class IsotropicHardening(AbstractDrivenEffect):
+class IsotropicHardening(AbstractDamagedEffect):
     r"""Strength grows with absorbed energy and saturates: $1/\nu = 1 + \delta\,(1-e^{-e/(wE_c)})$."""
 
     name: ClassVar[str] = "isotropic_hardening"
