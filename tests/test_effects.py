@@ -29,12 +29,12 @@ QUANTITIES = ("peak_force", "peak_elongation", "dissipated_energy")
 PRESENT = tuple(name for name in EFFECTS if not unserved(EFFECTS[name], BoucWen))
 SPRING = tuple(name for name in PRESENT if issubclass(EFFECTS[name], AbstractSpringEffect))
 SETUP = tuple(name for name, effect in EFFECTS.items() if issubclass(effect, AbstractSetupEffect))
-# Every formula that a Bouc–Wen specimen can have of an effect.
+# What a Bouc–Wen specimen can have of an effect: every shape with the default driver, the first one with the others.
 FORMS = tuple(
     (name, label)
     for name in PRESENT
-    for label in forms_of(EFFECTS[name])
-    if not unserved(EFFECTS[name], BoucWen, label)
+    for label, form in forms_of(EFFECTS[name]).items()
+    if not unserved(EFFECTS[name], BoucWen, label) and (not form.driver or form.name == default_form(EFFECTS[name]).name)
 )
 SPRING_FORMS = tuple((name, label) for name, label in FORMS if name in SPRING)
 LAW = {"A": 5e5, "beta": 0.8, "gamma": 0.2, "n": 1.2}

@@ -91,8 +91,9 @@ def _weaken_by_logistic(x, s, p):
 
 
 def _weaken_by_damage_index(x, s, p):
-    """ν = 1 + δ (d + 0.6 x): a damage index of largest elongation and energy (Park & Ang)."""
-    s.nu = s.nu * (1 + p["delta"] * (largest(x) + 0.6 * energy(x)))
+    """ν = 1 + δ i (1 + i/2), i = d + 0.6 x: faster and faster with a damage index of largest elongation and energy."""
+    index = largest(x) + 0.6 * energy(x)
+    s.nu = s.nu * (1 + p["delta"] * index * (1 + 0.5 * index))
 
 
 def _weaken_each_side(x, s, p):
@@ -107,7 +108,7 @@ def _weaken_in_stairs(x, s, p):
 
 
 add("strength_degradation", "logistic in hysteretic work", _weaken_by_logistic, 0.9)
-add("strength_degradation", "damage index", _weaken_by_damage_index, 30.0)
+add("strength_degradation", "damage index, ever faster", _weaken_by_damage_index, 30.0)
 add("strength_degradation", "log of each side's elongation", _weaken_each_side, 30.0)
 add("strength_degradation", "stairs of reversals", _weaken_in_stairs, 50.0, **COUNTED)
 
