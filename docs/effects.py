@@ -233,7 +233,7 @@ def _forms(effect: type[AbstractEffect]) -> list[str]:
         held = [f"`{key}` = {value:g}" for key, value in form.held.items() if not known[key].shapes]
         equation = f"${form.equation.replace('|', '\\vert ')}$" if form.equation else "as above"
         rows.append(f"| `{form.name}` | {equation} | {frees} | {', '.join(held) or '–'} | {form.reference or '–'} |")
-    freed = {key for form in effect.forms for key in form.free}
+    freed = {key for form in forms_of(effect).values() for key in form.free}
     if freed:
         rows += ["", "| parameter of forms | symbol | meaning | default | range | prior | physical form |"]
         rows += ["|---|---|---|---|---|---|---|", *(_row(known[key]) for key in known if key in freed)]

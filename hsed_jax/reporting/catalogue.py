@@ -10,7 +10,7 @@ from jaxtyping import Float
 from hsed_jax.errors import UserError
 from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.effects.base import AbstractEffect, AbstractSpringEffect
-from hsed_jax.physics.effects.forms import DRIVERS
+from hsed_jax.physics.effects.forms import DRIVERS, forms_of
 from hsed_jax.physics.parameters import Parameter, parameters_of
 from hsed_jax.reporting.formulas import in_text
 
@@ -51,7 +51,7 @@ def entry(name: str, effects: Catalogue, curves_of: Callable[[type[AbstractSprin
         lines += _forms(effect, curves.values if curves else {})
         if curves:
             lines += [f"  pictures: what a form adds or multiplies by, over {curves.across}, each over its own range"]
-        freed = {key for form in effect.forms for key in form.free}
+        freed = {key for form in forms_of(effect).values() for key in form.free}
         if freed:
             lines += [
                 "",
