@@ -34,7 +34,8 @@ FORMS = tuple(
     (name, label)
     for name in PRESENT
     for label, form in forms_of(EFFECTS[name]).items()
-    if not unserved(EFFECTS[name], BoucWen, label) and (not form.driver or form.name == default_form(EFFECTS[name]).name)
+    if not unserved(EFFECTS[name], BoucWen, label)
+    and (not form.driver or form.name == default_form(EFFECTS[name]).name)
 )
 SPRING_FORMS = tuple((name, label) for name, label in FORMS if name in SPRING)
 LAW = {"A": 5e5, "beta": 0.8, "gamma": 0.2, "n": 1.2}

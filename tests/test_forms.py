@@ -44,6 +44,7 @@ def state(count: int = 60) -> dict:
         "travel": draw.exponential(E / F, count),
     }
     found |= {"largest_elongation": np.abs(u) * draw.uniform(1, 3, count), "bristle": draw.uniform(-1, 1, count)}
+    found |= {"plastic": draw.normal(scale=0.5 * U, size=count)}
     found |= {"bristle_at": draw.normal(scale=0.6 * U, size=count)}
     found |= {"reversals": draw.integers(0, 30, count).astype(float)}
     return {name: np.concatenate([[0.0], values[1:]]) for name, values in found.items()}
@@ -322,6 +323,10 @@ EQUATIONS = {
             ),
         ),
     },
+}
+EQUATIONS["yielding"] = {
+    "to a bound": ("plastic", lambda p, x, s: p.delta * s.plastic),
+    **dict.fromkeys(("beside a spring", "free"), ("plastic", lambda p, x, s: (1 - p.elastic) * p.delta * s.plastic)),
 }
 CONSTANT = {("gap", "fixed"), ("support_flexibility", "linear")}
 DRIVEN = {
@@ -609,8 +614,12 @@ def test_what_a_form_holds_is_fixed_and_what_it_frees_has_its_prior(name):
     effect = EFFECTS[name]
     for form in forms_of(effect).values():
         said = {"form": form.name} | ({"driver": form.driver} if form.driver else {})
-        free, fixed = Built(load_study(study({name: said}))).parameters
-        assert {key for key in free if key != "A"} == {f"{name}.{key}" for key in form.parameters(effect)}
+        law = {"spring": "elastic", "parameters": {"k": {"uniform": [1e5, 1e6]}}} if effect.linear_only else {}
+        content = study({name: said}, **law)
+        if law:
+            content["experiments"]["virtual"]["parameters"] = {"k": A}
+        free, fixed = Built(load_study(content)).parameters
+        assert {key for key in free if "." in key} == {f"{name}.{key}" for key in form.parameters(effect)}
         assert {k: v for k, v in fixed.items() if k.startswith(name)} == {
             f"{name}.{k}": v for k, v in form.held.items()
         }

@@ -151,6 +151,30 @@ def test_a_linear_spring_that_yields_is_a_bouc_wen_specimen():
         np.testing.assert_allclose(found, expected, rtol=0, atol=2e-3 * np.abs(expected).max())
 
 
+def test_a_linear_spring_that_yields_freely_is_a_bouc_wen_specimen_beside_a_spring():
+    stiffness, kept, delta, turned, sharpness = SECOND["A"], 0.4, 1.2, 1.375, 1.3
+    law = FIRST | {"gamma": 0.0, "n": 1.0}
+    form = dict(Yielding.forms[2].held) | {"delta": delta, "elastic": kept, "turned": turned, "sharpness": sharpness}
+    found = histories(
+        frame((Spring((0, 1), stiffness),), BETWEEN[:1], FIRST["A"]),
+        law | {f"spring_1.yielding.{name}": value for name, value in form.items()},
+        ("displacement_1", "displacement_2"),
+        effects=Catalogue((("spring_1.yielding", Yielding),)),
+    ).channels
+    # beta + gamma < 0: the loop hardens.
+    a = (1 - kept) * stiffness
+    beta = a * delta / (a * SCALES.elongation) ** sharpness
+    beside = {"A": a, "beta": beta, "gamma": -turned * beta, "n": sharpness}
+    expected = histories(
+        frame((Spring((0, 1), kept * stiffness),), stiffness=(FIRST["A"], a)),
+        named(storey1=law, storey2=beside),
+        ("displacement_1", "displacement_2"),
+        elements=(Element("storey1"), Element("storey2", BoucWen, is_apart=True)),
+    ).channels
+    for name, values in expected.items():
+        np.testing.assert_allclose(found[name], values, rtol=0, atol=2e-3 * np.abs(values).max())
+
+
 def test_parameters_are_shared_unless_a_specimen_has_its_own():
     law = {"A": 5e6, "beta": 50.0, "gamma": 0.0, "n": 1.0}
     names = ("storey1.force", "storey2.force")

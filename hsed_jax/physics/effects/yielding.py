@@ -5,7 +5,9 @@ from typing import ClassVar, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
-from hsed_jax.physics.parameters import PhysicalForm, parameter
+from hsed_jax.physics.effects.forms import FREE, Form, raised
+from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
+from hsed_jax.physics.scales import is_zero
 
 
 @register
@@ -15,13 +17,24 @@ class Yielding(AbstractSpringEffect):
 
     $\dot q = (1 - \phi + \phi\,\mathrm{sign}\,\epsilon\Delta\dot u)\,|\epsilon|\,\Delta\dot u/u_c$: the force comes to its bound
     at $\epsilon = u_c/\delta$, as that of Bouc–Wen with n = 1 and φ = β/(β + γ), whose unloading is elastic at φ = 1/2.
+
+    A share ρ of the stiffness may stay elastic, $f = k[\rho\,\Delta u + (1 - \rho)\,\epsilon]$; then this is the law of Bouc and
+    Wen with its ratio α = ρ. The free form has any exponent n, and any γ: $\dot q = (\mathrm{sign}\,\epsilon\Delta\dot u - \chi)
+    |\epsilon/u_c|^n\Delta\dot u$, where β + γ < 0, a loop that hardens, is χ > 1.
     """
 
     name: ClassVar[str] = "yielding"
     family: ClassVar[str] = "hysteresis"
     reference: ClassVar[str] = "Wen 1976"
-    states: ClassVar[tuple[str, ...]] = ("plastic",)
     linear_only: ClassVar[bool] = True
+    states: ClassVar[tuple[str, ...]] = ("plastic",)
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("to a bound"),
+        Form("beside a spring", r"f = k[\rho\,\Delta u + (1-\rho)\,\epsilon]", "Bouc 1967; Wen 1976", free=("elastic",)),
+        Form(FREE, r"f = k[\rho\,\Delta u + (1-\rho)\,\epsilon],\ \dot q = (\mathrm{sign}\,\epsilon\Delta\dot u - \chi)"
+             r"|\epsilon/u_c|^n\Delta\dot u", "Wen 1976; Ismail, Ikhouane & Rodellar 2009 (its classes)",
+             held={"phi": 1.0}, free=("elastic", "turned", "sharpness"), in_units=False),
+    )  # fmt: skip
 
     delta: Scalar = parameter(
         r"\delta_y",
@@ -36,13 +49,22 @@ class Yielding(AbstractSpringEffect):
     phi: Scalar = parameter(
         r"\phi_y", "1", "fullness of the loop, β/(β + γ)", neutral=0.5, lower=0.0, prior={"uniform": [0.5, 1.0]}
     )
+    elastic: Scalar = share_parameter(r"\rho", "share of the stiffness that stays elastic")
+    turned: Scalar = shape_parameter(
+        r"\chi", "by how much less it yields, whichever way it moves", neutral=0.0, prior={"normal": [0.0, 1.0]}
+    )
+    sharpness: Scalar = shape_parameter(
+        "n", "sharpness of yielding", neutral=1.0, lower=0.5, upper=6.0, prior={"lognormal": [0.0, 0.4]}
+    )
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `plastic`."""
-        return {"plastic": self.delta * point.memory["plastic"]}
+        plastic = self.delta * point.memory["plastic"]
+        return {"plastic": plastic if is_zero(self.elastic) else (1 - self.elastic) * plastic}
 
     def flow(self, point: SpringPoint) -> dict[str, Scalar]:
         """Rate of the plastic elongation over δ."""
         elastic = point.elongation - self.delta * point.memory["plastic"]
-        share = (1 - self.phi + self.phi * jnp.sign(point.rate * elastic)) * jnp.abs(elastic)
-        return {"plastic": share * point.rate / point.scales.elongation}
+        share = 1 - self.phi - self.turned + self.phi * jnp.sign(point.rate * elastic)
+        size = jnp.abs(elastic) / point.scales.elongation
+        return {"plastic": share * raised(size, self.sharpness) * point.rate}
