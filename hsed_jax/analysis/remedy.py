@@ -177,7 +177,7 @@ def improve(
     before = compare(calibration, campaign)
     train = problem.train
     # As the calibration fits it, by what that leaves.
-    target = train.target(before.train_prediction.predicted, train.used[None])
+    target = train.standard(before.train_prediction.predicted, train.used[None]).target
     assert problem.start is not None
     models = problem.models
     plain = _best(problem, target, models.member(problem.law), [], problem.start)

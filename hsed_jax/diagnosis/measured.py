@@ -88,11 +88,23 @@ class Measured(NamedTuple):
         correlated = [error.correlated for error in self.errors]
         return judge(residual, self.gaps, self.used, self.groups, declared, correlated)
 
-    def target(self, predicted: Float[np.ndarray, "n J"], fitted: Bool[np.ndarray, "M n J"]) -> Target:
-        """What is fitted in several uses of the measurements, judged by what predictions leave of them.
-
-        The error of an output is the declared one or what is left, whichever is larger; samples count for what they are worth.
-        """
+    def standard(self, predicted: Float[np.ndarray, "n J"], fitted: Bool[np.ndarray, "M n J"]) -> "Standard":
+        """What several uses of the measurements are judged by, from what predictions leave of them."""
         judged = self.judged(predicted)
         errors = np.fmax(self.declared, self.left(predicted))
-        return Target(self.values, self.sigma(errors, predicted), fitted * judged.worth[self.groups], judged.memory)
+        target = Target(self.values, self.sigma(errors, predicted), fitted * judged.worth[self.groups], judged.memory)
+        return Standard(errors, judged.worth, target)
+
+
+class Standard(NamedTuple):
+    """What models are judged by.
+
+    Attributes:
+        errors: s of each output, the declared one or what a model left, whichever is larger, (G,).
+        worth: what a sample of each output is worth, (G,).
+        target: what is fitted, by them.
+    """
+
+    errors: Float[np.ndarray, " G"]
+    worth: Float[np.ndarray, " G"]
+    target: Target

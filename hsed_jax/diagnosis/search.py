@@ -94,7 +94,12 @@ class Search:
         self._fitted = self._folds.fitted
         self.errors = np.where(np.isnan(measured.declared), 0.3, measured.declared)
         self.worth = np.ones(len(self.errors))
-        self.target = self._target(measured.values, np.zeros(measured.values.shape))
+        self.target = Target(
+            measured.values,
+            measured.sigma(self.errors, measured.values),
+            self._fitted * 1.0,
+            np.zeros(measured.values.shape),
+        )
         self.best: Set = frozenset()
         self.path: list[Set] = [self.best]
         self.scores: dict[str, float] = {}
@@ -240,7 +245,7 @@ class Search:
                 raise UserError(
                     "the model's simulation diverges wherever a fit was started; check parameters and priors"
                 )
-            self.target = self._judged_by(fit)
+            self._judge_by(fit)
             tasks = [Task(member, fit.x)]
         assert fit is not None
         self._fits.set_law(fit)
@@ -324,7 +329,7 @@ class Search:
         around = self._around()
         for _ in range(2):
             lowest = min(around, key=lambda s: self._fits.best(s).cost - self._log_prior(len(s)))
-            self.target = self._judged_by(self._fits.best(lowest))
+            self._judge_by(self._fits.best(lowest))
             self._fits.judge(self.target, around)
 
     def _next(self) -> Set:
@@ -371,19 +376,8 @@ class Search:
         alone = [frozenset({e}) for e in self.effects if not any(e in s for s in sets)]
         return [*sets, *(s for s in alone if s in self._fits)]
 
-    # What models are judged with.
-
-    def _judged_by(self, fit: Descent) -> Target:
-        measured = self.measured
-        self.errors = np.fmax(measured.declared, measured.left(fit.predicted))
-        judged = measured.judged(fit.predicted)
-        self.worth = judged.worth
-        return self._target(fit.predicted, judged.memory)
-
-    def _target(self, predicted: np.ndarray, memory: np.ndarray) -> Target:
-        measured = self.measured
-        weights = self._fitted * self.worth[measured.groups]
-        return Target(measured.values, measured.sigma(self.errors, predicted), weights, memory)
+    def _judge_by(self, fit: Descent) -> None:
+        self.errors, self.worth, self.target = self.measured.standard(fit.predicted, self._fitted)
 
     def _log_prior(self, size: int) -> float:
         return -(size + 1) * math.log(2) - math.log(math.comb(len(self.effects), size))

@@ -218,7 +218,7 @@ class PlaceSearch:
         return self._problem.models.within(flat(self._problem, priors), self._lanes)
 
     def _judged_by(self, predicted: np.ndarray) -> Target:
-        return self._problem.train.target(predicted, self._folds.fitted)
+        return self._problem.train.standard(predicted, self._folds.fitted).target
 
 
 def flat(problem: Problem, priors: Mapping[str, Prior]) -> Box:
