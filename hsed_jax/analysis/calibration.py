@@ -27,6 +27,7 @@ from hsed_jax.physics.response import Response
 from hsed_jax.physics.simulator import AbstractModel, Conditions
 from hsed_jax.programs import program
 from hsed_jax.study.build import Built
+from hsed_jax.study.discrepancies import support_of
 from hsed_jax.study.records import thinning_notes
 from hsed_jax.tables import Table, Tabular
 
@@ -125,6 +126,7 @@ def calibrate_built(
         start=start,
         watch=watch,
         seconds=study.calibration.seconds,
+        support=support_of(built),
     )
     return Calibration(built, campaign, found)
 

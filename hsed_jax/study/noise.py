@@ -31,6 +31,11 @@ def errors_of(study: Study, outputs: Sequence[str], declared: Mapping[str, Chann
         size = entry if entry.kinds else _declared(declared.get(name))
         # Of a history the model may miss as much as there is; a quantity off by half is already a poor model.
         unknown = Prior("half_normal", 0.3 if study.observe == "quantities" else 1.0)
+        if entry.discrepancy and size.unknown:
+            raise UserError(
+                f"error.discrepancy: no noise of {name} is declared, and of an unknown one nobody could tell what is noise and "
+                f"what is the model; give it, such as error: {{{name}: {{relative: 0.02, discrepancy: true}}}}"
+            )
         told = unknown if size.unknown else float(size.relative or size.absolute or 0.0)
         errors.append(_error(name, told, size.absolute is None, entry, pair))
     return tuple(errors)
@@ -61,7 +66,7 @@ def _error(name: str, size: float | Prior, is_relative: bool, entry: ErrorEntry,
             f"error.{name}: {name} may be negative or zero, and no error is relative to that; give it an absolute one "
             f"[{pair.output(name).unit}], such as error: {{{name}: {{absolute: 0.001}}}}"
         )
-    return Error(size, is_relative, entry.correlated, entry.inflate)
+    return Error(size, is_relative, entry.correlated, entry.inflate, entry.discrepancy)
 
 
 def _declared(channel: Channel | None) -> NoiseEntry:
