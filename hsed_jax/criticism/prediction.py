@@ -37,6 +37,18 @@ def error_cell(error: float | None, look: str = ".3f") -> str:
     return "diverged" if error is not None and not np.isnan(error) and has_diverged(error) else cell(error, look)
 
 
+class Band(NamedTuple):
+    """Moments of a predictive distribution: mean, and sd by part, whose squares add up, (n, J) each."""
+
+    mean: Any
+    parts: dict[str, Any]
+
+    @property
+    def sd(self) -> np.ndarray:
+        """Of all parts."""
+        return np.sqrt(sum(part**2 for part in self.parts.values()))
+
+
 @dataclass(frozen=True)
 class Prediction:
     """Measured and predicted outputs of some experiments; n experiments, J columns (samples of channels, or quantities).
@@ -55,7 +67,7 @@ class Prediction:
         parts: what the band is made of, sd by part, each (n, J): their squares add up to that of `sd`.  `noise`, as declared;
             `parameters`, by the posterior; where the study says how wrong the model is, `model`, by what its discrepancy may
             still be or by how much the error was inflated.
-        without: mean and sd of the band without the discrepancy, where one is learned.
+        without: the band without the discrepancy, where one is learned.
     """
 
     outputs: tuple[str, ...]
@@ -70,12 +82,20 @@ class Prediction:
     converged: np.ndarray
     draws_lost: npt.ArrayLike = 0.0
     parts: Mapping[str, np.ndarray] = field(default_factory=dict)
-    without: tuple[np.ndarray, np.ndarray] | None = None
+    without: Band | None = None
 
     @property
     def correction(self) -> np.ndarray:
         """What the discrepancy adds to the prediction, SI, (n, J); zero where none is learned."""
-        return np.zeros_like(self.mean) if self.without is None else self.mean - self.without[0]
+        return np.zeros_like(self.mean) if self.without is None else self.mean - self.without.mean
+
+    @property
+    def misfit(self) -> dict[str, np.ndarray]:
+        """What the model itself, without a discrepancy, is expected to miss, by part, (n, J): `parts`, and of the model what is
+        learned of its discrepancy beside what is not."""
+        if self.without is None:
+            return dict(self.parts)
+        return {**self.without.parts, "model": np.hypot(self.correction, self.parts["model"])}
 
     @cached_property
     def residual(self) -> np.ndarray:
@@ -151,7 +171,7 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
     limits = ABSURD * _largest(measured, used, posterior.groups)
     found = _predicted(posterior, thetas, data, limits, _shortfall(fit, data))
     predicted, ok, sigma, plain, corrected, lost = jax.tree.map(np.asarray, found)
-    parts = {name: np.sqrt(variance) for name, variance in corrected.parts.items()}
+    parts = dict(corrected.parts)
     if fit.inflation is not None:
         # What the model leaves widens the band, and is no noise.
         factors = fit.inflation[posterior.groups]
@@ -170,7 +190,7 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
         ok > 0,
         lost,
         parts,
-        None if fit.discrepancy is None else (plain.mean, plain.sd),
+        None if fit.discrepancy is None else plain,
     )
 
 
@@ -208,18 +228,6 @@ def _named(experiments: tuple[Experiment, ...], which: np.ndarray) -> str:
     return ", ".join(ids[:_NAMED]) + (f" and {len(ids) - _NAMED} more" if len(ids) > _NAMED else "")
 
 
-class Band(NamedTuple):
-    """Moments of a predictive distribution: mean and variance by part, (n, J) each."""
-
-    mean: Any
-    parts: dict[str, Any]
-
-    @property
-    def sd(self) -> np.ndarray:
-        """Of all parts."""
-        return np.sqrt(sum(self.parts.values()))
-
-
 @program
 def _predicted(posterior, thetas, data, limits, shortfall):
     """Predictions at the first parameters, whether they converged and their σ; bands over those of the other parameters that
@@ -237,7 +245,7 @@ def _predicted(posterior, thetas, data, limits, shortfall):
         parts = {"noise": sigma**2, "parameters": (values - mean) ** 2} | {
             name: jnp.where(good[..., None], each, 0.0) for name, each in more.items()
         }
-        return Band(mean, {name: jnp.sum(share * each, axis=0) for name, each in parts.items()})
+        return Band(mean, {name: jnp.sqrt(jnp.sum(share * each, axis=0)) for name, each in parts.items()})
 
     plain = corrected = band(predicted[1:], {})
     if shortfall is not None:

@@ -98,6 +98,17 @@ class Fit(Tabular):
         left = f"(chi2 per datum {self.chi2_per_datum:.3g}, which should be about 1)"
         return f"the model does not explain the data {left}: {worth}"
 
+    def discrepancy_summary(self) -> dict[str, dict[str, float]]:
+        """The discrepancy in numbers: its `amplitude` by output, relative where the error is, else SI; and its correlation
+        `length` by input, in shares of the input's distribution."""
+        assert self.discrepancy is not None and self.support is not None
+        sizes = np.asarray(self.discrepancy.amplitudes) * np.asarray(self.posterior.declared)
+        lengths = np.asarray(self.discrepancy.lengths).tolist()
+        return {
+            "amplitude": dict(zip(self.posterior.outputs, sizes.tolist(), strict=True)),
+            "length": dict(zip(self.support.names, lengths, strict=True)),
+        }
+
     def correlation_notes(self) -> list[str]:
         """Sentences on outputs whose noise has a memory, or whose residual is correlated beyond it."""
         notes, groups = [], self.posterior.groups
@@ -218,6 +229,11 @@ def _most_probable(
     posterior: Posterior, data: Data, points: Float[Array, "s p"], errors: Sequence[Error], support: "Support | None"
 ) -> tuple[Posterior, Data, Maximum, "Process | None"]:
     """The MAP, with what the samples are worth, the errors and the discrepancy that it was found with."""
+    if any(error.discrepancy for error in errors):
+        from hsed_jax.inference.discrepancy import none_of
+
+        # The same program as with the discrepancy that is then learned.
+        data = data._replace(decorrelation=none_of(data))
     maximum = maximise(posterior, data, points)
     declared, process = posterior, None
     for _ in range(_ROUNDS):

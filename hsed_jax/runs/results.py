@@ -12,6 +12,7 @@ import xarray as xr
 
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.locate import Location
+from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.design.over_inputs import surrogate
 from hsed_jax.diagnosis.findings import Diagnosis
 from hsed_jax.discovery.findings import Discovery
@@ -79,6 +80,7 @@ def _predictions(comparison: Comparison, root: str, pair: Pair) -> dict[str, xr.
                 "predicted": prediction.shown,
                 "mean": prediction.mean,
                 "sd": prediction.sd,
+                **_bands(prediction),
             }
             groups[f"{root}/{split}"] = xr.Dataset(
                 {
@@ -96,11 +98,22 @@ def _predictions(comparison: Comparison, root: str, pair: Pair) -> dict[str, xr.
                 measured, *ours = prediction.histories(row, output)
                 scored = prediction.used[row, prediction.columns(output)][: measured.size]
                 tables = (np.where(scored, measured, np.nan), *ours)
-                for kind, values in zip(("measured", "predicted", "mean", "sd"), tables, strict=True):
+                kinds = dict(zip(("measured", "predicted", "mean", "sd"), tables, strict=True))
+                columns = prediction.columns(output)
+                kinds |= {kind: table[row, columns][: measured.size] for kind, table in _bands(prediction).items()}
+                for kind, values in kinds.items():
                     histories[f"{output}_{kind}"] = ("time", values, {"units": pair.output(output).unit})
             time = {"time": ("time", experiment.record.time, {"units": "s"})}
             groups[f"{root}/{split}/{experiment.id}"] = xr.Dataset(histories, time)
     return groups
+
+
+def _bands(prediction: Prediction) -> dict[str, np.ndarray]:
+    """What the band is made of, where the study says how wrong the model is, and the one without the discrepancy."""
+    found = {f"sd_{name}": part for name, part in prediction.parts.items()} if "model" in prediction.parts else {}
+    if prediction.without is not None:
+        found |= {"mean_without": prediction.without.mean, "sd_without": prediction.without.sd}
+    return found
 
 
 def _where(location: Location) -> xr.Dataset:
