@@ -1,7 +1,7 @@
 """What a calibrated model predicts for measured experiments, with bands, beside what was measured."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
-from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.likelihood import Data, data_of
 from hsed_jax.measurements import Experiment
 from hsed_jax.programs import program
 from hsed_jax.tables import cell
@@ -192,6 +192,24 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
         parts,
         None if fit.discrepancy is None else plain,
     )
+
+
+def learned_misfit(fit: "Fit") -> Prediction | None:
+    """What a calibrated model is learned to miss over the distribution of the inputs, without noise: as if it had been measured.
+
+    Returns:
+        None where no discrepancy is learned, or the model cannot be simulated at any inputs.
+    """
+    if fit.discrepancy is None or fit.support is None or fit.support.spread is None:
+        return None
+    inputs = {name: np.asarray(values) for name, values in fit.support.spread.inputs.items()}
+    count, columns = len(next(iter(inputs.values()))), len(fit.posterior.groups)
+    rows = [{name: float(values[i]) for name, values in inputs.items()} for i in range(count)]
+    experiments = tuple(Experiment(f"X{i + 1:03d}", row) for i, row in enumerate(rows))
+    nothing = np.full((count, columns), np.inf)
+    made = predict(fit, data_of(fit.support.spread, nothing, nothing < 0, nothing, count), experiments)
+    measured = made.predicted + made.correction
+    return replace(made, measured=measured, used=np.isfinite(measured), sigma=made.parts["noise"])
 
 
 class Shortfall(NamedTuple):

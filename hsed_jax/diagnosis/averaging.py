@@ -5,8 +5,8 @@ mixture, of which the spread between the explanations is a part of its own:
 
 $$\bar f = \sum_k w_k f_k,\qquad \operatorname{var} = \sum_k w_k\,\operatorname{var}_k + \sum_k w_k (f_k-\bar f)^2 .$$
 
-The weights are posterior probabilities (Bayesian model averaging, Hoeting et al. 1999) where the evidence ranked the models.  Where
-prediction did, since all of them are wrong, they are those of stacking (Breiman 1996): not negative, summing to one, and with the
+The weights are posterior probabilities (Bayesian model averaging, Hoeting et al. 1999) where the evidence ranked the models.
+Where prediction did, since all are wrong, they are those of stacking (Breiman 1996): not negative, summing to one, and with the
 least squared error of $\bar f$ on experiments left out in turn.
 """
 
@@ -70,7 +70,7 @@ class Averaged(NamedTuple):
     @property
     def sentence(self) -> str:
         """What was averaged, and how far it differs where it matters."""
-        of = ", ".join(f"{' + '.join(e.effects)} ({e.weight:.0%})" for e in self.explanations)
+        of = ", ".join(f"{' + '.join(e.effects) or 'nothing'} ({e.weight:.0%})" for e in self.explanations)
         output, most = max(self.differ.items(), key=lambda item: item[1]["share"])
         inputs = most.get("inputs", {})
         where = ", ".join(f"{name} = {value:.4g}" for name, value in inputs.items()) or most.get("experiment", "")

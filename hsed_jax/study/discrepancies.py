@@ -29,18 +29,13 @@ def support_of(built: "Built") -> "Support | None":
         None where none is asked for.
 
     Raises:
-        UserError: the study has no inputs.
+        UserError: the experiments do not say one of them.
     """
     if not any(error.discrepancy for error in built.errors):
         return None
     from hsed_jax.inference.discrepancy import Support
 
     space = built.space
-    if not space.names:
-        raise UserError(
-            "error.discrepancy: of quantities it is learned over the inputs, and the study has none; give them with their "
-            "distributions, such as inputs: {V_P: {uniform: [1.5, 3.0], unit: m/s}}"
-        )
 
     def cube(inputs: Mapping[str, Array]) -> np.ndarray:
         if missing := [name for name in space.names if name not in inputs]:
