@@ -445,6 +445,7 @@ def test_look_alikes_are_what_the_evidence_does_not_exclude(unlike, alike):
 def test_an_average_over_explanations_is_their_mixture():
     problem, search = rival_case(0.07)
     models = [search.model({name}) for name in ("effect_0", "effect_2")]
+    search.predicted = {}  # as where the evidence ranked them
     found = averaged(problem, search, models)
     shares, functions, sigma = search.probabilities(models), problem.models.lanes.functions, float(search.errors[0])
     means, variances = [], []
