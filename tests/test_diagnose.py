@@ -9,8 +9,10 @@ import pytest
 from scipy import stats
 
 import hsed_jax as hx
+from hsed_jax.diagnosis.averaging import averaged, stacking
 from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.diagnose import diagnose
+from hsed_jax.diagnosis.held_out import Gain
 from hsed_jax.diagnosis.lanes import Lanes
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
@@ -440,6 +442,57 @@ def test_look_alikes_are_what_the_evidence_does_not_exclude(unlike, alike):
     assert groups == ([["effect_0", "effect_2"]] if "effect_0" in best.effects else [["effect_2", "effect_0"]]) * alike
 
 
+def test_an_average_over_explanations_is_their_mixture():
+    problem, search = rival_case(0.07)
+    models = [search.model({name}) for name in ("effect_0", "effect_2")]
+    search.predicted = {}  # as where the evidence ranked them
+    found = averaged(problem, search, models)
+    shares, functions, sigma = search.probabilities(models), problem.models.lanes.functions, float(search.errors[0])
+    means, variances = [], []
+    for columns in ([0, 1, 2], [0, 1, 4]):
+        # Bayesian linear regression in closed form.
+        X = functions[columns, :N].reshape(3, -1)
+        covariance = np.linalg.inv(X @ X.T / sigma**2 + np.diag([1 / 9, 1 / 9, 1.0]))
+        theta = covariance @ X @ problem.train.values.ravel() / sigma**2
+        means.append(np.einsum("k,knj->nj", theta, functions[columns]))
+        variances.append(np.einsum("knj,kl,lnj->nj", functions[columns], covariance, functions[columns]))
+    mean = np.tensordot(shares, means, 1)
+    between = np.sqrt(np.tensordot(shares, (np.asarray(means) - mean) ** 2, 1))
+    assert shares.min() > 0.01 and [e.weight for e in found.explanations] == pytest.approx(list(shares))
+    np.testing.assert_allclose(found.train.predicted, mean[:N], atol=0.01 * np.std(mean))
+    np.testing.assert_allclose(found.train.parts["explanations"], between[:N], rtol=0.05, atol=0.02 * between.mean())
+    np.testing.assert_allclose(found.train.parts["parameters"] ** 2, np.tensordot(shares, variances, 1)[:N], rtol=0.1)
+    np.testing.assert_allclose(sum(part**2 for part in found.train.parts.values()), found.train.sd**2)
+    # Where they differ most among the experiments that could be made.
+    size = np.sqrt(np.mean(between[N:] ** 2, axis=1) / np.mean(mean[N:] ** 2, axis=1))
+    assert found.differ["y"]["inputs"] == {"number": float(np.argmax(size))}
+    assert found.differ["y"]["share"] == pytest.approx(size.max(), rel=0.05)
+    assert f"effect_0 ({shares[0]:.0%})" in found.sentence and "number = " in found.sentence
+    assert json.loads(json.dumps(found.summary(), allow_nan=False))["explanations"][1]["effects"] == ["effect_2"]
+
+
+def test_where_prediction_ranked_them_explanations_are_stacked():
+    problem, search = rival_case(0.15)
+    models = [search.model({name}) for name in ("effect_0", "effect_2")]
+    search.predicted = {models[0].effects: Gain(np.ones(2))}
+    found = averaged(problem, search, models)
+    one, other = search.left_out([m.effects for m in models])
+    tried = np.linspace(0, 1, 1001)
+    best = tried[np.argmin([np.sum((w * one + (1 - w) * other - problem.train.values) ** 2) for w in tried])]
+    assert found.explanations[0].weight == pytest.approx(best, abs=2e-3)
+
+
+def test_weights_of_stacking_are_those_that_the_truth_was_mixed_with():
+    one, other, third = np.random.default_rng(0).standard_normal((3, 4, 9))
+    left_out = np.ones((4, 9), dtype=bool)
+    left_out[0] = False
+    measured = 0.3 * one + 0.7 * other
+    measured[0] = 1e6
+    weights = stacking([one, None, other, third], measured, np.ones((4, 9)), left_out)
+    np.testing.assert_allclose(weights, [0.3, 0.0, 0.7, 0.0], atol=1e-6)
+    np.testing.assert_allclose(stacking([None, None], measured, np.ones((4, 9)), left_out), 0.5)
+
+
 # --- component tests made by another program --------------------------------------------------------------------------
 
 A, BETA, C = 2.0e7, 200.0, 3.0e5  # strength 100 kN, yield elongation 5 mm; the dashpot carries up to 30 kN
@@ -590,6 +643,15 @@ def test_a_likely_effect_that_is_not_named_is_mentioned_with_its_reason(damped):
     assert said in repr(found) and said in found.summary()["notes"]
     assert found.summary()["ranking"][0]["reason"] == "its simulation is slow"
     assert "reason" not in damped.summary()["ranking"][0] and all(c.reason is None for c in damped.ranking[:1])
+
+
+def test_an_ambiguous_diagnosis_says_how_far_its_explanations_differ(damped):
+    problem, search = rival_case(0.07)
+    models = [search.model({name}) for name in ("effect_0", "effect_2")]
+    found = replace(damped, verdict="ambiguous", averaged=averaged(problem, search, models))
+    said = found.averaged.sentence
+    assert said in found.summary()["notes"] and said in repr(found)
+    assert found.summary()["averaged"]["differ"].keys() == {"y"} and "averaged" not in damped.summary()
 
 
 def test_what_the_catalogue_cannot_mend_is_unexplained():

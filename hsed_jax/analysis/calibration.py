@@ -16,7 +16,7 @@ from hsed_jax.criticism import compare as comparing
 from hsed_jax.criticism import locate as locating
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.locate import Location
-from hsed_jax.criticism.prediction import Prediction, predict
+from hsed_jax.criticism.prediction import Prediction, learned_misfit, predict
 from hsed_jax.errors import UserError
 from hsed_jax.inference.fit import Fit, fit
 from hsed_jax.inference.watch import Watch
@@ -27,6 +27,7 @@ from hsed_jax.physics.response import Response
 from hsed_jax.physics.simulator import AbstractModel, Conditions
 from hsed_jax.programs import program
 from hsed_jax.study.build import Built
+from hsed_jax.study.discrepancies import support_of
 from hsed_jax.study.records import thinning_notes
 from hsed_jax.tables import Table, Tabular
 
@@ -125,6 +126,7 @@ def calibrate_built(
         start=start,
         watch=watch,
         seconds=study.calibration.seconds,
+        support=support_of(built),
     )
     return Calibration(built, campaign, found)
 
@@ -154,6 +156,9 @@ def locate(
 ) -> Location:
     """Where the calibrated model fails.
 
+    Where its discrepancy was learned over the inputs, that is where it is looked for in place of the training experiments it was
+    learned from: free of their noise, and evenly over the inputs.
+
     Arguments:
         calibration: the calibrated model.
         campaign: experiments to look at; by default those it was calibrated on.
@@ -162,10 +167,14 @@ def locate(
     Raises:
         UserError: the campaign has no experiment of that split.
     """
-    campaign = calibration.campaign if campaign is None else campaign
+    found = calibration.campaign
+    campaign = found if campaign is None else campaign
     if campaign is not calibration.campaign:
         calibration = replace(calibration, campaign=campaign)
-    prediction = calibration.train if split == "train" else calibration.test
+    if split == "train" and campaign is found:
+        prediction = learned_misfit(calibration.fit) or calibration.train
+    else:
+        prediction = calibration.train if split == "train" else calibration.test
     if prediction is None:
         raise UserError(f"the campaign {campaign.name!r} has no experiments that were held out (split: test)")
     return locating.locate(prediction, campaign)

@@ -55,16 +55,27 @@ class ErrorEntry(NoiseEntry):
 
     `correlated` says whether the noise of a history has a memory, which is then inferred; by default one is where the size of the
     noise is declared, and false takes every sample for news.  `inflate` counts as error what the model leaves beyond the
-    declared one.
+    declared one, `discrepancy` learns it.
     """
 
     correlated: bool | None = None
     inflate: bool = False
+    discrepancy: bool = False
 
     @model_validator(mode="after")
     def _one_kind(self) -> "ErrorEntry":
         if self.kinds > 1 or not self.model_fields_set:
             raise ValueError("give exactly one of relative, absolute, unknown")
+        if self.inflate and self.discrepancy:
+            raise ValueError(
+                "give inflate or discrepancy, not both: each says how wrong the model is, one as a larger error, the other as "
+                "a process that is learned"
+            )
+        if self.unknown and self.discrepancy:
+            raise ValueError(
+                "a discrepancy needs an error that is declared (relative or absolute): of an unknown one nobody could tell "
+                "what is noise and what is the model"
+            )
         return self
 
 

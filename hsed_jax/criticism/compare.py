@@ -1,11 +1,12 @@
 r"""How far the model is from the measurements, against what the noise alone would leave.
 
 `error` is the normalised root-mean-square error: for each output the RMS residual over the RMS of that output about its mean,
-outputs averaged in the square.  `noise_floor` is the same figure for the noise.
+outputs averaged in the square.  `noise_floor` is the same figure for the noise, and `from_parameters` and `from_model` are those
+for what the parameters do not know and for how wrong the model is: the squares of these parts add up to about that of the error.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
 
@@ -23,6 +24,8 @@ from hsed_jax.tables import Table, Tabular, cell
 
 # Errors up to this multiple of the noise are the noise, whatever their significance: nobody knows a noise better.
 _MATERIAL = 1.05
+WITHOUT = "coverage_90_without"
+"""Coverage of the band without the discrepancy, where one is learned."""
 
 
 @dataclass(frozen=True)
@@ -31,9 +34,10 @@ class Split:
 
     Attributes:
         error, noise_floor: over all outputs; the error of an experiment whose simulation diverged is infinite.
-        per_output: nrmse, noise_floor, bias, r2, peak_error, coverage_90 by output.
+        per_output: nrmse, noise_floor and other parts, bias, r2, peak_error, coverage_90 by output.
         per_experiment: the same by experiment and output, and energy_error where force and elongation are known.
         diverged: experiments whose simulation diverged.
+        parts: what the error comes from besides the noise, over all outputs.
     """
 
     error: float
@@ -41,6 +45,15 @@ class Split:
     per_output: dict[str, dict[str, float]]
     per_experiment: dict[str, dict[str, dict[str, float]]]
     diverged: list[str]
+    parts: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def attributed(self) -> str | None:
+        """What the error comes from, in words; None where nothing is said of the model."""
+        if "model" not in self.parts or not np.isfinite(self.error):
+            return None
+        parts = ", ".join(f"{name} {size:.3f}" for name, size in {"noise": self.noise_floor, **self.parts}.items())
+        return f"an error of {self.error:.3f} is to be expected from {parts}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -79,7 +92,7 @@ class Comparison(Tabular):
             content["test"] = _plain(self.test)
         if self.p_value is not None:
             content["p_value"] = self.p_value
-        content["notes"] = self.notes
+        content["notes"] = [*self.attributed, *self.notes]
         if self.warnings:
             content["warnings"] = self.warnings
         return content
@@ -97,12 +110,19 @@ class Comparison(Tabular):
                 continue
             for output, v in split.per_output.items():
                 errors = (error_cell(v["nrmse"]), cell(v["noise_floor"]), cell(v["bias"], "+.3f"))
-                shares = (f"{cell(100 * v['peak_error'], '+.1f')} %", f"{cell(100 * v['coverage_90'], '.0f')} %")
-                rows.append((name, output, *errors, *shares))
+                covered = [f"{cell(100 * v[key], '.0f')} %" for key in ("coverage_90", WITHOUT) if key in v]
+                rows.append((name, output, *errors, f"{cell(100 * v['peak_error'], '+.1f')} %", " / ".join(covered)))
             if len(split.per_output) > 1:
                 rows.append((name, "all", error_cell(split.error), cell(split.noise_floor), "", "", ""))
-        heads = ("split", "output", "error", "noise", "bias", "peak", "in the 90 % band")
-        return Table(self.verdict, heads, rows, [*self.notes, *self.warnings])
+        both = any(WITHOUT in v for v in self.train.per_output.values())
+        band = "in the 90 % band" + (", with / without discrepancy" if both else "")
+        heads = ("split", "output", "error", "noise", "bias", "peak", band)
+        return Table(self.verdict, heads, rows, [*self.attributed, *self.notes, *self.warnings])
+
+    @property
+    def attributed(self) -> list[str]:
+        """What the errors of the splits come from, in sentences, where anything is said of the model."""
+        return [f"{name}: {split.attributed}" for name, split, _ in self.splits() if split.attributed]
 
     @property
     def verdict(self) -> str:
@@ -207,38 +227,53 @@ def _split(prediction: Prediction, declared: np.ndarray) -> Split:
         used = prediction.used[:, columns]
         if not used.any():
             continue
-        tables = (prediction.measured, predicted, prediction.mean, prediction.sd)
-        noise = noise_sizes(prediction, output, bool(declared[number]))
-        every = tuple(np.where(used, table, np.nan) for table in (*(t[:, columns] for t in tables), noise))
+        tables = {key: getattr(prediction, key)[:, columns] for key in ("measured", "mean", "sd")}
+        tables |= {"predicted": predicted[:, columns], "noise": noise_sizes(prediction, output, bool(declared[number]))}
+        tables |= {f"from_{name}": part[:, columns] for name, part in prediction.misfit.items() if name != "noise"}
+        if (plain := prediction.without) is not None:
+            tables |= {"plain_mean": plain.mean[:, columns], "plain_sd": plain.sd[:, columns]}
+        every = {key: np.where(used, table, np.nan) for key, table in tables.items()}
         per_output[output] = _errors(every)
         for row, experiment in enumerate(prediction.experiments):
             if used[row].any() and (columns.sum() > 1 or len(prediction.experiments) > 1):
                 scale = per_output[output]["scale"] if columns.sum() == 1 else None
-                entry = _errors([table[row : row + 1] for table in every], scale)
+                entry = _errors({key: table[row : row + 1] for key, table in every.items()}, scale)
                 per_experiment.setdefault(experiment.id, {})[output] = entry
     _add_energy_errors(prediction, per_experiment)
-    squares = [values["nrmse"] ** 2 for values in per_output.values()]
-    floors = [values["noise_floor"] ** 2 for values in per_output.values()]
-    error, floor = (float(np.sqrt(np.mean(values))) for values in (squares, floors))
+    names = next(iter(per_output.values()), {})
+    error, floor, *parts = (
+        float(np.sqrt(np.mean([values[key] ** 2 for values in per_output.values()])))
+        for key in ("nrmse", "noise_floor", *(name for name in names if name.startswith("from_")))
+    )
     diverged = [e.id for e, has in zip(prediction.experiments, prediction.diverged, strict=True) if has]
-    return Split(error, floor, per_output, per_experiment, diverged)
+    said = [name.removeprefix("from_") for name in names if name.startswith("from_")]
+    return Split(error, floor, per_output, per_experiment, diverged, dict(zip(said, parts, strict=True)))
 
 
-def _errors(tables: Sequence[np.ndarray], scale: float | None = None) -> dict[str, float]:
-    """The figures of one output over some experiments, from measured, predicted, mean, sd and noise; NaN: not measured."""
-    measured, predicted, mean, sd, noise = tables
+def _errors(tables: Mapping[str, np.ndarray], scale: float | None = None) -> dict[str, float]:
+    """The figures of one output over some experiments, from measured, predicted, mean, sd, noise and what else the error comes
+    from; NaN: not measured."""
+    measured, predicted = tables["measured"], tables["predicted"]
     known = np.isfinite(measured)
     residual = (predicted - measured)[known]
     scale = _scale(measured[known]) if scale is None else scale
     largest = float(np.max(np.abs(measured[known])))
-    inside = np.abs(measured - mean)[known] <= 1.6448536 * sd[known]
+
+    def inside(mean: str, sd: str) -> float:
+        return float((np.abs(measured - tables[mean])[known] <= 1.6448536 * tables[sd][known]).mean())
+
+    def share(part: str) -> float:
+        return float(np.sqrt(np.mean(tables[part][known] ** 2))) / scale
+
     return {
         "nrmse": float(np.sqrt(np.mean(residual**2))) / scale,
-        "noise_floor": float(np.sqrt(np.mean(noise[known] ** 2))) / scale,
+        "noise_floor": share("noise"),
+        **{part: share(part) for part in tables if part.startswith("from_")},
         "bias": float(residual.mean()) / scale,
         "r2": 1 - float(np.mean(residual**2)) / scale**2,
         "peak_error": (float(np.max(np.abs(predicted[known]))) - largest) / (largest or 1.0),
-        "coverage_90": float(inside.mean()),
+        "coverage_90": inside("mean", "sd"),
+        **({WITHOUT: inside("plain_mean", "plain_sd")} if "plain_mean" in tables else {}),
         "scale": scale,
     }
 
@@ -305,4 +340,5 @@ def _plain(split: Split) -> dict[str, Any]:
         "noise_floor": split.noise_floor,
         "per_output": split.per_output,
         "per_experiment": split.per_experiment,
+        "parts": {"noise": split.noise_floor, **split.parts},
     } | ({"diverged": split.diverged} if split.diverged else {})

@@ -1,15 +1,16 @@
 """What a calibrated model predicts for measured experiments, with bands, beside what was measured."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
-from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.likelihood import Data, data_of
 from hsed_jax.measurements import Experiment
 from hsed_jax.programs import program
 from hsed_jax.tables import cell
@@ -36,6 +37,18 @@ def error_cell(error: float | None, look: str = ".3f") -> str:
     return "diverged" if error is not None and not np.isnan(error) and has_diverged(error) else cell(error, look)
 
 
+class Band(NamedTuple):
+    """Moments of a predictive distribution: mean, and sd by part, whose squares add up, (n, J) each."""
+
+    mean: Any
+    parts: dict[str, Any]
+
+    @property
+    def sd(self) -> np.ndarray:
+        """Of all parts."""
+        return np.sqrt(sum(part**2 for part in self.parts.values()))
+
+
 @dataclass(frozen=True)
 class Prediction:
     """Measured and predicted outputs of some experiments; n experiments, J columns (samples of channels, or quantities).
@@ -51,6 +64,10 @@ class Prediction:
         sigma: sd of the error alone at θ_MAP, as it is declared where it is, (n, J).
         converged: whether the simulation converged, (n,).
         draws_lost: share of the posterior's draws whose simulation diverged, (n,); mean and sd are those of the others.
+        parts: what the band is made of, sd by part, each (n, J): their squares add up to that of `sd`.  `noise`, as declared;
+            `parameters`, by the posterior; where the study says how wrong the model is, `model`, by what its discrepancy may
+            still be or by how much the error was inflated.
+        without: the band without the discrepancy, where one is learned.
     """
 
     outputs: tuple[str, ...]
@@ -64,6 +81,21 @@ class Prediction:
     sigma: np.ndarray
     converged: np.ndarray
     draws_lost: npt.ArrayLike = 0.0
+    parts: Mapping[str, np.ndarray] = field(default_factory=dict)
+    without: Band | None = None
+
+    @property
+    def correction(self) -> np.ndarray:
+        """What the discrepancy adds to the prediction, SI, (n, J); zero where none is learned."""
+        return np.zeros_like(self.mean) if self.without is None else self.mean - self.without.mean
+
+    @property
+    def misfit(self) -> dict[str, np.ndarray]:
+        """What the model itself, without a discrepancy, is expected to miss, by part, (n, J): `parts`, and of the model what is
+        learned of its discrepancy beside what is not."""
+        if self.without is None:
+            return dict(self.parts)
+        return {**self.without.parts, "model": np.hypot(self.correction, self.parts["model"])}
 
     @cached_property
     def residual(self) -> np.ndarray:
@@ -137,10 +169,14 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
     thetas = jnp.concatenate([fit.maximum.theta[None], draws[:: max(1, draws.shape[0] // _DRAWS)][:_DRAWS]])
     measured, used = np.asarray(data.values), np.asarray(data.weights) > 0
     limits = ABSURD * _largest(measured, used, posterior.groups)
-    predicted, ok, sigma, mean, sd, lost = (np.asarray(x) for x in _predicted(posterior, thetas, data, limits))
+    found = _predicted(posterior, thetas, data, limits, _shortfall(fit, data))
+    predicted, ok, sigma, plain, corrected, lost = jax.tree.map(np.asarray, found)
+    parts = dict(corrected.parts)
     if fit.inflation is not None:
         # What the model leaves widens the band, and is no noise.
-        sigma = sigma / fit.inflation[posterior.groups]
+        factors = fit.inflation[posterior.groups]
+        sigma, inflated = sigma / factors, parts["noise"]
+        parts |= {"noise": inflated / factors, "model": inflated * np.sqrt(1 - 1 / factors**2)}
     return Prediction(
         posterior.outputs,
         posterior.groups,
@@ -148,12 +184,53 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
         measured,
         used,
         predicted,
-        mean,
-        sd,
+        corrected.mean,
+        corrected.sd,
         sigma,
         ok > 0,
         lost,
+        parts,
+        None if fit.discrepancy is None else plain,
     )
+
+
+def learned_misfit(fit: "Fit") -> Prediction | None:
+    """What a calibrated model is learned to miss over the distribution of the inputs, without noise: as if it had been measured.
+
+    Returns:
+        None where no discrepancy is learned, or the model cannot be simulated at any inputs.
+    """
+    if fit.discrepancy is None or fit.support is None or fit.support.spread is None:
+        return None
+    inputs = {name: np.asarray(values) for name, values in fit.support.spread.inputs.items()}
+    count, columns = len(next(iter(inputs.values()))), len(fit.posterior.groups)
+    rows = [{name: float(values[i]) for name, values in inputs.items()} for i in range(count)]
+    experiments = tuple(Experiment(f"X{i + 1:03d}", row) for i, row in enumerate(rows))
+    nothing = np.full((count, columns), np.inf)
+    made = predict(fit, data_of(fit.support.spread, nothing, nothing < 0, nothing, count), experiments)
+    measured = made.predicted + made.correction
+    return replace(made, measured=measured, used=np.isfinite(measured), sigma=made.parts["noise"])
+
+
+class Shortfall(NamedTuple):
+    """What the residuals of the experiments that were fitted say of others.
+
+    Attributes:
+        fitted: the experiments that were fitted.
+        weights: what their standardised residuals are multiplied with to give by how much predictions fall short, (nJ, mJ).
+        variance: of that, in units of the error, (n, J).
+    """
+
+    fitted: Data
+    weights: np.ndarray
+    variance: np.ndarray
+
+
+def _shortfall(fit: "Fit", data: Data) -> Shortfall | None:
+    if fit.discrepancy is None or fit.support is None:
+        return None
+    points = jnp.asarray(fit.support.cube(data.conditions.inputs))
+    return Shortfall(fit.data, *fit.discrepancy.conditional(points))
 
 
 def _largest(measured: np.ndarray, used: np.ndarray, groups: np.ndarray) -> np.ndarray:
@@ -170,17 +247,32 @@ def _named(experiments: tuple[Experiment, ...], which: np.ndarray) -> str:
 
 
 @program
-def _predicted(posterior, thetas, data, limits):
-    """Predictions at the first parameters, whether they converged and their σ; mean and sd over those of the other parameters
-    that stay within the limits (J,), and the share (n,) that does not."""
+def _predicted(posterior, thetas, data, limits, shortfall):
+    """Predictions at the first parameters, whether they converged and their σ; bands over those of the other parameters that
+    stay within the limits (J,), without and with the discrepancy, and the share (n,) that does not."""
     predicted, ok = jax.vmap(lambda t: posterior.predict(posterior.of_model(t), data.conditions, data.count))(thetas)
     at_map = posterior.sigma(thetas[0], predicted[0], ok[0], data)
-    sigma = jax.vmap(lambda t, f: posterior.expected_sigma(t, f, data))(thetas[1:], predicted[1:])
     good = (ok[1:] > 0) & jnp.all(jnp.abs(predicted[1:]) <= limits, axis=-1)
     share = (good / jnp.sum(good, axis=0))[..., None]
-    # What is left out may be too large to be multiplied by zero, or squared.
-    values = jnp.where(good[..., None], predicted[1:], 0.0)
-    errors = jnp.where(good[..., None], sigma, 0.0)
-    mean = jnp.sum(share * values, axis=0)
-    variance = jnp.sum(share * ((values - mean) ** 2 + errors**2), axis=0)
-    return predicted[0], ok[0], at_map, mean, jnp.sqrt(variance), 1.0 - jnp.mean(good, axis=0)
+
+    def band(values, more):
+        sigma = jax.vmap(lambda t, f: posterior.expected_sigma(t, f, data))(thetas[1:], values)
+        # What is left out may be too large to be multiplied by zero, or squared.
+        values, sigma = (jnp.where(good[..., None], each, 0.0) for each in (values, sigma))
+        mean = jnp.sum(share * values, axis=0)
+        parts = {"noise": sigma**2, "parameters": (values - mean) ** 2} | {
+            name: jnp.where(good[..., None], each, 0.0) for name, each in more.items()
+        }
+        return Band(mean, {name: jnp.sqrt(jnp.sum(share * each, axis=0)) for name, each in parts.items()})
+
+    plain = corrected = band(predicted[1:], {})
+    if shortfall is not None:
+
+        def moved(theta, values):
+            residual = posterior.compared(theta, shortfall.fitted)
+            by = (shortfall.weights @ residual.ravel()).reshape(values.shape)
+            return posterior.displaced(theta, values, by, data)
+
+        values, slopes = jax.vmap(moved)(thetas[1:], predicted[1:])
+        corrected = band(values, {"model": slopes**2 * shortfall.variance})
+    return predicted[0], ok[0], at_map, plain, corrected, 1.0 - jnp.mean(good, axis=0)

@@ -14,7 +14,6 @@ Sources: Sacks, Welch, Mitchell & Wynn (1989), Statistical Science 4; for the re
 Handcock & Stein (1993), Technometrics 35; for leave-one-out Dubrule (1983), Mathematical Geology 15.
 """
 
-from collections.abc import Callable
 from itertools import combinations_with_replacement
 from typing import Literal, final
 
@@ -26,55 +25,22 @@ import optimistix as optx
 from jax.core import Tracer
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
-from tinygp.kernels import Kernel, stationary
-from tinygp.kernels.distance import Distance
-from tinygp.transforms import Linear
 
-KernelName = Literal["matern32", "matern52", "gaussian"]
+from hsed_jax.inference.correlation_functions import KERNELS, KernelName, correlation, log_prior_of_lengths
+
 TrendName = Literal["constant", "linear", "quadratic"]
 
 # Candidates handled together: two (N, chunk) blocks stay in the second-level cache.
 _CHUNK = 1024
-# Log-normal priors: median and spread of the logarithm, of a length for each √d (in d inputs points lie that much farther
-# apart), and of the nugget.  With these 90 % bands hold 85 to 95 % of a Matérn field and of the paper's discrepancy, from
-# 8 to 40 points, with noise and without (tests/test_kriging.py); longer lengths and no nugget must be earned by data.
-_LENGTH, _LENGTH_SPREAD = 0.14, 0.5
+# Log-normal prior of the nugget: median and spread of the logarithm.  With it and that of the lengths 90 % bands hold 85 to
+# 95 % of a Matérn field and of the paper's discrepancy, from 8 to 40 points, with noise and without (tests/test_kriging.py);
+# longer lengths and no nugget must be earned by data.
 _NUGGET, _NUGGET_SPREAD = 0.007, 2.0
 # Relative to the responses' own variance, anything smaller is rounding: an exact trend, or constant responses.
 _LEAST_VARIANCE = 1e-24
 
 
-@final
-class Euclidean(Distance):
-    """The distance √(Σ_k (x_k − x'_k)²), as a tinygp metric.
-
-    Written as a sum over scalars because XLA fuses that, square root and kernel into one vectorised loop, and it does
-    not fuse a reduction over a short axis.
-    """
-
-    def distance(self, X1: Float[Array, " d"], X2: Float[Array, " d"]) -> Float[Array, ""]:
-        """Distance of two points; at distance zero its derivative is zero, not NaN."""
-        return jnp.sqrt(self.squared_distance(X1, X2) + 1e-300)
-
-    def squared_distance(self, X1: Float[Array, " d"], X2: Float[Array, " d"]) -> Float[Array, ""]:
-        """Squared distance of two points."""
-        return sum((jnp.square(X1[k] - X2[k]) for k in range(X1.shape[0])), start=jnp.zeros(()))
-
-
-KERNELS: dict[str, Callable[..., Kernel]] = {
-    "matern32": stationary.Matern32,
-    "matern52": stationary.Matern52,
-    "gaussian": stationary.ExpSquared,
-}
-
 _TREND_DEGREE: dict[str, int] = {"constant": 0, "linear": 1, "quadratic": 2}
-
-
-def correlation(
-    a: Float[Array, "A d"], b: Float[Array, "B d"], lengths: Float[Array, " d"], kernel: KernelName
-) -> Float[Array, "A B"]:
-    """Correlation R(|x − x'|; ρ) of every point of `a` with every point of `b`, one correlation length per input."""
-    return Linear(1.0 / lengths, KERNELS[kernel](distance=Euclidean()))(a, b)
 
 
 def trend_functions(x: Float[Array, "M d"], trend: TrendName) -> Float[Array, "M p"]:
@@ -307,8 +273,7 @@ class _Parts(eqx.Module):
 
 
 def _log_prior(log_lengths: Float[Array, " d"], log_nugget: Float[Array, ""]) -> Float[Array, ""]:
-    lengths = (log_lengths - np.log(_LENGTH * np.sqrt(log_lengths.size))) / _LENGTH_SPREAD
-    return -0.5 * jnp.sum(lengths**2) - 0.5 * ((log_nugget - np.log(_NUGGET)) / _NUGGET_SPREAD) ** 2
+    return log_prior_of_lengths(log_lengths) - 0.5 * ((log_nugget - np.log(_NUGGET)) / _NUGGET_SPREAD) ** 2
 
 
 def _restricted(matrix, basis, y, count) -> tuple[Float[Array, ""], _Parts]:

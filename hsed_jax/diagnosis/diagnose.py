@@ -9,6 +9,7 @@ import numpy as np
 
 from hsed_jax.criticism.compare import discrepancy_p_value, is_noise
 from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.diagnosis.averaging import averaged
 from hsed_jax.diagnosis.evidence import Sampled, gaussian, sample_posterior
 from hsed_jax.diagnosis.findings import Candidate, Diagnosis
 from hsed_jax.diagnosis.fits import Model, Set
@@ -63,13 +64,14 @@ def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None
     # A clear winner still has a runner-up to be told from.
     information = separation(problem, search, [best, *(rivals or [m for m in models if m is not best][:1])])
     look_alikes = look_alikes_of(problem, search, best, models) if best.effects else []
-    chosen, worth = None, None
+    chosen, worth, average = None, None, None
     if not best.effects:
         verdict = "undecided" if p_value is None else "adequate" if is_explained(none.fit) else "unexplained"
     elif rivals:
         verdict = "ambiguous"
         look_alikes = joined([*look_alikes, *(difference(best.effects, rival.effects) for rival in rivals)])
         chosen, worth = next_experiment(problem, information)
+        average = averaged(problem, search, [best, *rivals])
     else:
         verdict = "missing_effects"
     named = [c.effect for c in ranking if c.effect in best.effects]
@@ -97,6 +99,7 @@ def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None
         prediction=_prediction(problem, best.fit, search.target.sigma),
         scales=problem.scales,
         notes=[*problem.notes, *([_MISSED] if search.missed > _APART else [])],
+        averaged=average,
     )
 
 

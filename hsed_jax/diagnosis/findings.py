@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,6 +11,10 @@ from hsed_jax.criticism.compare import is_noise
 from hsed_jax.criticism.prediction import Prediction, error_cell
 from hsed_jax.physics.scales import Scales
 from hsed_jax.tables import Table, Tabular, cell
+
+if TYPE_CHECKING:
+    # A report reads findings and fits nothing.
+    from hsed_jax.diagnosis.averaging import Averaged
 
 # Of so many likely effects it is said why they are not named.
 _SHOWN = 3
@@ -77,6 +81,7 @@ class Diagnosis(Tabular):
         scales: characteristic values that amplitudes of the candidates are relative to.
         notes: sentences on how the diagnosis was made.
         forms: labels of the forms of the named effects, where these are not the default ones.
+        averaged: predictions over all explanations of an ambiguous verdict; None of any other.
     """
 
     verdict: str
@@ -97,6 +102,7 @@ class Diagnosis(Tabular):
     scales: Scales
     notes: Sequence[str] = ()
     forms: Mapping[str, str] = field(default_factory=dict)
+    averaged: "Averaged | None" = None
 
     def summary(self) -> dict[str, Any]:
         """The key `diagnosis` of `summary.json`."""
@@ -116,6 +122,7 @@ class Diagnosis(Tabular):
             "expected_log_bayes_factor": self.expected_log_bayes_factor,
             "p_value": self.p_value,
             "p_value_after": self.p_value_after,
+            "averaged": None if self.averaged is None else self.averaged.summary(),
         }
         return content | {key: value for key, value in optional.items() if value is not None}
 
@@ -160,8 +167,9 @@ class Diagnosis(Tabular):
 
     @property
     def _notes(self) -> list[str]:
-        """How the diagnosis was made, and why likely effects are not named."""
-        return [*self.notes, *(f"{c.effect} {self._instead(c)}" for c in self._unnamed[:_SHOWN])]
+        """How the diagnosis was made, what explanations differ in, and why likely effects are not named."""
+        between = [] if self.averaged is None else [self.averaged.sentence]
+        return [*self.notes, *between, *(f"{c.effect} {self._instead(c)}" for c in self._unnamed[:_SHOWN])]
 
     @property
     def _unnamed(self) -> list[Candidate]:

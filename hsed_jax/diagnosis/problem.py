@@ -61,6 +61,7 @@ class Problem(NamedTuple):
         start: the model as it is, as a calibration left it, (P,); None where there was none.
         notes: what a reader should know of the candidates, in sentences.
         pair: that the specimen is measured in.
+        held_out: the experiments of `test`.
     """
 
     models: NestedModels
@@ -79,6 +80,7 @@ class Problem(NamedTuple):
     start: np.ndarray | None = None
     notes: Sequence[str] = ()
     pair: Pair = ELONGATION_AND_FORCE
+    held_out: tuple[Experiment, ...] = ()
 
     @property
     def rows(self) -> int:

@@ -37,7 +37,7 @@ def separation(problem: Problem, search: Search, rivals: Sequence[Model]) -> Flo
     information = np.zeros(len(rows))
     if len(rivals) < 2 or not rows.size:
         return information
-    means, spreads, ok = zip(*(_predictive(problem, m, rows) for m in rivals), strict=True)
+    means, spreads, ok = zip(*(predictive(problem, m, rows) for m in rivals), strict=True)
     root = np.sqrt(search.worth[problem.train.groups]) / problem.sigma(search.errors, means[0])
     shares = search.probabilities(rivals)
     if rivals[0].effects in search.predicted:
@@ -53,7 +53,7 @@ def separation(problem: Problem, search: Search, rivals: Sequence[Model]) -> Flo
     return information / max(float(1 - shares @ shares) / 2, 1e-12)
 
 
-def _predictive(problem: Problem, model: Model, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def predictive(problem: Problem, model: Model, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What a model predicts (c, J), J L with L Lᵀ the covariance of its parameters (c, J, p), and whether it converged (c,)."""
     fit, box = model.fit, problem.models.box
     _, covariance = gaussian(fit)

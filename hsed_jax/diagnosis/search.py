@@ -147,7 +147,7 @@ class Search:
 
         Infinite where a simulation fails: what cannot be predicted is no improvement.
         """
-        return [self._error(p) for p in self._left_out(chosen)]
+        return [self._error(p) for p in self.left_out(chosen)]
 
     def unseen(self, chosen: Sequence[Set]) -> list[float]:
         """Error on the experiments that nothing is fitted to, for several sets; without any, on those left out in turn."""
@@ -163,10 +163,10 @@ class Search:
 
     def gains(self, chosen: Sequence[Set], over: Set) -> list[Gain]:
         """By how much sets predict what was left out better than another set: in every part of it, each from the others."""
-        before, *after = (self._squares(p) for p in self._left_out([over, *chosen]))
+        before, *after = (self._squares(p) for p in self.left_out([over, *chosen]))
         return [Gain(before - squares) for squares in after]
 
-    def _left_out(self, chosen: Sequence[Set]) -> list[np.ndarray | None]:
+    def left_out(self, chosen: Sequence[Set]) -> list[np.ndarray | None]:
         """What sets predict of every part that is left out, each from the others; None where a simulation fails."""
         fits = [self._fits.best(effects) for effects in chosen]
         return left_out_predictions(self.models, self.target, self._folds, fits)
@@ -207,7 +207,7 @@ class Search:
         if self.harms(larger.effects, self.best):
             now, then = self.unseen([self.best, larger.effects])
             return f"it takes the error on experiments that were not used from {now:.3f} to {then:.3g}"
-        predictions = self._left_out([frozenset(), self.best, larger.effects])
+        predictions = self.left_out([frozenset(), self.best, larger.effects])
         before, now, then = map(self._error, predictions)
         is_last = self._is_explained(larger.fit)
         share = _MATERIAL if not is_last else _FORMULA if self.best else 0.0

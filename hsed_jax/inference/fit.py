@@ -1,8 +1,9 @@
 """A calibrated model: MAP, posterior draws and whether to believe them, as one object that shows itself."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,9 +16,13 @@ from hsed_jax.inference.maximum import Maximum, maximise
 from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.sampling import draw
-from hsed_jax.inference.watch import Watch, arrays_of, fingerprint, tree_like
+from hsed_jax.inference.watch import Watch, arrays_of, fingerprint
 from hsed_jax.programs import program
 from hsed_jax.tables import Table, Tabular, cell
+
+if TYPE_CHECKING:
+    # A calibration without a discrepancy loads no Gaussian process.
+    from hsed_jax.inference.discrepancy import Process, Support
 
 # Memory and worth of the samples are told from a residual, which depends on them a little.
 _ROUNDS, _SETTLED = 3, 0.02
@@ -38,6 +43,8 @@ class Fit(Tabular):
         p_value: probability that the declared noise alone leaves so much.
         is_inflated: whether what the model leaves beyond the declared noise was counted as error.
         inflation: by how much that made the error of each output larger than what is declared, (G,); None: not at all.
+        discrepancy: of the model, where it was learned with the parameters.
+        support: what that is a function of.
     """
 
     posterior: Posterior
@@ -50,6 +57,8 @@ class Fit(Tabular):
     p_value: float | None = None
     is_inflated: bool = False
     inflation: np.ndarray | None = None
+    discrepancy: "Process | None" = None
+    support: "Support | None" = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -77,15 +86,28 @@ class Fit(Tabular):
             or self.chi2_per_datum < 1
         ):
             return None
-        return (
-            f"the model does not explain the data (chi2 per datum {self.chi2_per_datum:.3g}, which should be about 1): "
-            + (
-                "the intervals count what is left as error, and hold for the best this model can do"
-                if self.is_inflated
-                else "the intervals are those of the parameters if the model were right, and too narrow "
-                "(error: {inflate: true} widens them by what is left)"
+        if self.discrepancy is not None:
+            worth = "the discrepancy takes up what is left, and the intervals hold for the best this model can do"
+        elif self.is_inflated:
+            worth = "the intervals count what is left as error, and hold for the best this model can do"
+        else:
+            worth = (
+                "the intervals are those of the parameters if the model were right, and too narrow (error: {inflate: true} "
+                "widens them by what is left, error: {discrepancy: true} learns it)"
             )
-        )
+        left = f"(chi2 per datum {self.chi2_per_datum:.3g}, which should be about 1)"
+        return f"the model does not explain the data {left}: {worth}"
+
+    def discrepancy_summary(self) -> dict[str, dict[str, float]]:
+        """The discrepancy in numbers: its `amplitude` by output, relative where the error is, else SI; and its correlation
+        `length` by input, in shares of the input's distribution."""
+        assert self.discrepancy is not None and self.support is not None
+        sizes = np.asarray(self.discrepancy.amplitudes) * np.asarray(self.posterior.declared)
+        lengths = np.asarray(self.discrepancy.lengths).tolist()
+        return {
+            "amplitude": dict(zip(self.posterior.outputs, sizes.tolist(), strict=True)),
+            "length": dict(zip(self.support.names, lengths, strict=True)),
+        }
 
     def correlation_notes(self) -> list[str]:
         """Sentences on outputs whose noise has a memory, or whose residual is correlated beyond it."""
@@ -142,6 +164,7 @@ def fit(
     start: Array | None = None,
     watch: Watch | None = None,
     seconds: float | None = None,
+    support: "Support | None" = None,
 ) -> Fit:
     """Calibrate: MAP from several starts, then draws of the posterior around it.
 
@@ -157,20 +180,21 @@ def fit(
         start: parameters of the model (SI, without inferred errors) to start one of the searches from.
         watch: follows the calibration.
         seconds: budget of NUTS.
+        support: what a discrepancy of quantities is a function of.
     """
     watch = watch or Watch()
     points = posterior.starts(starts)
     if start is not None:
         middle = posterior.constrain(points[0])
         points = points.at[0].set(posterior.unconstrain(middle.at[: start.size].set(start)))
-    declared, said = posterior, [f"{error.correlated} {error.inflate}" for error in errors]
-    name = f"maximum-{fingerprint(posterior.names, eqx.filter(posterior, eqx.is_array), data, points, said)}"
+    declared, said = posterior, [f"{error.correlated} {error.inflate} {error.discrepancy}" for error in errors]
+    name = f"maximum-{fingerprint(posterior.names, eqx.filter(posterior, eqx.is_array), data, points, said, support)}"
     if (kept := watch.recall(name)) is not None:
-        posterior, data, maximum = _read_back(posterior, data, kept)
+        posterior, data, maximum, process = _read_back(posterior, data, kept, errors)
     else:
         watch.report("the most probable parameters")
-        posterior, data, maximum = _most_probable(posterior, data, points, errors)
-        watch.keep(name, arrays_of((posterior.declared, data, maximum)))
+        posterior, data, maximum, process = _most_probable(posterior, data, points, errors, support)
+        watch.keep(name, arrays_of((posterior.declared, data.weights, data.memory, process, maximum)))
     chains = draw(posterior, data, maximum, jnp.asarray(0.8), key, settings, watch, seconds)
     standardised = np.asarray(_standardised(declared, data, maximum.theta))
     chi2, p_value = _left_unexplained(standardised, data, declared, _judged(standardised, data, declared, errors))
@@ -178,35 +202,78 @@ def fit(
     told = {"chi2_per_datum": chi2, "p_value": p_value, "is_inflated": is_inflated}
     if is_inflated:
         told["inflation"] = np.asarray(posterior.declared) / np.asarray(declared.declared)
+    if process is not None:
+        told |= {"discrepancy": process, "support": support}
     return Fit(posterior, data, maximum, chains, convergence(chains), units, **told)
 
 
-def _read_back(posterior: Posterior, data: Data, kept: Sequence[np.ndarray]) -> tuple[Posterior, Data, Maximum]:
+def _read_back(
+    posterior: Posterior, data: Data, kept: Sequence[np.ndarray], errors: Sequence[Error]
+) -> tuple[Posterior, Data, Maximum, "Process | None"]:
     """What `_most_probable` found, from the arrays that were kept of it."""
-    split = 1 + len(arrays_of(data))
+    declared, weights, memory, *rest = map(jnp.asarray, kept)
+    data, process = data._replace(weights=weights, memory=memory), None
+    if any(error.discrepancy for error in errors):
+        from hsed_jax.inference.discrepancy import Process
+
+        size = len(fields(Process))
+        process, rest = Process(*rest[:size]), rest[size:]
+        data = data._replace(decorrelation=process.whitening)
     each = len(Maximum._fields) - 1
-    best, *others = (Maximum._make([*map(jnp.asarray, kept[i : i + each]), ()]) for i in range(split, len(kept), each))
-    posterior = posterior.inflated(kept[0] / np.asarray(posterior.declared))
-    return posterior, tree_like(data, kept[1:split]), best._replace(others=tuple(others))
+    best, *others = (Maximum._make([*rest[i : i + each], ()]) for i in range(0, len(rest), each))
+    posterior = posterior.inflated(np.asarray(declared) / np.asarray(posterior.declared))
+    return posterior, data, best._replace(others=tuple(others)), process
 
 
 def _most_probable(
-    posterior: Posterior, data: Data, points: Float[Array, "s p"], errors: Sequence[Error]
-) -> tuple[Posterior, Data, Maximum]:
-    """The MAP, with what the samples are worth and the errors that it was found with."""
+    posterior: Posterior, data: Data, points: Float[Array, "s p"], errors: Sequence[Error], support: "Support | None"
+) -> tuple[Posterior, Data, Maximum, "Process | None"]:
+    """The MAP, with what the samples are worth, the errors and the discrepancy that it was found with."""
+    if any(error.discrepancy for error in errors):
+        from hsed_jax.inference.discrepancy import none_of
+
+        # The same program as with the discrepancy that is then learned.
+        data = data._replace(decorrelation=none_of(data))
     maximum = maximise(posterior, data, points)
-    declared = posterior
+    declared, process = posterior, None
     for _ in range(_ROUNDS):
         standardised = np.asarray(_standardised(declared, data, maximum.theta))
         judged = _judged(standardised, data, declared, errors)
         inflated = declared.inflated(_left(standardised, data, declared, errors))
         weights = jnp.asarray((np.asarray(data.weights) > 0) * judged.worth[posterior.groups])
-        found, before = (weights, judged.memory, inflated.declared), (data.weights, data.memory, posterior.declared)
-        if all(np.allclose(old, new, rtol=_SETTLED) for old, new in zip(before, found, strict=True)):
+        learned = _learned(declared, data, maximum, errors, support, process)
+        found = (weights, judged.memory, inflated.declared, *arrays_of(learned))
+        before = (data.weights, data.memory, posterior.declared, *arrays_of(process))
+        if len(found) == len(before) and all(
+            np.allclose(old, new, rtol=_SETTLED) for old, new in zip(before, found, strict=True)
+        ):
             break
-        posterior, data = inflated, data._replace(weights=weights, memory=jnp.asarray(judged.memory))
+        posterior, process = inflated, learned
+        data = data._replace(
+            weights=weights,
+            memory=jnp.asarray(judged.memory),
+            decorrelation=None if process is None else process.whitening,
+        )
         maximum = maximise(posterior, data, points.at[0].set(maximum.u))
-    return posterior, data, maximum
+    return posterior, data, maximum, process
+
+
+def _learned(
+    posterior: Posterior,
+    data: Data,
+    maximum: Maximum,
+    errors: Sequence[Error],
+    support: "Support | None",
+    previous: "Process | None",
+) -> "Process | None":
+    """The discrepancy of the model with the most probable parameters, where the study asks for it."""
+    wrong = np.asarray([error.discrepancy for error in errors], dtype=bool)
+    if not wrong.any():
+        return None
+    from hsed_jax.inference.discrepancy import learn
+
+    assert support is not None
+    return learn(posterior, data, maximum.u, wrong, support, previous)
 
 
 @program

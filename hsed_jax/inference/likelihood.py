@@ -16,9 +16,12 @@ $$z = \frac{\log f(\theta) - \log y + \mathrm E\log|1+s\varepsilon|}{\mathrm{sd}
 whose mean and variance are those of y = f·(1 + sε).  Anchored on the noisy datum, σ = s·y, errors that happen to be small would
 count for more than those that happen to be large, which biases every estimate; with σ = s·f a model that is wrong would be drawn
 towards larger predictions, where errors are larger.
+
+Where the discrepancy of the model is learned (`hsed_jax.inference.discrepancy`) the errors of all data are correlated with one
+another: $\operatorname{cov} z = C$ in place of the white or autoregressive noise.
 """
 
-from typing import TYPE_CHECKING, Any, NamedTuple, Union
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Union
 
 import jax
 import jax.numpy as jnp
@@ -45,17 +48,32 @@ class Error(NamedTuple):
         is_relative: whether c is the size of the predicted quantity or the RMS of the history; else 1, and s is in SI.
         correlated: whether the noise of a history has a memory; None: where its declared size lets one tell.
         inflate: where the model leaves more than the declared error, that counts as error, too.
+        discrepancy: whether how wrong the model is beyond the error is learned.
     """
 
     size: Union[float, "Prior"]
     is_relative: bool = False
     correlated: bool | None = None
     inflate: bool = False
+    discrepancy: bool = False
 
     @property
     def is_declared(self) -> bool:
         """Whether the size is known."""
         return isinstance(self.size, int | float)
+
+
+class Decorrelation(Protocol):
+    """What makes the residuals of all data independent, each of variance one, where the model's discrepancy correlates them."""
+
+    @property
+    def log_determinant(self) -> Float[Array, ""]:
+        """Of the covariance C of z."""
+        ...
+
+    def __call__(self, z: Float[Array, "n J"]) -> Float[Array, " k"]:
+        """W z with $z^\\top C^{-1} z = |W z|^2$; linear in z."""
+        ...
 
 
 class Data(NamedTuple):
@@ -69,6 +87,7 @@ class Data(NamedTuple):
         gaps: time since the sample before of the same history [s], infinite where there is none, shape (n, J).
         memory: ρ, correlation of the noise with that of the sample before, shape (n, J).
         count: how many experiments there are; rows beyond are padding.
+        decorrelation: of the residuals where the model's discrepancy is learned, in place of memory and weights.
     """
 
     conditions: PyTree
@@ -77,6 +96,7 @@ class Data(NamedTuple):
     gaps: Float[Array, "n J"]
     memory: Float[Array, "n J"]
     count: Int[Array, ""]
+    decorrelation: Decorrelation | None = None
 
 
 def data_of(conditions: PyTree, measured: np.ndarray, used: np.ndarray, gaps: np.ndarray, count: int) -> Data:
@@ -171,6 +191,13 @@ def compared(
     return jnp.where(counts, z, 0.0), jnp.where(counts, log_sigma, 0.0)
 
 
+def logarithmic(
+    errors: Float[Array, " J"], is_relative: Bool[np.ndarray, " J"], members: Float[np.ndarray, "J G"]
+) -> tuple[Bool[np.ndarray, " J"], Float[Array, " J"]]:
+    """Which columns have an error of their logarithm, and its standard deviation."""
+    return is_relative & _is_quantity(members), _moments(errors)[1]
+
+
 def _is_quantity(members: Float[np.ndarray, "J G"]) -> Bool[np.ndarray, " J"]:
     """Which columns are outputs by themselves, and no samples of a history."""
     return members.sum(axis=0)[members.argmax(axis=1)] == 1
@@ -183,9 +210,18 @@ def _moments(s: Float[Array, " J"]) -> tuple[Float[Array, " J"], Float[Array, " 
     return mean, jnp.sqrt((values - mean[:, None]) ** 2 @ _SHARES)
 
 
-def standardised_residual(z: Float[Array, "n J"], ok: Float[Array, " n"], data: Data) -> Float[Array, "n J"]:
-    """√w times what is new in z, zero where there are no data; a diverged experiment counts as a thousand σ."""
-    return jnp.sqrt(data.weights) * jnp.where(ok[:, None] > 0, whitened(z, data.memory), 1e3)
+def decorrelated(z: Float[Array, "n J"], data: Data) -> Float[Array, " k"]:
+    """What is new in every residual, weighed: independent, each of variance one, if the likelihood is right; linear in z."""
+    if data.decorrelation is not None:
+        return data.decorrelation(z)
+    return (jnp.sqrt(data.weights) * whitened(z, data.memory)).ravel()
+
+
+def standardised_residual(z: Float[Array, "n J"], ok: Float[Array, " n"], data: Data) -> Float[Array, " k"]:
+    """What is new in z, zero where there are no data; a diverged experiment counts as a thousand σ."""
+    if data.decorrelation is not None:
+        return data.decorrelation(jnp.where(ok[:, None] > 0, z, 1e3 * (data.weights > 0)))
+    return (jnp.sqrt(data.weights) * jnp.where(ok[:, None] > 0, whitened(z, data.memory), 1e3)).ravel()
 
 
 def log_likelihood(
@@ -193,5 +229,8 @@ def log_likelihood(
 ) -> Float[Array, ""]:
     """Log of Eq. 4, the normalising constant included."""
     residual = standardised_residual(z, ok, data)
-    constants = data.weights * (0.5 * LOG_2PI + log_sigma + 0.5 * jnp.log1p(-(data.memory**2)))
-    return -0.5 * jnp.sum(residual**2) - jnp.sum(constants)
+    if data.decorrelation is None:
+        of_correlation = jnp.sum(data.weights * 0.5 * jnp.log1p(-(data.memory**2)))
+    else:
+        of_correlation = 0.5 * data.decorrelation.log_determinant
+    return -0.5 * jnp.sum(residual**2) - jnp.sum(data.weights * (0.5 * LOG_2PI + log_sigma)) - of_correlation

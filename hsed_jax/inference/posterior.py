@@ -17,11 +17,12 @@ from hsed_jax.inference.likelihood import (
     Data,
     Error,
     compared,
+    decorrelated,
     log_likelihood,
+    logarithmic,
     magnitudes,
     sigma_of,
     standardised_residual,
-    whitened,
 )
 from hsed_jax.inference.predict import Predictor
 from hsed_jax.inference.priors import Prior
@@ -178,6 +179,11 @@ class Posterior(eqx.Module):
         predicted, ok = self.predict(self.of_model(theta), data.conditions, data.count)
         return (data.weights > 0) * (predicted - data.values) / self.sigma(theta, predicted, ok, data)
 
+    def compared(self, theta: Float[Array, " p"], data: Data) -> Float[Array, "n J"]:
+        """z at parameters, neither weighed nor whitened; zero where there are no data and where the simulation diverged."""
+        predicted, ok = self.predict(self.of_model(theta), data.conditions, data.count)
+        return self._compared(theta, predicted, ok, data)[0]
+
     def log_density(self, u: Float[Array, " p"], data: Data) -> Float[Array, ""]:
         """Log posterior density *in u*, unnormalised: what a sampler of u needs."""
         return self.log_density_of(u, *self.predictions(u, data), data)
@@ -215,7 +221,7 @@ class Posterior(eqx.Module):
         theta = self.constrain(u)
         predicted, ok = self.predictions(u, data)
         z, log_sigma = self._compared(theta, predicted, ok, data)
-        parts = [standardised_residual(z, ok, data).ravel()]
+        parts = [standardised_residual(z, ok, data)]
         for prior, x in zip(self.priors.values(), theta, strict=True):
             mode, highest = prior.mode
             parts.append(jnp.sign(x - mode)[None] * _root(2 * (highest - prior.log_density(x)))[None])
@@ -235,13 +241,35 @@ class Posterior(eqx.Module):
         $F = \sum \frac{\partial f\,\partial f^\top}{\sigma^2} + 2\,\partial\log\sigma\,\partial\log\sigma^\top$.
         """
 
+        def known(u):
+            return self._log_prior_of(u), self.log_prior(self.constrain(u))
+
+        z, log_sigma, ok, z_along, sigma_along = self._along(u, data)
+        likelihood, (by_z, by_sigma) = jax.value_and_grad(
+            lambda z, log_sigma: log_likelihood(z, log_sigma, ok, data), argnums=(0, 1)
+        )(z, log_sigma)
+        density, slope, prior = _value_and_jacobian(known, u)
+        gradient = jnp.einsum("nj,pnj->p", by_z, z_along) + jnp.einsum("nj,pnj->p", by_sigma, sigma_along) + slope
+        # Of the mean alone: what z owes to σ has its own term.
+        g = jax.vmap(lambda one: decorrelated(one, data))(z_along + z * sigma_along)
+        h = jnp.sqrt(2 * data.weights) * sigma_along
+        information = g @ g.T + jnp.einsum("pnj,qnj->pq", h, h)
+        curvature = information + jnp.diag(self.stiffness(u))
+        return Expansion(likelihood + prior, likelihood + density, gradient, curvature)
+
+    def stiffness(self, u: Float[Array, " p"]) -> Float[Array, " p"]:
+        """Curvature of prior and transformation in u, what is positive of it."""
+        return jnp.maximum(-jnp.diag(jax.hessian(self._log_prior_of)(u)), 1e-3)
+
+    def _log_prior_of(self, u: Float[Array, " p"]) -> Float[Array, ""]:
+        return self.log_prior(self.constrain(u)) + self._log_jacobian(u)
+
+    def _along(self, u: Float[Array, " p"], data: Data) -> tuple[Any, Any, Any, Any, Any]:
+        """z and log σ, whether the simulations converged, and the derivatives of the first two along u, (p, n, J)."""
+
         def outputs(u):
             predicted, ok = self.predictions(u, data)
             return predicted * ok[:, None], ok
-
-        def known(u):
-            theta = self.constrain(u)
-            return self.log_prior(theta) + self._log_jacobian(u), self.log_prior(theta)
 
         predicted, along, ok = _value_and_jacobian(outputs, u)
 
@@ -252,19 +280,29 @@ class Posterior(eqx.Module):
             return jax.jvp(comparison, (u, predicted), (direction, of_outputs))[1]
 
         z, log_sigma = comparison(u, predicted)
-        z_along, sigma_along = jax.vmap(compared_along, in_axes=(0, -1))(jnp.eye(u.size), along)
-        likelihood, (by_z, by_sigma) = jax.value_and_grad(
-            lambda z, log_sigma: log_likelihood(z, log_sigma, ok, data), argnums=(0, 1)
-        )(z, log_sigma)
-        density, slope, prior = _value_and_jacobian(known, u)
-        gradient = jnp.einsum("nj,pnj->p", by_z, z_along) + jnp.einsum("nj,pnj->p", by_sigma, sigma_along) + slope
-        # Of the mean alone: what z owes to σ has its own term.
-        g = jnp.sqrt(data.weights) * whitened(z_along + z * sigma_along, data.memory)
-        h = jnp.sqrt(2 * data.weights) * sigma_along
-        information = jnp.einsum("pnj,qnj->pq", g, g) + jnp.einsum("pnj,qnj->pq", h, h)
-        of_prior = -jnp.diag(jax.hessian(lambda u: known(u)[0])(u))
-        curvature = information + jnp.diag(jnp.maximum(of_prior, 1e-3))
-        return Expansion(likelihood + prior, likelihood + density, gradient, curvature)
+        return z, log_sigma, ok, *jax.vmap(compared_along, in_axes=(0, -1))(jnp.eye(u.size), along)
+
+    def linearised(
+        self, u: Float[Array, " p"], data: Data
+    ) -> tuple[Float[Array, "n J"], Float[Array, "n J p"], Float[Array, " n"]]:
+        """z, its derivatives along u, and 1 where the simulation converged: what a discrepancy is told from."""
+        z, _, ok, along, _ = self._along(u, data)
+        return z, jnp.moveaxis(along, 0, -1), ok
+
+    def displaced(
+        self, theta: Float[Array, " p"], predicted: Float[Array, "n J"], by: Float[Array, "n J"], data: Data
+    ) -> tuple[Float[Array, "n J"], Float[Array, "n J"]]:
+        """Predictions moved by so many standard deviations of the error, SI, and how much one more would move them.
+
+        A relative error of a quantity is one of its logarithm, and so is what it is moved by.
+        """
+        errors = self.errors(theta)
+        of_logarithm, sd = logarithmic(errors, self._is_relative, self._members)
+        moved = jnp.where(of_logarithm, predicted * jnp.exp(sd * by), 0.0)
+        sigma = self.expected_sigma(theta, predicted, data)
+        return jnp.where(of_logarithm, moved, predicted + sigma * by), jnp.where(
+            of_logarithm, sd * jnp.abs(moved), sigma
+        )
 
     def of_model(self, theta: Float[Array, " p"]) -> Float[Array, " q"]:
         """The parameters of the model, without inferred errors."""

@@ -14,6 +14,7 @@ from hsed_jax.measurements import Campaign
 from hsed_jax.physics.outputs import named, own_name, owner_of
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
+from hsed_jax.reporting.band_figures import band_parts
 from hsed_jax.reporting.misfit_maps import error_map, residual_coordinates
 from hsed_jax.reporting.style import Picture
 
@@ -54,6 +55,7 @@ def misfit_pictures(
     if comparison.train_prediction.groups.size == len(comparison.train_prediction.outputs):
         yield "measured_against_predicted", measured_against_predicted(comparison, campaign)
     others = {
+        "band_parts": band_parts(comparison, campaign),
         "residual_coordinates": None if location is None else residual_coordinates(location, campaign),
         "error_map": None if errors_over_inputs is None else error_map(errors_over_inputs),
         "error_table": error_table(comparison, campaign),

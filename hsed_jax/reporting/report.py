@@ -24,6 +24,7 @@ _STILL = {
     "discovery": ("learned",),
     "improvement": ("parameters_before_after",),
     "design": ("fig5_expected_improvement", "fig6_exploration", "fig7_estimates", "fig4bis_one_experiment_map"),
+    "bands": ("band_parts",),
     "cycles": ("cycles",),
     "posterior": ("posterior",),
     "excitation": ("fig3_excitation", "fig4_loops_and_energy"),

@@ -145,6 +145,8 @@ def _references(outcome: Outcome) -> dict[str, str]:
 
 
 def _doubts(fit: Fit) -> dict[str, Any]:
-    """What is wrong with the draws, and whether the model explains the data, as far as either can be said."""
+    """What is wrong with the draws, whether the model explains the data, and how wrong it is, as far as it can be said."""
     said = {"warning": fit.warning, "chi2_per_datum": fit.chi2_per_datum, "doubt": fit.doubt}
-    return {key: value for key, value in said.items() if value is not None}
+    return {key: value for key, value in said.items() if value is not None} | (
+        {} if fit.discrepancy is None else {"discrepancy": fit.discrepancy_summary()}
+    )

@@ -1,8 +1,8 @@
 """`results.nc`: posterior, statistics of the sampler, predictions, design and surrogate as one xarray DataTree.
 
 The groups `posterior`, `sample_stats` and `observed_data` are ArviZ's, so ArviZ opens the file as it is; `posterior_improved`,
-`sample_stats_improved` and `predictions_improved` are the same of the improved model, and `ranking` is the table of the
-diagnosis, `discovery` the function that was learned.
+`sample_stats_improved` and `predictions_improved` are the same of the improved model, `predictions_averaged` those over the
+explanations of an ambiguous diagnosis, and `ranking` is the table of the diagnosis, `discovery` the function that was learned.
 """
 
 from collections.abc import Mapping
@@ -12,6 +12,7 @@ import xarray as xr
 
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.locate import Location
+from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.design.over_inputs import surrogate
 from hsed_jax.diagnosis.findings import Diagnosis
 from hsed_jax.discovery.findings import Discovery
@@ -27,17 +28,19 @@ def results_tree(outcome: Outcome, illustrations: Mapping[str, xr.Dataset]) -> x
         groups |= _posterior(outcome.fit)
     groups["observed_data"] = _observed(outcome)
     if outcome.comparison is not None:
-        groups |= _predictions(outcome.comparison, "predictions", outcome.campaign.pair)
+        groups |= _compared(outcome.comparison, "predictions", outcome.campaign.pair)
     if outcome.location is not None and outcome.location.places:
         groups["where"] = _where(outcome.location)
     if outcome.diagnosis is not None and outcome.diagnosis.ranking:
         groups["ranking"] = _ranking(outcome.diagnosis)
+        if (averaged := outcome.diagnosis.averaged) is not None:
+            groups |= _predictions(averaged.train, averaged.test, "predictions_averaged", outcome.campaign.pair)
     if outcome.discovery is not None and outcome.discovery.found:
         groups["discovery"] = _discovery(outcome.discovery)
     if outcome.improved is not None:
         groups |= {f"{name}_improved": group for name, group in _posterior(outcome.improved).items()}
     if outcome.improved_comparison is not None:
-        groups |= _predictions(outcome.improved_comparison, "predictions_improved", outcome.campaign.pair)
+        groups |= _compared(outcome.improved_comparison, "predictions_improved", outcome.campaign.pair)
     if outcome.steps:
         groups["design"] = _design(outcome)
         assert outcome.design is not None and outcome.state is not None
@@ -65,11 +68,15 @@ def _posterior(fit: Fit) -> dict[str, xr.Dataset]:
     return {"posterior": xr.Dataset(draws, coords), "sample_stats": xr.Dataset(stats, coords)}
 
 
-def _predictions(comparison: Comparison, root: str, pair: Pair) -> dict[str, xr.Dataset]:
+def _compared(comparison: Comparison, root: str, pair: Pair) -> dict[str, xr.Dataset]:
+    return _predictions(comparison.train_prediction, comparison.test_prediction, root, pair)
+
+
+def _predictions(train: Prediction, test: Prediction | None, root: str, pair: Pair) -> dict[str, xr.Dataset]:
     """Measured and predicted outputs of every compared experiment; of histories a group each.  NaN where nothing is scored,
     and of predictions where the simulation diverged."""
     groups = {}
-    for split, prediction in (("train", comparison.train_prediction), ("test", comparison.test_prediction)):
+    for split, prediction in (("train", train), ("test", test)):
         if prediction is None:
             continue
         if prediction.groups.size == len(prediction.outputs):
@@ -79,6 +86,7 @@ def _predictions(comparison: Comparison, root: str, pair: Pair) -> dict[str, xr.
                 "predicted": prediction.shown,
                 "mean": prediction.mean,
                 "sd": prediction.sd,
+                **_bands(prediction),
             }
             groups[f"{root}/{split}"] = xr.Dataset(
                 {
@@ -96,11 +104,22 @@ def _predictions(comparison: Comparison, root: str, pair: Pair) -> dict[str, xr.
                 measured, *ours = prediction.histories(row, output)
                 scored = prediction.used[row, prediction.columns(output)][: measured.size]
                 tables = (np.where(scored, measured, np.nan), *ours)
-                for kind, values in zip(("measured", "predicted", "mean", "sd"), tables, strict=True):
+                kinds = dict(zip(("measured", "predicted", "mean", "sd"), tables, strict=True))
+                columns = prediction.columns(output)
+                kinds |= {kind: table[row, columns][: measured.size] for kind, table in _bands(prediction).items()}
+                for kind, values in kinds.items():
                     histories[f"{output}_{kind}"] = ("time", values, {"units": pair.output(output).unit})
             time = {"time": ("time", experiment.record.time, {"units": "s"})}
             groups[f"{root}/{split}/{experiment.id}"] = xr.Dataset(histories, time)
     return groups
+
+
+def _bands(prediction: Prediction) -> dict[str, np.ndarray]:
+    """What the band is made of, and the one without the discrepancy."""
+    found = {f"sd_{name}": part for name, part in prediction.parts.items()}
+    if prediction.without is not None:
+        found |= {"mean_without": prediction.without.mean, "sd_without": prediction.without.sd}
+    return found
 
 
 def _where(location: Location) -> xr.Dataset:

@@ -154,6 +154,7 @@ def problem_of(
         start=start,
         notes=built.naming.left_out(),
         pair=large.pair,
+        held_out=test,
     )
 
 

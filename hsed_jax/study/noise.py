@@ -31,9 +31,34 @@ def errors_of(study: Study, outputs: Sequence[str], declared: Mapping[str, Chann
         size = entry if entry.kinds else _declared(declared.get(name))
         # Of a history the model may miss as much as there is; a quantity off by half is already a poor model.
         unknown = Prior("half_normal", 0.3 if study.observe == "quantities" else 1.0)
+        if entry.discrepancy:
+            _check_discrepancy(study, name, size)
         told = unknown if size.unknown else float(size.relative or size.absolute or 0.0)
         errors.append(_error(name, told, size.absolute is None, entry, pair))
     return tuple(errors)
+
+
+def _check_discrepancy(study: Study, name: str, size: NoiseEntry) -> None:
+    """Refuse a discrepancy that cannot be learned.
+
+    Raises:
+        UserError: of histories, without inputs, or beside a noise that nobody declares.
+    """
+    if study.observe == "histories":
+        raise UserError(
+            "error.discrepancy: it is learned over the inputs, of quantities (observe: quantities); of histories say "
+            "inflate: true, which counts what the model leaves as error"
+        )
+    if not study.inputs:
+        raise UserError(
+            "error.discrepancy: it is learned over the inputs, and the study has none; give them with their distributions, "
+            "such as inputs: {V_P: {uniform: [1.5, 3.0], unit: m/s}}"
+        )
+    if size.unknown:
+        raise UserError(
+            f"error.discrepancy: no noise of {name} is declared, and of an unknown one nobody could tell what is noise and what "
+            f"is the model; give it, such as error: {{{name}: {{relative: 0.02, discrepancy: true}}}}"
+        )
 
 
 def per_output[Entry: NoiseEntry](
@@ -61,7 +86,7 @@ def _error(name: str, size: float | Prior, is_relative: bool, entry: ErrorEntry,
             f"error.{name}: {name} may be negative or zero, and no error is relative to that; give it an absolute one "
             f"[{pair.output(name).unit}], such as error: {{{name}: {{absolute: 0.001}}}}"
         )
-    return Error(size, is_relative, entry.correlated, entry.inflate)
+    return Error(size, is_relative, entry.correlated, entry.inflate, entry.discrepancy)
 
 
 def _declared(channel: Channel | None) -> NoiseEntry:

@@ -1,0 +1,199 @@
+r"""Predictions where several explanations are as good: an average over them, and how far they differ.
+
+Each explanation predicts as a Gaussian with what its parameters do not know; the average has the mean and the variance of their
+mixture, of which the spread between the explanations is a part of its own:
+
+$$\bar f = \sum_k w_k f_k,\qquad \operatorname{var} = \sum_k w_k\,\operatorname{var}_k + \sum_k w_k (f_k-\bar f)^2 .$$
+
+The weights are posterior probabilities (Bayesian model averaging, Hoeting et al. 1999) where the evidence ranked the models.
+Where prediction did, since all are wrong, they are those of stacking (Breiman 1996): not negative, summing to one, and with the
+least squared error of $\bar f$ on experiments left out in turn.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.optimize import nnls
+
+from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.diagnosis.fits import Model
+from hsed_jax.diagnosis.held_out import folds_of
+from hsed_jax.diagnosis.problem import Problem
+from hsed_jax.diagnosis.rivals import predictive
+from hsed_jax.diagnosis.search import Search
+
+# How firmly the weights of stacking are held to a sum of one, in units of the whole residual.
+_HELD = 1e3
+
+
+class Explanation(NamedTuple):
+    """One of several sets of effects that are as good.
+
+    Attributes:
+        effects: their names.
+        weight: that its predictions have in the average.
+        error_test: as of a candidate (`hsed_jax.diagnosis.findings.Candidate`).
+    """
+
+    effects: list[str]
+    weight: float
+    error_test: float
+
+
+class Averaged(NamedTuple):
+    """Predictions averaged over explanations.
+
+    Attributes:
+        explanations: what was averaged over, the one that is named first.
+        train, test: predictions of the fitted and of the held-out experiments; the part `explanations` of their bands is how far
+            these differ.
+        error_test: error of the average on the held-out experiments; None where there are none.
+        differ: by output, where the explanations differ most among the experiments that could be made, or else those that were:
+            `sd` between them (SI), its `share` of the mean prediction's RMS over time, and the `inputs` (declared units) or the
+            `experiment`.
+    """
+
+    explanations: list[Explanation]
+    train: Prediction
+    test: Prediction | None
+    error_test: float | None
+    differ: Mapping[str, Mapping[str, Any]]
+
+    def summary(self) -> dict[str, Any]:
+        """Beside the verdict in `summary.json`."""
+        finite = lambda e: {k: v for k, v in e._asdict().items() if not isinstance(v, float) or np.isfinite(v)}  # noqa: E731
+        found: dict[str, Any] = {"explanations": [finite(e) for e in self.explanations], "differ": dict(self.differ)}
+        return found if self.error_test is None else found | {"error_test": self.error_test}
+
+    @property
+    def sentence(self) -> str:
+        """What was averaged, and how far it differs where it matters."""
+        of = ", ".join(f"{' + '.join(e.effects) or 'nothing'} ({e.weight:.0%})" for e in self.explanations)
+        output, most = max(self.differ.items(), key=lambda item: item[1]["share"])
+        inputs = most.get("inputs", {})
+        where = ", ".join(f"{name} = {value:.4g}" for name, value in inputs.items()) or most.get("experiment", "")
+        return (
+            f"predictions average over {of}; they differ most in {output.replace('_', ' ')}, by {most['share']:.1%} (sd) of it "
+            f"at {where}"
+        )
+
+
+def averaged(problem: Problem, search: Search, models: Sequence[Model]) -> Averaged:
+    """Average predictions over models that are as good.
+
+    Arguments:
+        problem: the measurements and the large model.
+        search: that found them.
+        models: the explanations, the one that is named first.
+    """
+    rows = np.arange(problem.rows + len(problem.candidates))
+    means, spreads, ok = (np.stack(each) for each in zip(*(_moments(problem, m, rows) for m in models), strict=True))
+    weights = _weights(problem, search, models)
+    shares = weights[:, None] * (ok > 0)
+    shares = (shares / np.maximum(shares.sum(axis=0), 1e-300))[..., None]
+    mean = np.sum(shares * means, axis=0)
+    parts = {
+        "parameters": np.sqrt(np.sum(shares * spreads**2, axis=0)),
+        "explanations": np.sqrt(np.sum(shares * (means - mean) ** 2, axis=0)),
+    }
+    size = len(problem.train.values)
+    train = _prediction(problem, search, slice(0, size), mean, parts, ok)
+    test = None if problem.test is None else _prediction(problem, search, slice(size, problem.rows), mean, parts, ok)
+    errors = search.unseen([m.effects for m in models])
+    return Averaged(
+        [Explanation(sorted(m.effects), float(w), e) for m, w, e in zip(models, weights, errors, strict=True)],
+        train,
+        test,
+        None if test is None or problem.test is None else problem.test.error(test.predicted),
+        _difference(problem, mean, parts["explanations"], (ok > 0).all(axis=0)),
+    )
+
+
+def _moments(problem: Problem, model: Model, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Prediction of a model, its sd by the parameters, (r, J), and whether it converged, (r,)."""
+    mean, spread, ok = predictive(problem, model, rows)
+    return mean, np.sqrt(np.sum(spread**2, axis=2)), ok
+
+
+def _weights(problem: Problem, search: Search, models: Sequence[Model]) -> Float[np.ndarray, " m"]:
+    """Posterior probabilities among the models, or those of stacking where prediction chose the first."""
+    if models[0].effects not in search.predicted:
+        return search.probabilities(models)
+    predicted = search.left_out([m.effects for m in models])
+    left_out = folds_of(problem.train.used, problem.train.groups).left_out.any(axis=0)
+    sigma = problem.train.sigma(search.errors, problem.train.values)
+    return stacking(predicted, problem.train.values, sigma, left_out)
+
+
+def stacking(
+    predicted: Sequence[np.ndarray | None],
+    measured: Float[np.ndarray, "n J"],
+    sigma: Float[np.ndarray, "n J"],
+    left_out: Bool[np.ndarray, "n J"],
+) -> Float[np.ndarray, " m"]:
+    """Weights with the least squared error of the average on what was left out.
+
+    Arguments:
+        predicted: by model, of what was left out, (n, J); None where a simulation failed, which gets no weight.
+        measured: what was measured.
+        sigma: in what units errors count.
+        left_out: where there is anything.
+    """
+    able = [i for i, one in enumerate(predicted) if one is not None]
+    found = np.zeros(len(predicted))
+    if not able:
+        return np.full(len(predicted), 1 / len(predicted))
+    columns = np.stack([(predicted[i] / sigma)[left_out] for i in able], axis=1)
+    held = _HELD * np.sqrt(np.sum(columns**2))
+    design = np.vstack([columns, np.full(len(able), held)])
+    found[able] = nnls(design, np.append((measured / sigma)[left_out], held))[0]
+    return found / found.sum()
+
+
+def _prediction(
+    problem: Problem, search: Search, rows: slice, mean: np.ndarray, parts: Mapping[str, np.ndarray], ok: np.ndarray
+) -> Prediction:
+    """The average as predictions of measured experiments."""
+    measured, experiments = problem.train, problem.experiments
+    if rows.start:
+        assert problem.test is not None
+        measured, experiments = problem.test, problem.held_out
+    sigma = np.where(measured.used, problem.sigma(search.errors, mean[rows]), 1.0)
+    own = {"noise": sigma, **{name: part[rows] for name, part in parts.items()}}
+    sd = np.sqrt(sum(part**2 for part in own.values()))
+    return Prediction(
+        problem.outputs,
+        measured.groups,
+        experiments,
+        measured.values,
+        measured.used,
+        mean[rows],
+        mean[rows],
+        sd,
+        sigma,
+        (ok > 0).any(axis=0)[rows],
+        parts=own,
+    )
+
+
+def _difference(problem: Problem, mean: np.ndarray, between: np.ndarray, ok: np.ndarray) -> dict[str, dict[str, Any]]:
+    """By output, the experiment in which the explanations differ most."""
+    rows = np.arange(problem.rows, len(mean)) if len(mean) > problem.rows else np.arange(problem.rows)
+    rows = rows[ok[rows]] if ok[rows].any() else rows
+    found = {}
+    for number, output in enumerate(problem.outputs):
+        own = problem.train.groups == number
+        sd, size = (np.sqrt(np.mean(table[rows][:, own] ** 2, axis=1)) for table in (between, mean))
+        share = sd / np.where(size > 0, size, 1.0)
+        most = int(np.argmax(share))
+        row = int(rows[most])
+        made = (*problem.experiments, *problem.held_out)
+        where = (
+            {"experiment": made[row].id}
+            if row < problem.rows
+            else {"inputs": dict(problem.candidates[row - problem.rows])}
+        )
+        found[output] = {"sd": float(sd[most]), "share": float(share[most]), **where}
+    return found

@@ -1,0 +1,49 @@
+"""What the discrepancy of a study's model is a function of."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from hsed_jax.config.functions import FunctionEntry
+from hsed_jax.errors import UserError
+from hsed_jax.physics.simulator import Conditions
+
+if TYPE_CHECKING:
+    from hsed_jax.inference.discrepancy import Support
+    from hsed_jax.study.build import Built
+
+# Inputs that represent their distribution: a simulation each.
+_SPREAD = 128
+
+
+def support_of(built: "Built") -> "Support | None":
+    """What a discrepancy of quantities is a function of: the inputs, in the unit cube of their distributions.
+
+    Its orthogonality is taken over the distribution of the inputs where the model can be simulated at any of them, else over the
+    experiments: where each brings its record, and where every prediction is a program's.
+
+    Returns:
+        None where none is asked for.
+
+    Raises:
+        UserError: the experiments do not say one of them.
+    """
+    if not any(error.discrepancy for error in built.errors):
+        return None
+    from hsed_jax.inference.discrepancy import Support
+
+    space = built.space
+
+    def cube(inputs: Mapping[str, Array]) -> np.ndarray:
+        if missing := [name for name in space.names if name not in inputs]:
+            raise UserError(f"error.discrepancy: the experiments do not say their input {missing[0]}")
+        return space.cube(np.stack([np.asarray(inputs[name]) / space.factors[name] for name in space.names], axis=1))
+
+    is_program = isinstance(built.study.model, FunctionEntry) and built.study.model.command is not None
+    if built.grid is not None or is_program:
+        return Support(space.names, cube, None)
+    inputs = space.si(space.declared(space.spread(_SPREAD)))
+    return Support(space.names, cube, Conditions({name: jnp.asarray(values) for name, values in inputs.items()}))
