@@ -82,7 +82,9 @@ def campaign_of(name: str, tables: Mapping[str, Columns], choice: Choice) -> Cam
         UserError: a column is missing or stands for two things, or the units do not belong together.
     """
     channels = {
-        channel: Channel(channel, choice.units[channel]) for channel in CHANNELS[choice.protocol] if channel in choice.columns
+        channel: Channel(channel, choice.units[channel])
+        for channel in CHANNELS[choice.protocol]
+        if channel in choice.columns
     }
     for needed in CHANNELS[choice.protocol][:2]:
         if needed not in channels:

@@ -152,7 +152,9 @@ class Explorer:
             raise UserError("the run has no calibrated model yet; wait for its end") from None
         self._study = load_study(run / "study.yaml")
         if self._study.code:
-            raise UserError("the study names code of its own, which this page does not execute; use hx.simulate in Python")
+            raise UserError(
+                "the study names code of its own, which this page does not execute; use hx.simulate in Python"
+            )
         self._campaign = read_campaign(run / "campaign")
         shown = {"elongation", "force"}
         self.experiments = {
@@ -169,11 +171,10 @@ class Explorer:
         """Effects that can be ticked."""
         self.catalogue = built.catalogue
         self.starts = {"the model as it was": Start(own, plain)}
-        improved = summary.get("improvement", {}).get("map")
-        if improved:
-            added = tuple(dict.fromkeys(owner_of(name) for name in improved if owner_of(name) in self.catalogue))
-            if {name for name in improved if owner_of(name)} <= {n for n in improved if owner_of(n) in added}:
-                self.starts["the improved model"] = Start(added, improved)
+        improved = summary.get("improvement", {}).get("map", {})
+        added = tuple(dict.fromkeys(owner_of(name) for name in improved if owner_of(name) in self.effects))
+        if improved and self.variant(added).built.parameters[0].keys() <= improved.keys():
+            self.starts["the improved model"] = Start(added, improved)
 
     @property
     def pair(self) -> Pair:
@@ -197,6 +198,8 @@ class Explorer:
             base = self._study.model_copy(update={"model": model.model_copy(update={"effects": kept})})
             built = Built(base, self._campaign)
             if added := [name for name in key if name not in kept]:
-                built = Built(with_effects(built, added, {n: self._forms[n] for n in added if n in self._forms}), self._campaign)
+                built = Built(
+                    with_effects(built, added, {n: self._forms[n] for n in added if n in self._forms}), self._campaign
+                )
             self._variants[key] = Variant(built, self._campaign)
         return self._variants[key]
