@@ -1,8 +1,8 @@
 """What becomes of dropped files: a folder within the folder of the page, the files in it as they came."""
 
 import shutil
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -48,6 +48,15 @@ def landed(folder: Folder, files: Mapping[str, bytes], where: Path | None = None
     except OSError as error:
         raise UserError(f"{folder.name(where)}: cannot be written ({error.strerror})") from None
     return where
+
+
+def taken_back(folder: Folder, where: Path, names: Iterable[str]) -> None:
+    """Remove files that were dropped and cannot be used, and the folder that was made for them if nothing else is in it."""
+    for name in names:
+        folder.inside(where, DROPPED, name).unlink(missing_ok=True)
+    with suppress(OSError):  # something else is in it
+        (where / DROPPED).rmdir()
+        where.rmdir()
 
 
 def is_campaign(where: Path) -> bool:

@@ -12,7 +12,6 @@ import termios
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import IO
 
 # tqdm writes a bar over the line before it; a terminal this wide never breaks it.
 _TERMINAL = struct.pack("HHHH", 24, 240, 0, 0)
@@ -56,9 +55,8 @@ class Job:
             start_new_session=True,
         )
         os.close(theirs)
-        assert self._process.stdout is not None
         self._readers = [
-            threading.Thread(target=self._listen, args=(self._process.stdout,), daemon=True),
+            threading.Thread(target=self._listen, daemon=True),
             threading.Thread(target=self._watch, args=(ours,), daemon=True),
         ]
         for reader in self._readers:
@@ -89,8 +87,9 @@ class Job:
             reader.join(seconds)
         return status
 
-    def _listen(self, output: IO[str]) -> None:
-        with output:
+    def _listen(self) -> None:
+        assert self._process.stdout is not None
+        with self._process.stdout as output:
             for line in output:
                 self.said.append(line.rstrip("\n"))
 

@@ -9,7 +9,7 @@ import numpy as np
 import panel as pn
 
 from hsed_jax.app.choices import CHANNELS, KINDS, UNITS, Choice, campaign_of, guess
-from hsed_jax.app.drops import Columns, is_campaign, landed, lay_out, tables
+from hsed_jax.app.drops import Columns, is_campaign, landed, lay_out, tables, taken_back
 from hsed_jax.app.pieces import Loops, attempt, error, html, note, warnings, widget
 from hsed_jax.app.session import Session
 from hsed_jax.errors import UserError
@@ -31,7 +31,7 @@ class Measured:
     def __init__(self, session: Session):
         self._session = session
         self._where: Path | None = None
-        self._taken: set[str] = set()
+        self._taken: dict[str, bytes] = {}
         self._tables: dict[str, Columns] = {}
         self._campaign: Campaign | None = None
         self._is_declared = False
@@ -51,7 +51,7 @@ class Measured:
         self._below = pn.Column(
             pn.Row(pn.Column(self._form, width=430), pn.Column(self._loops.pane, sizing_mode="stretch_width")),
             self._facts,
-            pn.Row(self._go, over),
+            self._go,
             sizing_mode="stretch_width",
             visible=False,
         )
@@ -60,7 +60,12 @@ class Measured:
             "of one specimen, or the files of a campaign folder. They are copied into this folder; nothing leaves this computer."
         )
         self.view = pn.Column(
-            html(intro), self._landing, self._existing, self._messages, self._below, sizing_mode="stretch_width"
+            html(intro),
+            self._landing,
+            pn.Row(self._existing, pn.Column(pn.Spacer(height=16), over)),
+            self._messages,
+            self._below,
+            sizing_mode="stretch_width",
         )
 
     def _fill_choices(self) -> None:
@@ -90,7 +95,7 @@ class Measured:
         self._form = pn.Column(self._kind, *self._rows.values(), self._turned, self._tests, self._holds_out)
 
     def _clear(self) -> None:
-        self._where, self._taken, self._tables, self._campaign = None, set(), {}, None
+        self._where, self._taken, self._tables, self._campaign = None, {}, {}, None
         self._dropper = widget(pn.widgets.FileDropper, multiple=True, sizing_mode="stretch_width", min_height=90)
         self._dropper.param.watch(self._dropped, "value")
         self._landing[:] = [self._dropper]
@@ -102,25 +107,33 @@ class Measured:
 
     async def _dropped(self, _: Any) -> None:
         await asyncio.sleep(_TOGETHER)
-        files = {
+        given = {
             name: content.encode() if isinstance(content, str) else content
             for name, content in self._dropper.value.items()
-            if name not in self._taken
         }
+        files = {name: content for name, content in given.items() if self._taken.get(name) != content}
         if not files:
             return
-        self._taken |= files.keys()
+        self._taken |= files
         found = await attempt(self._messages, self._land, files)
         if found is not None:
             self._show(*found)
 
     def _land(self, files: dict[str, bytes]) -> tuple[dict[str, Columns], Campaign | None]:
-        folder = self._session.folder
-        self._where = landed(folder, files, self._where)
-        if is_campaign(self._where):
-            lay_out(folder, self._where)
-            return {}, read_campaign(self._where)
-        return tables(self._where), None
+        folder, before = self._session.folder, self._where
+        where = landed(folder, files, before)
+        try:
+            if is_campaign(where):
+                lay_out(folder, where)
+                found = {}, read_campaign(where)
+            else:
+                found = tables(where), None
+        except UserError:
+            # What cannot be read is no measurement: the next drop begins as if it had not come.
+            taken_back(folder, where, files)
+            raise
+        self._where = where
+        return found
 
     async def _open(self, event: Any) -> None:
         if not event.new:

@@ -79,28 +79,27 @@ def serve(root: Path, port: int, opens: bool) -> int:
     """
     folder = Folder(root)
     jobs = Jobs(folder.root)
-    server, address = made(folder, jobs, port)
-
-    async def until_stopped() -> None:
-        stopped = asyncio.Event()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            asyncio.get_running_loop().add_signal_handler(number, stopped.set)
-        server.start()
-        print(
-            f"hsed app serves {folder.root}\n  {address}\nopen it in a browser on this machine; Ctrl-C ends it",
-            flush=True,
-        )
-        if opens:
-            webbrowser.open(address)
-        await stopped.wait()
-        server.stop()
-
-    server.io_loop.asyncio_loop.run_until_complete(until_stopped())
+    asyncio.run(_until_stopped(folder, jobs, port, opens))
     return jobs.stop()
 
 
+async def _until_stopped(folder: Folder, jobs: Jobs, port: int, opens: bool) -> None:
+    stopped = asyncio.Event()
+    server, address = made(folder, jobs, port)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, stopped.set)
+    server.start()
+    print(
+        f"hsed app serves {folder.root}\n  {address}\nopen it in a browser on this machine; Ctrl-C ends it", flush=True
+    )
+    if opens:
+        webbrowser.open(address)
+    await stopped.wait()
+    server.stop()
+
+
 def made(folder: Folder, jobs: Jobs, port: int) -> tuple[Server, str]:
-    """The server, not yet started, and the address of the page.
+    """The server of the running event loop, not yet started, and the address of the page.
 
     Raises:
         UserError: the port is taken.
