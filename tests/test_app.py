@@ -304,7 +304,7 @@ def finished(tmp_path_factory):
     return root
 
 
-def test_a_slider_moves_the_loop_as_independent_steps_do_and_within_a_tenth_of_a_second(finished):
+def test_a_slider_moves_the_loop_as_independent_steps_do_and_compiles_nothing(finished):
     explorer = Explorer(finished / "runs" / "column")
     experiment, values = explorer.experiments["column"], explorer.starts["the model as it was"].parameters
     plain = explorer.variant(())
@@ -318,18 +318,21 @@ def test_a_slider_moves_the_loop_as_independent_steps_do_and_within_a_tenth_of_a
     assert [dial.name for dial in degrading.dials] == ["A", "beta", "stiffness_degradation.delta"]
     # δ = η E_c; a kN mm is a J.
     delta = ETA * degrading.built.scales.energy
-    loop = degrading.simulate({**values, "stiffness_degradation.delta": delta}, experiment)
+    loop, first = timed(degrading, {**values, "stiffness_degradation.delta": delta}, experiment)
     _, force = specimen(samples=100)
     assert_allclose(loop.force, 1e3 * force, atol=4e-3 * np.abs(1e3 * force).max())
 
     neutral = degrading.simulate({**values, "stiffness_degradation.delta": 0.0}, experiment)
     assert_allclose(neutral.force, plain.simulate(values, experiment).force, rtol=1e-9, atol=1e-6)
-    times = []
-    for factor in np.linspace(0.9, 1.1, 9):
-        begun = time.perf_counter()
-        degrading.simulate({**values, "A": factor * values["A"], "stiffness_degradation.delta": 1.0}, experiment)
-        times.append(time.perf_counter() - begun)
-    assert np.median(times) < 0.1
+    moved = [
+        {**values, "A": factor * values["A"], "stiffness_degradation.delta": 1.0} for factor in np.linspace(0.9, 1.1, 9)
+    ]
+    assert np.median([timed(degrading, one, experiment)[1] for one in moved]) < first / 10
+
+
+def timed(variant, values, experiment):
+    begun = time.perf_counter()
+    return variant.simulate(values, experiment), time.perf_counter() - begun
 
 
 def test_a_run_that_names_code_is_not_explored(finished, tmp_path):
