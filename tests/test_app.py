@@ -601,7 +601,7 @@ def test_from_a_raw_file_to_a_named_effect(served, opened, tmp_path):
     page.get_by_text("Fit a model to column").wait_for()
     go, stop = page.get_by_role("button", name="Go", exact=True), page.get_by_role("button", name="Stop")
     go.click()
-    page.get_by_text("calibrate").first.wait_for()
+    page.locator("p", has_text="calibrate").first.wait_for()
     stop.click()
     page.get_by_text("nothing is lost").wait_for()
     page.get_by_role("button", name="Go on where it stopped").click()
@@ -627,3 +627,41 @@ def test_from_a_raw_file_to_a_named_effect(served, opened, tmp_path):
     assert found["A"] == pytest.approx(1e6 * A, rel=0.02)
     assert found["beta"] == pytest.approx(1e3 * BETA, rel=0.02)
     assert {path.name for path in tmp_path.iterdir()} == {"column", "runs", "said.txt"}
+
+
+PLAN = """
+study: plan
+excitation:
+  imposed: {amplitudes: [5.0e-3, a], cycles: 1, rate: 0.05}
+inputs: {a: {uniform: [15.0, 60.0], unit: mm}}
+model: {spring: bilinear, parameters: {k: {uniform: [2.0e6, 9.0e6]}, F_y: {uniform: [2.0e4, 6.0e4]}}}
+experiments:
+  folder:
+    channels: {time: {column: t, unit: s}, elongation: {column: u, unit: mm}, force: {column: F, unit: kN}}
+observe: histories
+error: {relative: 0.05}
+steps: [design, calibrate]
+design: {initial: 3, iterations: 1, candidates: 64}
+"""
+
+
+@pytest.mark.slow
+def test_a_design_is_asked_and_told(served, opened, tmp_path):
+    (tmp_path / "plan.yaml").write_text(PLAN)
+    page = opened(served(tmp_path))
+    page.set_default_timeout(300_000)
+    part(page, "5 Next experiment")
+    page.get_by_role("button", name="Ask for the next experiment").click()
+    page.locator("pre", has_text="E01: a").wait_for()
+    request = tmp_path / "runs" / "plan" / "laboratory" / "E01-1"
+    imposed = pd.read_csv(request / "imposed_elongation.csv", comment="#")
+    time, u = imposed.iloc[:, 0], imposed.iloc[:, 1]
+    record = pd.DataFrame({"t": time, "u": 1e3 * u, "F": np.clip(4e3 * u, -40, 40)}).to_csv(index=False)
+    page.locator("input[type=file]").last.set_input_files(
+        {"name": "E01.csv", "mimeType": "text/csv", "buffer": record.encode()}
+    )
+    page.locator("pre", has_text="1 completed").wait_for()
+    campaign = read_campaign(tmp_path / "runs" / "plan" / "campaign")
+    assert_allclose(campaign["E01"].record["force"], 1e3 * np.clip(4e3 * u, -40, 40))
+    page.get_by_role("button", name="Ask for the next experiment").click()
+    page.locator("pre", has_text="E02: a").wait_for()

@@ -169,7 +169,7 @@ class Effects:
         names = " and ".join(map(words, asked.effects)) or "no effect"
         self._error.object = f"<p>error <b>{loop.error:.3f}</b> with {escape(names)}</p>"
 
-    def _fitted(self, _: Any) -> None:
+    async def _fitted(self, _: Any) -> None:
         """A run that adds the ticked effects to the model and fits it again."""
         run, folder = self._session.run, self._session.folder
         started = self._explorer.starts["the model as it was"].effects if self._explorer else ()
@@ -179,7 +179,7 @@ class Effects:
             return
         new = folder.name(folder.fresh("runs", f"{folder.inside(run).name}-with-{added[0]}"))
         options = ["steps=[calibrate, compare, improve]", f"improve.add=[{', '.join(added)}]"]
-        self._fitting.follow(new, ["run", f"{run}/study.yaml", "--output", new, *options])
+        await self._fitting.follow(new, ["run", f"{run}/study.yaml", "--output", new, *options])
 
 
 def _order(explorer: Explorer) -> Any:

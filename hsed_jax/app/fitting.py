@@ -34,6 +34,7 @@ class Fitting:
     def __init__(self, session: Session):
         self._session = session
         self._followed: Job | None = None
+        self._task: asyncio.Task | None = None
         self._messages, self._progress = html(), html()
         self._about, self._study = html(), html()
         self._steps = widget(pn.widgets.Select, name="what to do", options=STEPS, width=420)
@@ -58,13 +59,13 @@ class Fitting:
         session.param.watch(self._attach, "run")
         self._describe("")
 
-    def follow(self, run: str, arguments: Sequence[str]) -> None:
+    async def follow(self, run: str, arguments: Sequence[str]) -> None:
         """Start a command that makes a run, and show how it goes on."""
         if (job := self._session.jobs.of(run)) is not None and job.status is None:
             return
         self._session.jobs.start(run, arguments)
         self._session.param.update(shown=1, run=run)
-        self._attach()
+        await self._attach()
 
     def leave(self) -> None:
         """Follow nothing any more: the tab is closed, what runs goes on."""
@@ -99,7 +100,7 @@ class Fitting:
         if made is not None:
             study, run = made
             options = [f"steps=[{self._steps.value}]", f"calibration.sampler={self._care.value}"]
-            self.follow(run, ["run", study, "--output", run, *options])
+            await self.follow(run, ["run", study, "--output", run, *options])
 
     def _prepared(self) -> tuple[str, str]:
         """The study, written where no other one stands, and a run folder for it."""
@@ -120,21 +121,21 @@ class Fitting:
             self._stop.disabled = True
             self._followed.stop()
 
-    def _resumed(self, _: Any) -> None:
+    async def _resumed(self, _: Any) -> None:
         run = self._session.run
-        self.follow(run, ["run", f"{run}/study.yaml", "--output", run, "--resume"])
+        await self.follow(run, ["run", f"{run}/study.yaml", "--output", run, "--resume"])
 
-    def _attach(self, *_: Any) -> None:
+    async def _attach(self, *_: Any) -> None:
         """Follow what works in the run that is looked at."""
         job = self._session.jobs.of(self._session.run)
         self._resume.visible = False
-        if job is None:
+        if job is None or job.arguments[0] != "run":
             self._followed, self._progress.object, self._stop.disabled = None, "", True
             self._go.disabled = not self._session.campaign
             self._offer_resume()
         elif job is not self._followed:
             self._followed = job
-            asyncio.get_running_loop().create_task(self._watch(job))
+            self._task = asyncio.create_task(self._watch(job))
 
     def _offer_resume(self) -> None:
         """A run that stopped part-way can be gone on with, also one of an earlier day."""
@@ -142,7 +143,7 @@ class Fitting:
         folder = self._session.folder.inside(run) if run else None
         if folder is not None and (folder / "study.yaml").is_file() and not (folder / "report.html").is_file():
             self._resume.visible = True
-            self._messages.object = note(f"{run} stopped part-way; nothing of it is lost.")
+            self._messages.object = note(f"{run} is not finished; nothing of it is lost.")
 
     async def _watch(self, job: Job) -> None:
         self._messages.object, self._stop.disabled, self._go.disabled = "", False, True

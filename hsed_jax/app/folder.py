@@ -68,6 +68,11 @@ class Folder:
         found = [path for path, files in self._walk() if _is_run(files)]
         return [self.name(path) for path in sorted(found, key=lambda path: path.stat().st_mtime, reverse=True)]
 
+    def studies(self) -> list[Path]:
+        """Files in YAML that may be studies, those of runs left out."""
+        found = [(path, name) for path, files in self._walk() if not _is_run(files) for name in sorted(files)]
+        return [path / name for path, name in found if name.endswith(".yaml") and name != "campaign.yaml"]
+
     def handed_out(self, run: str, name: str) -> Path:
         """A file of a run that the page hands out.
 

@@ -5,12 +5,13 @@ from typing import Any
 
 import panel as pn
 
+from hsed_jax.app.asking import Asking
 from hsed_jax.app.effects import Effects
 from hsed_jax.app.fitting import Fitting
 from hsed_jax.app.folder import Folder
 from hsed_jax.app.jobs import Jobs
 from hsed_jax.app.measured import Measured
-from hsed_jax.app.outcome import Download, Next, Report
+from hsed_jax.app.outcome import Download, Report
 from hsed_jax.app.pieces import WIDGETS, html, widget
 from hsed_jax.app.session import Session
 
@@ -35,7 +36,7 @@ class Page:
             "2 Fit": fitting.view,
             "3 Report": Report(session).view,
             "4 Effects": Effects(session, fitting).view,
-            "5 Next experiment": Next(session).view,
+            "5 Next experiment": Asking(session).view,
             "6 Download": Download(session).view,
         }
         tabs = pn.Tabs(*parts.items(), sizing_mode="stretch_width", stylesheets=[WIDGETS])
