@@ -111,7 +111,8 @@ class Asking:
         if job is None:
             return
         ids = [found[1] for line in job.said if (found := _THEN.search(line))]
-        self._messages.object = f"<pre>{escape(chr(10).join(job.said))}</pre>"
+        said = [line for line in job.said if not _THEN.search(line)]
+        self._messages.object = f"<pre>{escape(chr(10).join(said))}</pre>"
         self._id.options, self._told.visible = ids, bool(ids)
         self._fresh_dropper()
         self._session.run = run

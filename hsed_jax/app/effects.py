@@ -53,7 +53,7 @@ class Effects:
         self._whole = pn.Row(left, right, sizing_mode="stretch_width", visible=False)
         self.view = pn.Column(
             html("<h2>What would an effect do?</h2>"
-                 + note("Tick an effect: it joins the model, and the loop follows its sliders. Fitting is another matter.")),
+                 + note("Tick an effect: it joins the model, and the loop follows its sliders. Nothing is fitted here.")),
             self._messages,
             self._whole,
             sizing_mode="stretch_width",

@@ -24,6 +24,9 @@ CARE = {
     "quick: a Gaussian around the best fit": "laplace",
     "careful: chains of NUTS (minutes longer)": "nuts",
 }
+# What the command line adds for those who type.
+_TYPED = ": say --resume to go on"
+_FLAT: Any = {"margin": (8, 10), "styles": {"box-shadow": "none", "border": "1px solid #e3e5e9"}}
 # Between two looks at what runs [s].
 _LOOK = 0.3
 
@@ -45,7 +48,9 @@ class Fitting:
         self._stop.on_click(self._stopped)
         self._resume = widget(pn.widgets.Button, name="Go on where it stopped", visible=False)
         self._resume.on_click(self._resumed)
-        text = pn.Card(self._study, title="the study that will be run", collapsed=True, sizing_mode="stretch_width")
+        text = pn.Card(
+            self._study, title="the study that will be run", collapsed=True, sizing_mode="stretch_width", **_FLAT
+        )
         self.view = pn.Column(
             self._about,
             pn.Row(self._steps, self._care),
@@ -157,7 +162,7 @@ class Fitting:
         if job.status == 0:
             self._session.param.update(ended=self._session.ended + 1, shown=2)
         elif job.status == 3:
-            self._messages.object = note(job.complaint or "stopped")
+            self._messages.object = note((job.complaint or "stopped").replace(_TYPED, ""))
             self._resume.visible = True
         else:
             self._messages.object = error(job.complaint.removeprefix("error: ") or f"it ended with status {job.status}")
