@@ -59,7 +59,7 @@ def _keep(page: Page, name: str) -> None:
     page.wait_for_timeout(1500)  # what moves comes to rest
     picture = Image.open(io.BytesIO(page.screenshot(full_page=True))).convert("RGB")
     # Few colours in a palette: a quarter of the size.
-    picture.quantize(64).save(IMAGES / f"{name}.png", optimize=True)
+    picture.quantize(128).save(IMAGES / f"{name}.png", optimize=True)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from numpy.testing import assert_allclose
 
 from hsed_jax.app import command
 from hsed_jax.app.choices import Choice, campaign_of, guess
-from hsed_jax.app.drops import landed, lay_out, tables
+from hsed_jax.app.drops import landed, lay_out, read_within, tables
 from hsed_jax.app.explore import Explorer
 from hsed_jax.app.folder import Folder, checked_name
 from hsed_jax.app.jobs import Job
@@ -204,6 +204,22 @@ def test_a_campaign_that_names_a_place_outside_is_refused(folder):
     with pytest.raises(UserError, match="outside"):
         lay_out(folder, where)
     assert not (folder.root.parent / "stolen.csv").exists()
+
+
+def test_a_campaign_whose_records_lie_elsewhere_is_not_read(folder, tmp_path_factory):
+    outside = tmp_path_factory.mktemp("outside") / "stolen.csv"
+    outside.write_text("u,F\n0,0\n1,2\n2,3\n")
+    where = landed(folder, campaign_files({"E01": "", "E02": ""}))
+    lay_out(folder, where)
+    assert [e.id for e in read_within(folder, "campaign")[1]] == ["E01", "E02"]
+    (where / "records" / "E02.csv").unlink()
+    (where / "records" / "E02.csv").symlink_to(outside)
+    with pytest.raises(UserError, match="nothing outside"):
+        read_within(folder, "campaign")
+    (where / "records" / "E02.csv").unlink()
+    (where / "experiments.csv").write_text(f"id,record\nE01,\nE02,{outside}\n")
+    with pytest.raises(UserError, match="nothing outside"):
+        read_within(folder, "campaign")
 
 
 # What the columns are.

@@ -11,7 +11,7 @@ import pandas as pd
 
 from hsed_jax.app.folder import Folder, checked_name, stem_of
 from hsed_jax.errors import UserError
-from hsed_jax.measurements import numeric_columns
+from hsed_jax.measurements import Campaign, numeric_columns, read_campaign
 from hsed_jax.measurements.tables import read_experiment_table
 
 DROPPED = "dropped"
@@ -84,6 +84,21 @@ def lay_out(folder: Folder, where: Path) -> None:
             raise UserError(f"experiments.csv names the record {places[file.name]!r}, which is outside the campaign")
         place.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(file, place)
+
+
+def read_within(folder: Folder, name: str) -> tuple[Path, Campaign]:
+    """A campaign that lies in the folder, and where.
+
+    Raises:
+        UserError: it is damaged, or one of its records lies outside the folder.
+    """
+    where = folder.inside(name)
+    table = read_experiment_table(folder.inside(where, "experiments.csv"))
+    for row in range(len(table.rows)):
+        folder.inside(where, table.text(row, "record").replace("\\", "/"))
+    for file in (folder.inside(where, "campaign.yaml"), *where.glob("records/*")):
+        folder.inside(file)
+    return where, read_campaign(where)
 
 
 def tables(where: Path) -> dict[str, Columns]:

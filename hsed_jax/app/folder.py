@@ -109,7 +109,7 @@ def checked_name(name: str) -> str:
 
 def stem_of(name: str) -> str:
     """A name for a folder, made of the name of a file."""
-    stem = "".join(c if c.isalnum() or c in "_-" else "_" for c in Path(name).stem).strip("_")
+    stem = "".join(c if c.isalnum() or c in "_-" else "_" for c in Path(name).stem).strip("_-")
     return stem[:60] or "measurements"
 
 

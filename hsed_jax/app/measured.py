@@ -9,7 +9,7 @@ import numpy as np
 import panel as pn
 
 from hsed_jax.app.choices import CHANNELS, KINDS, UNITS, Choice, campaign_of, guess
-from hsed_jax.app.drops import Columns, is_campaign, landed, lay_out, tables, taken_back
+from hsed_jax.app.drops import Columns, is_campaign, landed, lay_out, read_within, tables, taken_back
 from hsed_jax.app.pieces import Loops, attempt, error, html, note, warnings, widget
 from hsed_jax.app.session import Session
 from hsed_jax.errors import UserError
@@ -138,14 +138,10 @@ class Measured:
     async def _open(self, event: Any) -> None:
         if not event.new:
             return
-        found = await attempt(self._messages, self._read, event.new)
+        found = await attempt(self._messages, read_within, self._session.folder, event.new)
         if found is not None:
             self._where, campaign = found
             self._show({}, campaign)
-
-    def _read(self, name: str) -> tuple[Path, Campaign]:
-        path = self._session.folder.inside(name)
-        return path, read_campaign(path)
 
     def _show(self, found: dict[str, Columns], declared: Campaign | None) -> None:
         """Show what has come: a campaign says itself what it is, of tables a first guess is made."""
