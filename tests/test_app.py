@@ -622,7 +622,7 @@ def test_from_a_raw_file_to_a_named_effect(served, opened, tmp_path):
     page.get_by_text("nothing is lost").wait_for()
     page.get_by_role("button", name="Go on where it stopped").click()
     report = page.frame_locator("iframe")
-    report.get_by_text("Missing is stiffness_degradation").wait_for()
+    report.locator("#sentence", has_text="Missing is stiffness_degradation").wait_for()
 
     part(page, "4 Effects")
     page.get_by_text("with stiffness degradation").wait_for()
