@@ -552,6 +552,7 @@ def test_files_are_looked_at_while_choosing_and_tabs_know_nothing_of_each_other(
     drop(page, ("notes.txt", "text/plain", "the words\nof somebody\n"))
     page.get_by_role("alert").get_by_text("notes.txt, row 2").wait_for()
     assert not (root / "notes").exists()
+    page.get_by_text("notes.txt", exact=True).wait_for(state="detached")
 
     drop(page, ("raw.csv", "text/csv", RAW))
     page.get_by_text("The checks of the data found nothing to doubt").wait_for()

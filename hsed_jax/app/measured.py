@@ -31,6 +31,7 @@ class Measured:
     def __init__(self, session: Session):
         self._session = session
         self._where: Path | None = None
+        self._landed: Path | None = None
         self._taken: dict[str, bytes] = {}
         self._tables: dict[str, Columns] = {}
         self._campaign: Campaign | None = None
@@ -95,15 +96,19 @@ class Measured:
         self._form = pn.Column(self._kind, *self._rows.values(), self._turned, self._tests, self._holds_out)
 
     def _clear(self) -> None:
-        self._where, self._taken, self._tables, self._campaign = None, {}, {}, None
-        self._dropper = widget(pn.widgets.FileDropper, multiple=True, sizing_mode="stretch_width", min_height=90)
-        self._dropper.param.watch(self._dropped, "value")
-        self._landing[:] = [self._dropper]
+        self._where, self._landed, self._tables, self._campaign = None, None, {}, None
+        self._fresh_dropper()
         self._existing.options = ["", *self._session.folder.campaigns()]
         self._existing.value = ""
         self._messages.object = ""
         if hasattr(self, "_below"):
             self._below.visible = False
+
+    def _fresh_dropper(self) -> None:
+        self._taken = {}
+        self._dropper = widget(pn.widgets.FileDropper, multiple=True, sizing_mode="stretch_width", min_height=90)
+        self._dropper.param.watch(self._dropped, "value")
+        self._landing[:] = [self._dropper]
 
     async def _dropped(self, _: Any) -> None:
         await asyncio.sleep(_TOGETHER)
@@ -116,12 +121,15 @@ class Measured:
             return
         self._taken |= files
         found = await attempt(self._messages, self._land, files)
-        if found is not None:
+        if found is None:
+            # What is wrong is said; it can be dropped again, or something else.
+            self._fresh_dropper()
+        else:
             self._show(*found)
 
     def _land(self, files: dict[str, bytes]) -> tuple[dict[str, Columns], Campaign | None]:
-        folder, before = self._session.folder, self._where
-        where = landed(folder, files, before)
+        folder = self._session.folder
+        where = landed(folder, files, self._landed)
         try:
             if is_campaign(where):
                 lay_out(folder, where)
@@ -132,7 +140,7 @@ class Measured:
             # What cannot be read is no measurement: the next drop begins as if it had not come.
             taken_back(folder, where, files)
             raise
-        self._where = where
+        self._where = self._landed = where
         return found
 
     async def _open(self, event: Any) -> None:
@@ -140,7 +148,9 @@ class Measured:
             return
         found = await attempt(self._messages, read_within, self._session.folder, event.new)
         if found is not None:
-            self._where, campaign = found
+            # What is dropped from now on is other measurements.
+            self._fresh_dropper()
+            self._landed, (self._where, campaign) = None, found
             self._show({}, campaign)
 
     def _show(self, found: dict[str, Columns], declared: Campaign | None) -> None:
