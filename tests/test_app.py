@@ -547,6 +547,8 @@ def part(page, name):
 
 
 def test_files_are_looked_at_while_choosing_and_tabs_know_nothing_of_each_other(server, opened):
+    from playwright.sync_api import expect
+
     root = server.root
     page, other = opened(server), opened(server)
     drop(page, ("notes.txt", "text/plain", "the words\nof somebody\n"))
@@ -559,11 +561,11 @@ def test_files_are_looked_at_while_choosing_and_tabs_know_nothing_of_each_other(
     page.get_by_text("the weight of").wait_for()
     assert (root / "raw" / "dropped" / "raw.csv").read_text() == RAW
     go = page.get_by_role("button", name="Continue with these measurements")
-    assert go.is_enabled()
+    expect(go).to_be_enabled(timeout=60_000)
 
     page.get_by_label("turn the sign of the force").check()
     page.get_by_role("alert").get_by_text("a specimen cannot give energy").wait_for()
-    assert go.is_disabled()
+    expect(go).to_be_disabled(timeout=60_000)
     page.get_by_label("turn the sign of the force").uncheck()
     page.get_by_text("nothing to doubt").wait_for()
 
