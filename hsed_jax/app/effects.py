@@ -179,6 +179,9 @@ class Effects:
             return
         new = folder.name(folder.fresh("runs", f"{folder.inside(run).name}-with-{added[0]}"))
         options = ["steps=[calibrate, compare, improve]", f"improve.add=[{', '.join(added)}]"]
+        if self._explorer is not None and self._explorer.is_measured:
+            # Of the run's own copy: the measurements may have been moved, or chosen anew.
+            options.append("experiments.campaign=campaign")
         await self._fitting.follow(new, ["run", f"{run}/study.yaml", "--output", new, *options])
 
 

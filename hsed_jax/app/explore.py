@@ -181,6 +181,11 @@ class Explorer:
         """What elongation and force are."""
         return self._campaign.pair
 
+    @property
+    def is_measured(self) -> bool:
+        """Whether the run is of a campaign of measurements."""
+        return self._study.experiments.campaign is not None
+
     def unit(self, channel: str):
         """The declared unit of a channel."""
         return self._campaign.unit(channel)
