@@ -11,6 +11,7 @@ from shlex import quote
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from hsed_jax.app import command as app
 from hsed_jax.errors import UserError
 from hsed_jax.interruptions import Interrupted, answer, ended_in_time
 from hsed_jax.plain import shown
@@ -100,6 +101,7 @@ def command_line() -> argparse.ArgumentParser:
     effects.add_argument("--study", metavar="STUDY.yaml", help="with the effects of this study's own")
     effects.add_argument("--trust", action="store_true", help="execute the Python files that the study names")
     effects.set_defaults(command=_effects)
+    app.add_command(commands)
     return parser
 
 

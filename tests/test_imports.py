@@ -29,6 +29,7 @@ LEVELS = (
     ("runs",),
     ("plot",),
     ("sweeps",),
+    ("app",),
     ("run", "__main__"),
 )
 LEVEL = {room: level for level, rooms in enumerate(LEVELS) for room in rooms}

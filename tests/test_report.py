@@ -557,3 +557,31 @@ def test_the_page_of_two_runs_draws_its_charts(opened, page_file, tmp_path):
     assert heard == []
     assert page.locator("#chart-errors svg .mark-rect path").count() >= 10
     assert page.locator("#chart-parameters svg.marks").count() == 1
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (None, "the noise that the campaign declares, inferred where it declares none."),
+        ({"inflate": True}, "inferred where it declares none; what the model leaves beyond it counts as error, too."),
+        ({"relative": 0.05, "correlated": False}, "error: 5 % of what was measured."),
+        ({"force": {"unknown": True}, "inflate": True}, "error: force inferred; what the model leaves"),
+    ],
+)
+def test_an_error_is_told_as_it_is_written(error, said):
+    from hsed_jax.reporting.asked import asked
+
+    study = {
+        "model": {"spring": "elastic", "parameters": {"k": 1.0e6}, "effects": {}},
+        "experiments": {"campaign": "measured"},
+        "observe": "histories",
+        "error": error,
+        "steps": ["calibrate"],
+    }
+    component = Record(np.arange(81), record(0).channels)
+    declared = {"elongation": Channel("elongation", "m"), "force": Channel("force", "N")}
+    sentences = asked(
+        study,
+        Campaign("measured", "displacement", channels=declared, experiments=(Experiment("E01", record=component),)),
+    )
+    assert said in " ".join(sentences)

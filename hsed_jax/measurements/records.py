@@ -2,6 +2,9 @@
 
 import re
 from collections.abc import Callable, Iterable
+from contextlib import suppress
+from functools import partial
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -65,6 +68,47 @@ def read_columns(path: Path, wanted: Iterable[str], optional: Iterable[str] = ()
     if 0 in lengths.values():
         raise UserError(f"{path}: the columns are empty; a record has at least one sample")
     return columns
+
+
+def numeric_columns(path: Path) -> dict[str, np.ndarray]:
+    """Read every column of a record file that could be a channel: for somebody who is yet to choose.
+
+    Args:
+        path: The file; its ending tells the format.  Columns of a matrix have the names that `read_columns` takes.
+
+    Returns:
+        Columns of numbers by name, in the file's units and order, each (n,), n being the length that most of them have.
+
+    Raises:
+        UserError: The file is unreadable, or has no column of numbers; the message says what is wrong with the first one.
+    """
+    ending = path.suffix.lower().lstrip(".")
+    read: Callable = partial(read_columns, path)
+    if ending in TEXT:
+        table = read_record_table(path, ())
+        names, read = [name for name in table.columns if name], table.numbers
+    elif ending == "parquet":
+        names = list(_parquet(path))
+    elif ending == "mat" and not _is_hdf5(path):
+        names = list(_matlab(path))
+    elif ending in ("mat", *HDF5):
+        names = list(_hdf5(path, []))
+    else:
+        raise UserError(f"{path}: records ending in {path.suffix!r} cannot be read; allowed: .{', .'.join(FORMATS)}")
+    columns, faults = {}, []
+    for name in names:
+        try:
+            columns |= read([name])
+        except UserError as error:
+            faults.append(error)
+            with suppress(UserError):
+                for number in count(1):
+                    columns |= read([f"{name}(:,{number})"])
+    if not columns:
+        raise faults[0] if faults else UserError(f"{path}: there is no column of numbers")
+    lengths = [len(values) for values in columns.values()]
+    usual = max(lengths, key=lengths.count)
+    return {name: values for name, values in columns.items() if len(values) == usual}
 
 
 def read_motion(path: Path) -> dict[str, np.ndarray]:

@@ -122,14 +122,17 @@ def _observed(study: Mapping[str, Any], campaign: Campaign) -> str:
     what = "the time histories"
     if study["observe"] == "quantities":
         what = _listed([*map(campaign.pair.called, study["quantities"])])
-    error = study.get("error")
-    if error is None:
+    entry = study.get("error") or {}
+    # Besides what the error is, an entry may say how it is taken.
+    error = {name: value for name, value in entry.items() if name not in ("correlated", "inflate")}
+    if not error:
         said = "the noise that the campaign declares, inferred where it declares none"
     elif set(error) & {"relative", "absolute", "unknown"}:
         said = _error(error)
     else:
         said = ", ".join(f"{name} {_error(entry)}" for name, entry in error.items())
-    return f"Observed: {what}; error: {said}."
+    beyond = "; what the model leaves beyond it counts as error, too" if entry.get("inflate") else ""
+    return f"Observed: {what}; error: {said}{beyond}."
 
 
 def _error(entry: Mapping[str, Any]) -> str:

@@ -1,0 +1,1 @@
+"""The local page for engineers who do not type: `hsed app`."""

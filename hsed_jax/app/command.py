@@ -1,0 +1,37 @@
+"""The command `hsed app`.  Parsing and telling only."""
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from hsed_jax.errors import UserError
+
+
+def add_command(commands: Any) -> None:
+    """Add the command to the sub-commands of `hsed`."""
+    text = "a local page in the browser: drop a file, choose units, fit, read, play with effects"
+    app = commands.add_parser("app", help=text, description=text[0].upper() + text[1:] + ".")
+    app.add_argument(
+        "folder",
+        nargs="?",
+        default=".",
+        metavar="FOLDER",
+        help="all that it reads and writes is in here (default: this one)",
+    )
+    app.add_argument("--port", type=int, default=0, metavar="N", help="where it listens (default: any free port)")
+    app.add_argument("--no-browser", action="store_true", help="print the address, open nothing")
+    app.set_defaults(command=_app)
+
+
+def _app(options: Any) -> int:
+    if missing := [name for name in ("panel", "openpyxl") if find_spec(name) is None]:
+        raise UserError(
+            f"hsed app needs {' and '.join(missing)}, which came with no other part of hsed_jax; "
+            "install it with: pip install 'hsed_jax[app]'"
+        )
+    from hsed_jax.app.server import serve
+
+    stopped = serve(Path(options.folder), options.port, not options.no_browser)
+    if stopped:
+        print(f"stopped what was running ({stopped}); nothing is lost: open the page again to go on")
+    return 0

@@ -1,0 +1,256 @@
+"""The first part of the page: what was measured, its columns, units and kind, with the loops in view."""
+
+import asyncio
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import panel as pn
+
+from hsed_jax.app.choices import CHANNELS, KINDS, UNITS, Choice, campaign_of, guess
+from hsed_jax.app.drops import Columns, is_campaign, landed, lay_out, read_within, tables, taken_back
+from hsed_jax.app.pieces import Loops, attempt, error, html, note, warnings, widget
+from hsed_jax.app.session import Session
+from hsed_jax.errors import UserError
+from hsed_jax.measurements import Campaign, check_campaign, overview, read_campaign, write_campaign
+from hsed_jax.physics.pairs import ELONGATION_AND_FORCE
+from hsed_jax.reporting.style import readable
+
+GRAVITY = 9.80665
+"""[m/s²]"""
+# Files that are dropped together come one after the other.
+_TOGETHER = 0.6
+_NONE = "(none)"
+_TITLES = {"time": "time", "ground_acceleration": "ground acceleration", "elongation": "elongation", "force": "force"}
+
+
+class Measured:
+    """Drop or choose measurements, say what the columns are, and go on."""
+
+    def __init__(self, session: Session):
+        self._session = session
+        self._where: Path | None = None
+        self._landed: Path | None = None
+        self._taken: dict[str, bytes] = {}
+        self._tables: dict[str, Columns] = {}
+        self._campaign: Campaign | None = None
+        self._is_declared = False
+        self._is_filling = False
+        self._messages, self._facts, self._loops = html(), html(), Loops(has_model=False)
+        self._landing = pn.Column(sizing_mode="stretch_width")
+        self._existing = widget(pn.widgets.Select, name="or measurements in this folder", width=420)
+        self._existing.param.watch(self._open, "value")
+        self._fill_choices()
+        self._go = widget(
+            pn.widgets.Button, name="Continue with these measurements", button_type="primary", disabled=True
+        )
+        self._go.on_click(self._write)
+        over = widget(pn.widgets.Button, name="Start over")
+        over.on_click(lambda _: self._clear())
+        self._clear()
+        self._below = pn.Column(
+            pn.Row(pn.Column(self._form, width=430), pn.Column(self._loops.pane, sizing_mode="stretch_width")),
+            self._facts,
+            self._go,
+            sizing_mode="stretch_width",
+            visible=False,
+        )
+        intro = "<h2>What was measured?</h2>" + note(
+            "Drop a file with a column of elongations and one of forces (text, .xlsx, .mat, .h5, .parquet), several such files "
+            "of one specimen, or the files of a campaign folder. They are copied into this folder; nothing leaves this computer."
+        )
+        self.view = pn.Column(
+            html(intro),
+            self._landing,
+            pn.Row(self._existing, pn.Column(pn.Spacer(height=16), over)),
+            self._messages,
+            self._below,
+            sizing_mode="stretch_width",
+        )
+
+    def _fill_choices(self) -> None:
+        """The widgets that say what the columns are."""
+        self._kind = widget(pn.widgets.Select, name="kind of test", options=KINDS, width=400)
+        self._columns: dict[str, Any] = {}
+        self._units: dict[str, Any] = {}
+        self._rows: dict[str, pn.Row] = {}
+        for channel, title in _TITLES.items():
+            self._columns[channel] = widget(pn.widgets.Select, name=f"column of the {title}", width=250)
+            self._units[channel] = widget(pn.widgets.Select, name="unit", options=UNITS[channel], width=120)
+            self._rows[channel] = pn.Row(self._columns[channel], self._units[channel])
+        self._turned = widget(pn.widgets.CheckBoxGroup, options={"turn the sign of the elongation": "elongation",
+                                                               "turn the sign of the force": "force"})  # fmt: skip
+        self._tests = widget(pn.widgets.MultiChoice, name="keep for testing, never fitted", width=400)
+        self._holds_out = widget(pn.widgets.Checkbox, name="keep the last third of each record for testing")
+        chosen = [
+            self._kind,
+            *self._columns.values(),
+            *self._units.values(),
+            self._turned,
+            self._tests,
+            self._holds_out,
+        ]
+        for one in chosen:
+            one.param.watch(self._chosen, "value")
+        self._form = pn.Column(self._kind, *self._rows.values(), self._turned, self._tests, self._holds_out)
+
+    def _clear(self) -> None:
+        self._where, self._landed, self._tables, self._campaign = None, None, {}, None
+        self._fresh_dropper()
+        self._existing.options = ["", *self._session.folder.campaigns()]
+        self._existing.value = ""
+        self._messages.object = ""
+        if hasattr(self, "_below"):
+            self._below.visible = False
+
+    def _fresh_dropper(self) -> None:
+        self._taken = {}
+        self._dropper = widget(pn.widgets.FileDropper, multiple=True, sizing_mode="stretch_width", min_height=90)
+        self._dropper.param.watch(self._dropped, "value")
+        self._landing[:] = [self._dropper]
+
+    async def _dropped(self, _: Any) -> None:
+        await asyncio.sleep(_TOGETHER)
+        given = {
+            name: content.encode() if isinstance(content, str) else content
+            for name, content in self._dropper.value.items()
+        }
+        files = {name: content for name, content in given.items() if self._taken.get(name) != content}
+        if not files:
+            return
+        self._taken |= files
+        found = await attempt(self._messages, self._land, files)
+        if found is None:
+            # What is wrong is said; it can be dropped again, or something else.
+            self._fresh_dropper()
+        else:
+            self._show(*found)
+
+    def _land(self, files: dict[str, bytes]) -> tuple[dict[str, Columns], Campaign | None]:
+        folder = self._session.folder
+        where = landed(folder, files, self._landed)
+        try:
+            if is_campaign(where):
+                lay_out(folder, where)
+                found = {}, read_campaign(where)
+            else:
+                found = tables(where), None
+        except UserError:
+            # What cannot be read is no measurement: the next drop begins as if it had not come.
+            taken_back(folder, where, files)
+            raise
+        self._where = self._landed = where
+        return found
+
+    async def _open(self, event: Any) -> None:
+        if not event.new:
+            return
+        found = await attempt(self._messages, read_within, self._session.folder, event.new)
+        if found is not None:
+            # What is dropped from now on is other measurements.
+            self._fresh_dropper()
+            self._landed, (self._where, campaign) = None, found
+            self._show({}, campaign)
+
+    def _show(self, found: dict[str, Columns], declared: Campaign | None) -> None:
+        """Show what has come: a campaign says itself what it is, of tables a first guess is made."""
+        self._tables, self._is_declared = found, declared is not None
+        self._below.visible, self._form.visible = True, declared is None
+        if declared is not None:
+            self._look_at(declared)
+            return
+        first = next(iter(found.values()))
+        choice = guess(first)
+        self._is_filling = True
+        for channel, columns in self._columns.items():
+            columns.options = [_NONE, *first]
+            columns.value = choice.columns.get(channel, _NONE)
+            self._units[channel].value = choice.units[channel]
+        self._kind.value = choice.protocol
+        self._turned.value, self._tests.options, self._tests.value = [], list(found), []
+        self._tests.visible = len(found) > 1
+        self._is_filling = False
+        self._chosen()
+
+    def _chosen(self, *_: Any) -> None:
+        if self._is_filling or not self._tables:
+            return
+        wanted = CHANNELS[self._kind.value]
+        for channel, row in self._rows.items():
+            row.visible = channel in wanted
+        columns = {c: self._columns[c].value for c in wanted if self._columns[c].value != _NONE}
+        choice = Choice(
+            self._kind.value,
+            columns,
+            {channel: unit.value for channel, unit in self._units.items()},
+            frozenset(self._turned.value),
+            frozenset(self._tests.value),
+            self._holds_out.value,
+        )
+        assert self._where is not None
+        try:
+            self._look_at(campaign_of(self._where.name, self._tables, choice))
+        except UserError as mistake:
+            self._campaign, self._go.disabled = None, True
+            self._loops.pane.visible = False
+            self._facts.object = error(str(mistake))
+
+    def _look_at(self, campaign: Campaign) -> None:
+        """Draw the loops and say what is doubtful, with the checks of every command."""
+        pair = campaign.pair
+        shown = [
+            (
+                campaign.unit("elongation").from_si(e.record["elongation"]),
+                campaign.unit("force").from_si(e.record["force"]),
+            )
+            for e in campaign.completed
+            if e.record is not None and {"elongation", "force"} <= e.record.channels.keys()
+        ]
+        if shown:
+            x, y = campaign.unit("elongation").text, campaign.unit("force").text
+            self._loops.measured(shown, f"{pair.elongation} [{x}]", f"{pair.force} [{y}]")
+        self._loops.pane.visible = bool(shown)
+        findings = check_campaign(campaign)
+        faults = [str(finding) for finding in findings if finding.level == "error"]
+        # One doubt stops every command, too.
+        stops = faults + [str(finding) for finding in findings if finding.kind == "sign"]
+        doubts = warnings(str(finding) for finding in findings if str(finding) not in stops)
+        hint = "" if self._is_declared else " Turn a sign, or choose another column, on the left."
+        wrong = "".join(error(line + hint * (line not in faults)) for line in stops)
+        fine = "" if findings else '<p class="good">The checks of the data found nothing to doubt.</p>'
+        numbers = replace(overview(campaign), sentence=_sentence(campaign)).html()
+        self._facts.object = f"{wrong}{doubts}{fine}{numbers}"
+        self._campaign, self._go.disabled = campaign, bool(stops)
+
+    async def _write(self, _: Any) -> None:
+        campaign, where = self._campaign, self._where
+        if campaign is None or where is None:
+            return
+        self._go.loading = True
+        if not self._is_declared:
+            await attempt(self._messages, write_campaign, campaign, where)
+        self._go.loading = False
+        if not self._messages.object:
+            self._session.campaign = ""
+            self._session.param.update(campaign=self._session.folder.name(where), shown=1)
+
+
+def _sentence(campaign: Campaign) -> str:
+    count = len(campaign.completed)
+    kind = next(words for words, protocol in KINDS.items() if protocol == campaign.protocol)
+    held = f", {len(campaign.test)} of them kept for testing" if len(campaign.test) else ""
+    what = f"{campaign.pair.elongation} and {campaign.pair.force}"
+    said = f"{count} {'record' if count == 1 else 'records'} of {what}, {kind}{held}"
+    forces = [
+        np.abs(e.record["force"]).max()
+        for e in campaign.completed
+        if e.record is not None and "force" in e.record.channels
+    ]
+    if campaign.pair is ELONGATION_AND_FORCE and forces:
+        # Who holds kN for N sees it sooner as a weight.
+        divisor, unit = readable("N", np.asarray(max(forces)))
+        mass = max(forces) / GRAVITY
+        weight = f"{mass / 1000:.3g} t" if mass >= 1000 else f"{mass:.3g} kg"
+        said += f"; the largest force is {max(forces) / divisor:.3g} {unit}, the weight of {weight}"
+    return f"{said}:"

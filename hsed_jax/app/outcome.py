@@ -1,0 +1,68 @@
+"""What a run leaves: its report, and the files that can be taken away."""
+
+from html import escape
+from typing import Any
+from urllib.parse import quote
+
+from hsed_jax.app.folder import OFFERED
+from hsed_jax.app.pieces import html, note
+from hsed_jax.app.session import Session
+
+_WHAT = {
+    "report.html": "the report, one page that needs nothing else",
+    "study.yaml": "the study as it was run, every default written out",
+    "improved.yaml": "the improved model: the study with the missing effects in it, ready to run",
+    "summary.json": "numbers of the run, for programs",
+    "results.nc": "draws and predictions (NetCDF)",
+    "learned_effect.py": "the effect that was learned, as Python code",
+}
+
+
+def address(run: str, name: str) -> str:
+    """Where the page, which ends in a slash, finds a file of a run."""
+    return f"files/{quote(run)}/{name}"
+
+
+class Report:
+    """The page that `hsed report` writes."""
+
+    def __init__(self, session: Session):
+        self._session = session
+        self.view = html(note("There is no run yet."))
+        session.param.watch(self._show, ["run", "ended"])
+
+    def _show(self, *_: Any) -> None:
+        run = self._session.run
+        if not run:
+            self.view.object = note("There is no run yet.")
+        elif (self._session.folder.inside(run) / "report.html").is_file():
+            # What has changed has another address, so that a page that is kept is not shown for it.
+            where = f"{address(run, 'report.html')}?{self._session.ended}"
+            about = f'title="report of {escape(run)}" sandbox="allow-scripts allow-downloads"'
+            self.view.object = f'<iframe {about} src="{where}"></iframe>'
+        else:
+            self.view.object = note("The run has no report yet; it is written at its end.")
+
+
+class Download:
+    """Files of a run to keep."""
+
+    def __init__(self, session: Session):
+        self._session = session
+        self.view = html(note("There is no run yet."))
+        session.param.watch(self._show, ["run", "ended"])
+
+    def _show(self, *_: Any) -> None:
+        run = self._session.run
+        if not run:
+            self.view.object = note("There is no run yet.")
+            return
+        folder = self._session.folder.inside(run)
+        rows = [
+            f'<tr><td><a href="{address(run, name)}?download" download="{escape(folder.name)}-{name}">{name}</a></td>'
+            f"<td>{_WHAT[name]}</td></tr>"
+            for name in OFFERED
+            if (folder / name).is_file()
+        ]
+        where = note(f"They lie in {folder}, too, beside the figures and the journal.")
+        self.view.object = f"<h2>Files of this run</h2><table>{''.join(rows)}</table>{where}"
