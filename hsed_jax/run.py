@@ -98,7 +98,9 @@ def command_line() -> argparse.ArgumentParser:
     export = commands.add_parser("export", help=text, description=text.capitalize() + ".")
     export.add_argument("run", metavar="RUN", help="run folder; of one that was improved the improved model is taken")
     export.add_argument("--opensees", action="store_true", help="specimen.py and specimen.tcl: the law at its MAP")
-    export.add_argument("--table", action="store_true", help="parameters.md and parameters.tex: means, 90 %% intervals, priors")
+    export.add_argument(
+        "--table", action="store_true", help="parameters.md and parameters.tex: means, 90 %% intervals, priors"
+    )
     export.add_argument("--before", action="store_true", help="the model as it was before its improvement")
     export.add_argument("--out", metavar="DIR", help="where to (default: RUN/export)")
     export.set_defaults(command=_export)

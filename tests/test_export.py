@@ -91,7 +91,11 @@ def motion():
     """Elongation, rate and time of cycles that grow to the reach."""
     time = np.linspace(0, 6.0, STEPS + 1)
     growth, omega = REACH * time / 6.0, 2 * np.pi
-    return time, growth * np.sin(omega * time), REACH / 6.0 * np.sin(omega * time) + growth * omega * np.cos(omega * time)
+    return (
+        time,
+        growth * np.sin(omega * time),
+        REACH / 6.0 * np.sin(omega * time) + growth * omega * np.cos(omega * time),
+    )
 
 
 def complete(effects):
@@ -191,13 +195,17 @@ json.dump([first, said], sys.stdout)
 """
 
 
-@pytest.mark.parametrize("case", ["stiffness_degradation", "pinching, sharp", "hardening, power", "a series beside others"])
+@pytest.mark.parametrize(
+    "case", ["stiffness_degradation", "pinching, sharp", "hardening, power", "a series beside others"]
+)
 def test_tcl_and_python_give_the_same_loop(case, tmp_path):
     pytest.importorskip("openseespy", reason="the optional extra `opensees` is not installed")
     pytest.importorskip("tkinter", reason="this Python has no Tcl")
     for name, script in (("a.py", python_script), ("a.tcl", tcl_script)):
         (tmp_path / name).write_text(script("A title.", ["A note."], commands_of(case), REACH))
-    done = subprocess.run([interpreter(), "-c", BOTH, str(tmp_path / "a.py"), str(tmp_path / "a.tcl")], capture_output=True, text=True)
+    done = subprocess.run(
+        [interpreter(), "-c", BOTH, str(tmp_path / "a.py"), str(tmp_path / "a.tcl")], capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
     python, tcl = map(np.array, json.loads(done.stdout))
     assert python.shape == tcl.shape == (400 * len(peaks(REACH)) + 1, 2)
@@ -248,7 +256,7 @@ model:
   own_effects: {own}
 experiments: {{campaign: campaign}}
 observe: histories
-outputs: [force]
+channels: [force]
 steps: [calibrate, compare]
 """
 
@@ -299,7 +307,7 @@ def test_the_improved_law_is_exported_and_before_it_the_one_as_it_was(run_folder
     assert capsys.readouterr().out.count("wrote") == 2
     for name in ("specimen.py", "specimen.tcl"):
         text = (folder / "export" / name).read_text()
-        assert "1900000.0" in text and "Parallel" in text and "-0.04" in text  # the loop goes as far as the test
+        assert "1900000.0" in text and "Parallel" in text and "-0.0399" in text  # the loop goes as far as the test
     assert f"{0.25 * SCALES.force / SCALES.elongation!r}" in (folder / "export" / "specimen.py").read_text()
     assert main(["export", str(folder), "--opensees", "--before", "--out", str(folder / "plain")]) == 0
     text = (folder / "plain" / "specimen.py").read_text()

@@ -72,7 +72,9 @@ class Calibrated:
         values = {name: float(value) for name, value in element.parameters(owners).items()}
         for name, known in parameters_of(element.law).items():
             if name not in values and known.neutral is None:
-                raise UserError(f"{name} varies with a column of experiments.csv (model.levels): there is no one law to export")
+                raise UserError(
+                    f"{name} varies with a column of experiments.csv (model.levels): there is no one law to export"
+                )
         effects, outside = {}, []
         for name, given in owners.items():
             effect = self.built.catalogue.get(name)
@@ -112,7 +114,9 @@ def calibrated(source: "str | Path | Calibration | Improvement", *, before: bool
     improved = not before and "map" in run.summary.get("improvement", {})
     found = run.summary.get("improvement" if improved else "calibration", {})
     if "map" not in found:
-        raise UserError(f"{source}: the run has no calibration; add the step calibrate (steps: [calibrate]) and run it again")
+        raise UserError(
+            f"{source}: the run has no calibration; add the step calibrate (steps: [calibrate]) and run it again"
+        )
     study = load_study(run.folder / ("improved.yaml" if improved else "study.yaml"))
     if study.code:
         raise UserError(

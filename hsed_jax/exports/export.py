@@ -47,7 +47,13 @@ def export(
     if kind not in KINDS:
         raise UserError(f"kind: {kind!r} is none of {', '.join(KINDS)}")
     model = calibrated(source, before=before)
-    folder = Path(output) if output is not None else Path(source) / "export" if isinstance(source, str | Path) else Path("export")
+    folder = (
+        Path(output)
+        if output is not None
+        else Path(source) / "export"
+        if isinstance(source, str | Path)
+        else Path("export")
+    )
     if kind == "opensees":
         files = _scripts(model)
     else:
@@ -69,7 +75,9 @@ def _scripts(model: Calibrated) -> dict[str, str]:
         reach = model.reach()
         commands = material(law, effects, model.scales, reach)
         name = element.name or "specimen"
-        title = f"The calibrated law of {name} of the study {' '.join(model.name.split())}, for OpenSees; in N, m and s."
+        title = (
+            f"The calibrated law of {name} of the study {' '.join(model.name.split())}, for OpenSees; in N, m and s."
+        )
         notes = [f"{law.name} at the maximum of the posterior{', with ' + ', '.join(effects) if effects else ''}."]
         if outside:
             notes.append(f"Not in it, as they are of structure or test rig: {', '.join(outside)}.")

@@ -61,7 +61,9 @@ def latex(table: list[Row]) -> str:
                  f"${_latex_number(row.low, row)}$ to ${_latex_number(row.high, row)}$", _escaped(row.prior) or "--")  # fmt: skip
         body.append(" & ".join(cells))
     middle = "".join(f"{line} \\\\\n" for line in body)
-    return f"\\begin{{tabular}}{{llllll}}\n\\toprule\n{lines[0]} \\\\\n\\midrule\n{middle}\\bottomrule\n\\end{{tabular}}\n"
+    return (
+        f"\\begin{{tabular}}{{llllll}}\n\\toprule\n{lines[0]} \\\\\n\\midrule\n{middle}\\bottomrule\n\\end{{tabular}}\n"
+    )
 
 
 def _number(value: float, row: Row) -> str:
