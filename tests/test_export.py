@@ -2,7 +2,6 @@
 
 import json
 import subprocess
-import sys
 
 import jax
 import jax.numpy as jnp
@@ -204,7 +203,9 @@ def test_tcl_and_python_give_the_same_loop(case, tmp_path):
     for name, script in (("a.py", python_script), ("a.tcl", tcl_script)):
         (tmp_path / name).write_text(script("A title.", ["A note."], commands_of(case), REACH))
     done = subprocess.run(
-        [interpreter(), "-c", BOTH, str(tmp_path / "a.py"), str(tmp_path / "a.tcl")], capture_output=True, text=True
+        [interpreter(), "-c", BOTH, *(str(tmp_path / name) for name in ("a.py", "a.tcl"))],
+        capture_output=True,
+        text=True,
     )
     assert done.returncode == 0, done.stderr
     python, tcl = map(np.array, json.loads(done.stdout))
@@ -225,7 +226,7 @@ def test_tcl_and_python_give_the_same_loop(case, tmp_path):
         ("bilinear", YIELDING, {"isotropic_hardening": ("linear", {"delta": 0.1})}, "isotropic_hardening has no counterpart"),
         ("bouc_wen", BOUC_WEN, {"stiffness_degradation": ("exponential", {"delta": 0.1})},
          r"stiffness_degradation in this form \(growth = 1, where OpenSees has 0\) .* linear, driven by energy"),
-        ("bouc_wen", BOUC_WEN, {"stiffness_degradation": ("linear of path", {"delta": 0.1})}, "stiffness_degradation in this form"),
+        ("bouc_wen", BOUC_WEN, {"stiffness_degradation": ("linear of path", {"delta": 0.1})}, "in this form"),
         ("bouc_wen", BOUC_WEN, {"pinching": ("gaussian", {"zeta": 0.5})}, "pinching in this form"),
         ("bouc_wen", BOUC_WEN, {"pinching": ("foliente", PINCHING), "strength_degradation": ("linear", {"delta": 0.1})},
          "pinching with strength_degradation"),

@@ -9,8 +9,8 @@ import numpy as np
 
 from hsed_jax.analysis.calibration import Calibration
 from hsed_jax.analysis.remedy import Improvement
-from hsed_jax.config.load import load_study
 from hsed_jax.config.functions import FunctionEntry
+from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign

@@ -73,8 +73,8 @@ def material(
     if counting and (beside or in_series):
         other = next(n for n, e in acting.items() if e.name in (*_BESIDE, "support_flexibility"))
         raise UserError(
-            f"{counting[0]} with {other}: OpenSees' material counts the energy of its own force, ours that of the whole specimen; "
-            f"calibrate with one of them alone, and export that run"
+            f"{counting[0]} with {other}: OpenSees' material counts the energy of its own force, ours that of the "
+            "whole specimen; calibrate with one of them alone, and export that run"
         )
     return _assembled(element, in_series, beside)
 
@@ -128,8 +128,8 @@ def _bouc_wen(law: Any, effects: Mapping[str, tuple[str, Any]], scales: Scales, 
         _require(name, p, widening=1, flatness=1, of_elongation=0, driver_1=0)
         if degrading:
             raise UserError(
-                f"{name} with {degrading[0][0]}: OpenSees' BWBN, which pinches, does not degrade; calibrate with one of them alone, "
-                "and export that run"
+                f"{name} with {degrading[0][0]}: OpenSees' BWBN, which pinches, does not degrade; calibrate with one of them "
+                "alone, and export that run"
             )
         if law.beta + law.gamma <= 0 or (gamma, n) != (law.gamma, law.n):
             raise _refused(name, p, "of a law without strength, or with loop_shape or yield_sharpness, ")
