@@ -238,7 +238,7 @@ def _acts(effect: AbstractSpringEffect) -> bool:
     return getattr(effect, next(iter(parameters_of(effect)))) != 0
 
 
-def _require(name: str, effect: AbstractSpringEffect, **values: float | None) -> None:
+def _require(name: str, effect: AbstractSpringEffect, **values: float) -> None:
     """Refuse an effect in a form whose parameters are not these."""
     for key, value in values.items():
         found = getattr(effect, key, value)
