@@ -20,7 +20,7 @@ if not lessons.is_symlink() and (HERE.parent / "notebooks").is_dir():
 
 project = "hsed_jax"
 release = version = version_of("hsed_jax")
-author = "the authors of hsed_jax"
+author = "hsed_jax developers"
 language = "en"
 
 extensions = [
@@ -33,7 +33,7 @@ extensions = [
     "commands",
 ]
 # Python files are pages among the lessons alone, which begin with a number; what a lesson writes beside them is none.
-exclude_patterns = ["*.py", "lessons/[!0-9]*", "lessons/*.ipynb"]
+exclude_patterns = ["*.py", "paper", "lessons/[!0-9]*", "lessons/*.ipynb"]
 templates_path = ["_templates"]
 highlight_language = "none"
 

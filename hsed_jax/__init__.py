@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from hsed_jax.config.load import load_study as load_study
     from hsed_jax.config.schema import Study as Study
     from hsed_jax.errors import UserError as UserError
+    from hsed_jax.exports.export import export as export
     from hsed_jax.measurements import Campaign as Campaign
     from hsed_jax.measurements import Experiment as Experiment
     from hsed_jax.measurements import Record as Record
@@ -37,6 +38,7 @@ _HOMES = {
     "config.load": ("load_study",),
     "config.schema": ("Study",),
     "errors": ("UserError",),
+    "exports.export": ("export",),
     "measurements": (
         "Campaign",
         "Experiment",

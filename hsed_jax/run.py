@@ -95,6 +95,16 @@ def command_line() -> argparse.ArgumentParser:
         "--output", metavar="FILE.html", help="where to (default: RUN/report.html; of several runs: runs.html)"
     )
     report.set_defaults(command=_report)
+    text = "write the calibrated law of a run as scripts for OpenSees, or its parameters as a table for a paper"
+    export = commands.add_parser("export", help=text, description=text.capitalize() + ".")
+    export.add_argument("run", metavar="RUN", help="run folder; of one that was improved the improved model is taken")
+    export.add_argument("--opensees", action="store_true", help="specimen.py and specimen.tcl: the law at its MAP")
+    export.add_argument(
+        "--table", action="store_true", help="parameters.md and parameters.tex: means, 90 %% intervals, priors"
+    )
+    export.add_argument("--before", action="store_true", help="the model as it was before its improvement")
+    export.add_argument("--out", metavar="DIR", help="where to (default: RUN/export)")
+    export.set_defaults(command=_export)
     text = "the catalogue of physical effects"
     effects = commands.add_parser("effects", help=text, description=text.capitalize() + ".")
     effects.add_argument("name", nargs="?", metavar="NAME", help="show one effect: equation, parameters, reference")
@@ -319,6 +329,18 @@ def _report(options: Any) -> int:
     output = Path(options.output) if options.output else folders[0] / "report.html" if alone else Path("runs.html")
     write_page(report_page(runs[0]) if alone else comparison_page(runs), output)
     print(f"wrote {output}")
+    return 0
+
+
+def _export(options: Any) -> int:
+    from hsed_jax.exports.export import KINDS, export
+
+    kinds = [kind for kind in KINDS if getattr(options, kind)]
+    if not kinds:
+        raise UserError("say what to export: --opensees, --table or both")
+    for kind in kinds:
+        for path in export(options.run, options.out, kind=kind, before=options.before):
+            print(f"wrote {path}")
     return 0
 
 

@@ -27,6 +27,7 @@ LEVELS = (
     ("study",),
     ("analysis",),
     ("runs",),
+    ("exports",),
     ("plot",),
     ("sweeps",),
     ("app",),

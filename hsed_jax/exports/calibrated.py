@@ -1,0 +1,141 @@
+"""A calibrated model to be exported: of a run folder, of which nothing is executed, or of what `hx.calibrate` returns."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hsed_jax.analysis.calibration import Calibration
+from hsed_jax.analysis.remedy import Improvement
+from hsed_jax.config.functions import FunctionEntry
+from hsed_jax.config.load import load_study
+from hsed_jax.errors import UserError
+from hsed_jax.inference.priors import Prior
+from hsed_jax.measurements import Campaign
+from hsed_jax.physics.effects.base import AbstractSetupEffect, AbstractSpringEffect
+from hsed_jax.physics.elements import Element
+from hsed_jax.physics.laws.base import AbstractSpringLaw
+from hsed_jax.physics.outputs import owner_of
+from hsed_jax.physics.parameters import Parameter, dimensionless, parameters_of
+from hsed_jax.physics.scales import Scales
+from hsed_jax.runs.folder import read_run
+from hsed_jax.study.build import Built
+from hsed_jax.study.specimens import by_owner
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """A calibrated model.
+
+    Attributes:
+        built: the study; of a run nothing of it that simulates is ever built.
+        map: θ_MAP, SI.
+        posterior: `mean`, `q05` and `q95` by name, SI.
+        scales: characteristic values of effects; of a model without effects they do not matter.
+    """
+
+    built: Built
+    map: Mapping[str, float]
+    posterior: Mapping[str, Mapping[str, float]]
+    scales: Scales
+
+    @property
+    def name(self) -> str:
+        """Of the study."""
+        return self.built.study.study
+
+    @property
+    def priors(self) -> dict[str, Prior]:
+        """Of the free parameters."""
+        return self.built.parameters[0]
+
+    def known(self, name: str) -> Parameter | None:
+        """What is known of a parameter of a law or an effect; None of another one."""
+        if name in self.built.naming.of_laws:
+            return self.built.naming.of_laws[name]
+        effect = self.built.catalogue.get(owner_of(name))
+        if effect is None:
+            return None
+        own = name.removeprefix(f"{owner_of(name)}.")
+        every = parameters_of(effect).values()
+        return next((p for p in every if own in (p.name, p.physical.name if p.physical else "")), None)
+
+    def of(self, element: Element) -> tuple[AbstractSpringLaw, dict[str, AbstractSpringEffect], list[str]]:
+        """The law of a specimen at θ_MAP, the effects in it, and the names of effects outside it.
+
+        Raises:
+            UserError: a parameter of the law varies from experiment to experiment.
+        """
+        owners = by_owner({**self.built.parameters[1], **self.map})
+        values = {name: float(value) for name, value in element.parameters(owners).items()}
+        for name, known in parameters_of(element.law).items():
+            if name not in values and known.neutral is None:
+                raise UserError(
+                    f"{name} varies with a column of experiments.csv (model.levels): there is no one law to export"
+                )
+        effects, outside = {}, []
+        for name, given in owners.items():
+            effect = self.built.catalogue.get(name)
+            if effect is None:
+                continue
+            if issubclass(effect, AbstractSetupEffect):
+                outside.append(name)
+            elif issubclass(effect, AbstractSpringEffect) and element.has(owner_of(name)):
+                own: dict[str, Any] = {}
+                for key, value in given.items():
+                    own |= dimensionless(effect, key, float(value), self.scales)
+                effects[name] = effect(**own)
+        return element.law(**values), effects, outside
+
+    def reach(self) -> float:
+        """The largest elongation that was measured [m], or the characteristic one."""
+        measured = [] if self.built.measured is None else _elongations(self.built.measured)
+        return max(measured, default=float(self.scales.elongation))
+
+
+def calibrated(source: "str | Path | Calibration | Improvement", *, before: bool = False) -> Calibrated:
+    """What is to be exported.
+
+    Arguments:
+        source: a run folder, or what `hx.calibrate` or `hx.improve` returns.
+        before: of a run that was improved, or an improvement: the model as it was.
+
+    Raises:
+        UserError: there is no run or no calibration in it, or its model is code of somebody's own.
+    """
+    if isinstance(source, Improvement):
+        source = source.original if before else source.calibration
+    if isinstance(source, Calibration):
+        _require_law(source.built, "the model")
+        return Calibrated(source.built, source.map, source.fit.summary(), source.built.scales)
+    run = read_run(source)
+    improved = not before and "map" in run.summary.get("improvement", {})
+    found = run.summary.get("improvement" if improved else "calibration", {})
+    if "map" not in found:
+        raise UserError(
+            f"{source}: the run has no calibration; add the step calibrate (steps: [calibrate]) and run it again"
+        )
+    study = load_study(run.folder / ("improved.yaml" if improved else "study.yaml"))
+    if study.code:
+        raise UserError(
+            f"{source}: its model is code of its own ({', '.join(study.code)}), which has no counterpart in OpenSees and "
+            "is not executed to be exported; from Python, hx.export(fit) makes the table of a model that you calibrate yourself"
+        )
+    built = Built(study, run.campaign)
+    _require_law(built, str(source))
+    return Calibrated(built, found["map"], found["posterior"], Scales(**run.summary.get("scales", {})))
+
+
+def _require_law(built: Built, where: str) -> None:
+    if isinstance(built.study.model, FunctionEntry):
+        raise UserError(f"{where}: its model is a function or a program, which has no spring law to export")
+
+
+def _elongations(campaign: Campaign) -> list[float]:
+    """The largest elongations of experiments, by their records or quantities [m]."""
+    records = [e.record["elongation"] for e in campaign.experiments if e.record and "elongation" in e.record.channels]
+    found = [float(np.nanmax(np.abs(values))) for values in records]
+    found += [e.quantities["peak_elongation"] for e in campaign.experiments if "peak_elongation" in e.quantities]
+    return [value for value in found if value > 0]

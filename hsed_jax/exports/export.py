@@ -1,0 +1,90 @@
+"""`hx.export` and `hsed export`: files for other programs and for papers."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hsed_jax.drafts import write_whole
+from hsed_jax.errors import UserError
+from hsed_jax.exports.calibrated import Calibrated, calibrated
+from hsed_jax.exports.counterparts import material
+from hsed_jax.exports.scripts import python_script, tcl_script
+from hsed_jax.exports.table import latex, markdown, rows
+
+if TYPE_CHECKING:
+    from hsed_jax.analysis.calibration import Calibration
+    from hsed_jax.analysis.remedy import Improvement
+
+KINDS = ("opensees", "table")
+
+
+def export(
+    source: "str | Path | Calibration | Improvement",
+    output: str | Path | None = None,
+    *,
+    kind: str = "opensees",
+    before: bool = False,
+) -> list[Path]:
+    r"""Write a calibrated law as scripts for OpenSees, or its parameters as a table for a paper.
+
+    The scripts have the law at θ_MAP: the values of one point belong together, while the means of correlated parameters of a law
+    that is not linear in them may fit nothing.  The table has means and 90 % intervals.
+
+    Arguments:
+        source: a run folder, of which the improved model is taken where there is one, or what `hx.calibrate` or `hx.improve`
+            returns.
+        output: folder to write into; by default `export` in the run folder, else in the working directory.
+        kind: `opensees` writes `specimen.py` (OpenSeesPy) and `specimen.tcl` (of several specimens two files each, by their
+            names), `table` writes `parameters.md` and `parameters.tex`.
+        before: the model as it was, in place of the improved one.
+
+    Returns:
+        The files written; elongations in m and forces in N, rotations and moments, strains and stresses likewise in SI.
+
+    Raises:
+        UserError: there is no calibration, the law or an effect has no counterpart in OpenSees, the model is code of somebody's
+            own, or the folder cannot be written to.
+    """
+    if kind not in KINDS:
+        raise UserError(f"kind: {kind!r} is none of {', '.join(KINDS)}")
+    model = calibrated(source, before=before)
+    folder = (
+        Path(output)
+        if output is not None
+        else Path(source) / "export"
+        if isinstance(source, str | Path)
+        else Path("export")
+    )
+    if kind == "opensees":
+        files = _scripts(model)
+    else:
+        table = rows(model)
+        files = {"parameters.md": markdown(table), "parameters.tex": latex(table)}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in files.items():
+            write_whole(folder / name, text)
+    except OSError as error:
+        raise UserError(f"{folder} cannot be written to ({error.strerror}); choose another folder (--out)") from None
+    return [folder / name for name in files]
+
+
+def _scripts(model: Calibrated) -> dict[str, str]:
+    files = {}
+    for element in model.built.elements:
+        law, effects, outside = model.of(element)
+        reach = model.reach()
+        commands = material(law, effects, model.scales, reach)
+        name = element.name or "specimen"
+        title = (
+            f"The calibrated law of {name} of the study {' '.join(model.name.split())}, for OpenSees; in N, m and s."
+        )
+        notes = [f"{law.name} at the maximum of the posterior{', with ' + ', '.join(effects) if effects else ''}."]
+        if outside:
+            notes.append(f"Not in it, as they are of structure or test rig: {', '.join(outside)}.")
+        if any(command.words[0] == "Viscous" for command in commands):
+            notes.append("What depends on the rate (Viscous) acts in a transient analysis; the loop below is static.")
+        if any(command.words[0] == "ElasticMultiLinear" for command in commands):
+            notes.append(f"Curves are tabulated up to {2 * reach:.3g} m.")
+        files[f"{name}.py"] = python_script(title, notes, commands, reach)
+        files[f"{name}.tcl"] = tcl_script(title, notes, commands, reach)
+    return files
