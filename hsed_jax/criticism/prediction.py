@@ -137,7 +137,10 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
     thetas = jnp.concatenate([fit.maximum.theta[None], draws[:: max(1, draws.shape[0] // _DRAWS)][:_DRAWS]])
     measured, used = np.asarray(data.values), np.asarray(data.weights) > 0
     limits = ABSURD * _largest(measured, used, posterior.groups)
-    predicted, ok, sigma, mean, sd, lost = (np.asarray(x) for x in _predicted(posterior, thetas, data, limits))
+    strangers = posterior.population.strangers(data.members, len(thetas))
+    predicted, ok, sigma, mean, sd, lost = (
+        np.asarray(x) for x in _predicted(posterior, thetas, strangers, data, limits)
+    )
     if fit.inflation is not None:
         # What the model leaves widens the band, and is no noise.
         sigma = sigma / fit.inflation[posterior.groups]
@@ -170,10 +173,14 @@ def _named(experiments: tuple[Experiment, ...], which: np.ndarray) -> str:
 
 
 @program
-def _predicted(posterior, thetas, data, limits):
+def _predicted(posterior, thetas, strangers, data, limits):
     """Predictions at the first parameters, whether they converged and their σ; mean and sd over those of the other parameters
     that stay within the limits (J,), and the share (n,) that does not."""
-    predicted, ok = jax.vmap(lambda t: posterior.predict(posterior.of_model(t), data.conditions, data.count))(thetas)
+
+    def at(theta, strangers):
+        return posterior.predict(posterior.by_experiment(theta, data, strangers), data.conditions, data.count)
+
+    predicted, ok = jax.vmap(at)(thetas, strangers)
     at_map = posterior.sigma(thetas[0], predicted[0], ok[0], data)
     sigma = jax.vmap(lambda t, f: posterior.expected_sigma(t, f, data))(thetas[1:], predicted[1:])
     good = (ok[1:] > 0) & jnp.all(jnp.abs(predicted[1:]) <= limits, axis=-1)

@@ -53,18 +53,22 @@ class Fit(Tabular):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters, inferred errors last."""
-        return self.posterior.names
+        """Names of the parameters: of the model, inferred errors, spreads of a population."""
+        return self.posterior.reported
 
     @cached_property
     def map(self) -> dict[str, float]:
         """θ_MAP by name, SI."""
-        return dict(zip(self.names, np.asarray(self.maximum.theta).tolist(), strict=True))
+        return dict(zip(self.names, np.asarray(self.maximum.theta).tolist(), strict=False))
 
     @property
     def warning(self) -> str | None:
         """What is wrong with the draws, or that the posterior has several modes, in one sentence, or None."""
-        found = self.chains.cut_short, self.maximum.warning(self.names), self.convergence.warning(self.names)
+        found = (
+            self.chains.cut_short,
+            self.maximum.warning(self.posterior.names),
+            self.convergence.warning(self.posterior.names),
+        )
         return "; ".join(filter(None, found)) or None
 
     @property
@@ -170,7 +174,7 @@ def fit(
     else:
         watch.report("the most probable parameters")
         posterior, data, maximum = _most_probable(posterior, data, points, errors)
-        watch.keep(name, arrays_of((posterior.declared, data, maximum)))
+        watch.keep(name, arrays_of((posterior.declared, posterior.population, data, maximum)))
     chains = draw(posterior, data, maximum, jnp.asarray(0.8), key, settings, watch, seconds)
     standardised = np.asarray(_standardised(declared, data, maximum.theta))
     chi2, p_value = _left_unexplained(standardised, data, declared, _judged(standardised, data, declared, errors))
@@ -183,11 +187,13 @@ def fit(
 
 def _read_back(posterior: Posterior, data: Data, kept: Sequence[np.ndarray]) -> tuple[Posterior, Data, Maximum]:
     """What `_most_probable` found, from the arrays that were kept of it."""
-    split = 1 + len(arrays_of(data))
+    before = 1 + len(arrays_of(posterior.population))
+    split = before + len(arrays_of(data))
     each = len(Maximum._fields) - 1
     best, *others = (Maximum._make([*map(jnp.asarray, kept[i : i + each]), ()]) for i in range(split, len(kept), each))
     posterior = posterior.inflated(kept[0] / np.asarray(posterior.declared))
-    return posterior, tree_like(data, kept[1:split]), best._replace(others=tuple(others))
+    posterior = eqx.tree_at(lambda p: p.population, posterior, tree_like(posterior.population, kept[1:before]))
+    return posterior, tree_like(data, kept[before:split]), best._replace(others=tuple(others))
 
 
 def _most_probable(
@@ -195,17 +201,19 @@ def _most_probable(
 ) -> tuple[Posterior, Data, Maximum]:
     """The MAP, with what the samples are worth and the errors that it was found with."""
     maximum = maximise(posterior, data, points)
-    declared = posterior
+    declared, is_centred = posterior, False
     for _ in range(_ROUNDS):
         standardised = np.asarray(_standardised(declared, data, maximum.theta))
         judged = _judged(standardised, data, declared, errors)
         inflated = declared.inflated(_left(standardised, data, declared, errors))
         weights = jnp.asarray((np.asarray(data.weights) > 0) * judged.worth[posterior.groups])
         found, before = (weights, judged.memory, inflated.declared), (data.weights, data.memory, posterior.declared)
-        if all(np.allclose(old, new, rtol=_SETTLED) for old, new in zip(before, found, strict=True)):
+        is_settled = all(np.allclose(old, new, rtol=_SETTLED) for old, new in zip(before, found, strict=True))
+        data = data._replace(weights=weights, memory=jnp.asarray(judged.memory)) if not is_settled else data
+        if is_settled and (is_centred or not posterior.population.levels):
             break
-        posterior, data = inflated, data._replace(weights=weights, memory=jnp.asarray(judged.memory))
-        maximum = maximise(posterior, data, points.at[0].set(maximum.u))
+        posterior, is_centred = (posterior if is_settled else inflated).centred(maximum.theta, data), True
+        maximum = maximise(posterior, data, points.at[0].set(posterior.unconstrain(maximum.theta)))
     return posterior, data, maximum
 
 
@@ -238,14 +246,13 @@ def _left_unexplained(
     if not used.any():
         return None, None
     noises = {g: noise for g, noise in enumerate(judged.noises) if posterior.is_declared[g]}
-    parameters = len(posterior.model_names)
-    p_value = size_p_value(standardised, used, judged.memory, noises, posterior.groups, parameters)
+    p_value = size_p_value(standardised, used, judged.memory, noises, posterior.groups, posterior.fitted)
     return float(np.mean(standardised[used] ** 2)), p_value
 
 
 def summarise(names: tuple[str, ...], chains: Chains, judged: Convergence) -> dict[str, dict[str, float]]:
     """Mean, sd, quantiles and diagnostics of each parameter's draws."""
-    draws = np.asarray(chains.theta).reshape(-1, len(names))
+    draws = np.asarray(chains.theta)[..., : len(names)].reshape(-1, len(names))
     q05, q95 = np.quantile(draws, [0.05, 0.95], axis=0)
     return {
         name: {

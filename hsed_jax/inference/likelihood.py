@@ -69,6 +69,7 @@ class Data(NamedTuple):
         gaps: time since the sample before of the same history [s], infinite where there is none, shape (n, J).
         memory: ρ, correlation of the noise with that of the sample before, shape (n, J).
         count: how many experiments there are; rows beyond are padding.
+        members: of each experiment its member of every level of a population, shape (n, L).
     """
 
     conditions: PyTree
@@ -77,6 +78,7 @@ class Data(NamedTuple):
     gaps: Float[Array, "n J"]
     memory: Float[Array, "n J"]
     count: Int[Array, ""]
+    members: Int[Array, "n L"]
 
 
 def data_of(conditions: PyTree, measured: np.ndarray, used: np.ndarray, gaps: np.ndarray, count: int) -> Data:
@@ -98,6 +100,7 @@ def data_of(conditions: PyTree, measured: np.ndarray, used: np.ndarray, gaps: np
         jnp.asarray(np.where(used & before, gaps, np.inf)),
         jnp.zeros(measured.shape),
         jnp.asarray(count),
+        jnp.zeros((len(measured), 0), int),
     )
 
 

@@ -40,7 +40,8 @@ class Maximum(NamedTuple):
     """The best of several starts: a mode of the posterior, and the others.
 
     Attributes:
-        u, theta: unconstrained and physical (SI) coordinates of the MAP (Eq. 6), shape (p,).
+        u, theta: unconstrained and physical (SI) coordinates of the MAP (Eq. 6), shape (p,).  Of a population they are those of
+            `start`: the joint density of spreads and offsets has its mode at spreads that no measurement supports.
         log_posterior: log π(θ)L(θ) there.
         covariance: Gauss–Newton covariance of θ there, prior included, shape (p, p).
         log_evidence: log Z by Laplace's method (Tierney & Kadane 1986), of this mode alone.
@@ -124,12 +125,14 @@ def _dips(posterior: Posterior, data: Data, one: Maximum, other: Maximum) -> boo
 
 def _mode(posterior: Posterior, data: Data, start: Float[Array, " p"]) -> Maximum:
     u, converged = _off_the_bounds(posterior, data, *_descend(posterior, data, start))
+    center, log_density, whitening = _sampling_frame(posterior, data, u)
+    if posterior.population.levels:
+        u = center
     theta, to_theta = _physical(posterior, u)
     found = _expand(posterior, data, u)
     covariance = to_theta @ np.linalg.inv(found.curvature) @ np.asarray(to_theta).T
-    start, log_density, whitening = _sampling_frame(posterior, data, u)
     log_evidence = log_density + 0.5 * u.size * LOG_2PI + jnp.linalg.slogdet(whitening)[1]
-    return Maximum(u, theta, found.log_posterior, covariance, log_evidence, start, whitening, converged)
+    return Maximum(u, theta, found.log_posterior, covariance, log_evidence, center, whitening, converged)
 
 
 def _off_the_bounds(
