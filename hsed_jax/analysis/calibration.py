@@ -140,7 +140,7 @@ def compare(calibration: Calibration, campaign: Campaign | None = None) -> Compa
     if campaign is not calibration.campaign:
         calibration = replace(calibration, campaign=campaign)
     declared = calibration.fit.posterior.is_declared
-    parameters = len(calibration.fit.posterior.model_names)
+    parameters = calibration.fit.posterior.fitted
     notes = [*calibration.fit.correlation_notes(), *thinning_notes(calibration.built, campaign)]
     if calibration.built.component_test and calibration.built.grid is not None and not campaign.has_time:
         notes.append(

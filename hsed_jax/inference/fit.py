@@ -3,8 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
@@ -113,6 +115,32 @@ class Fit(Tabular):
         """Mean, sd, 5 % and 95 % quantile, bulk ESS and R-hat of each parameter, SI."""
         return summarise(self.names, self.chains, self.convergence)
 
+    @cached_property
+    def of_members(self) -> tuple[Float[np.ndarray, "chains draws M q"], ...]:
+        """Draws of the model's parameters of each member, SI, an array a level."""
+        if not self.posterior.population.levels:
+            return ()
+        members = np.asarray(self.data.members)[: int(self.data.count)]
+        found = _of_members(self.posterior, self.chains.theta, tuple(map(tuple, members.tolist())))
+        return tuple(np.asarray(one) for one in found)
+
+    def levels(self) -> dict[str, dict[str, Any]]:
+        """What varies: by level and parameter its `mean` (the centre of the population), its `spread`, and `of` each member its
+        own value, as `summary` has them; SI, and the spread of a positive parameter that of its logarithm."""
+        known, found = self.summary(), {}
+        for level, draws in zip(self.posterior.population.levels, self.of_members, strict=True):
+            found[level.name] = {}
+            for varying in level.varying:
+                own = [_statistics(draws[..., m, varying.column].ravel()) for m in range(len(level.members))]
+                spread = known[f"{level.name}.{varying.name}.spread"]
+                about = {
+                    "mean": known[varying.name],
+                    "spread": spread,
+                    "of": dict(zip(level.members, own, strict=True)),
+                }
+                found[level.name][varying.name] = about
+        return found
+
     def _table(self) -> Table:
         rows = [
             (
@@ -129,6 +157,11 @@ class Fit(Tabular):
             "laplace": "draws of the Gaussian around the MAP, not of the posterior",
         }[self.chains.sampler]
         state = f"warning: {self.warning}" if self.warning else found
+        for level, parameters in self.levels().items():
+            for name, about in parameters.items():
+                for member, v in about["of"].items():
+                    numbers = (cell(v[key], ".4g") for key in ("mean", "sd", "q05", "q95"))
+                    rows.append((f"{name} of {level} {member}", "", *numbers, "", ""))
         notes = [] if self.doubt is None else [self.doubt]
         heads = ("parameter", "MAP", "mean", "sd", "5 %", "95 %", "ESS", "R-hat")
         return Table(f"calibrated on {int(self.data.count)} experiments; {state}", heads, rows, notes)
@@ -253,15 +286,24 @@ def _left_unexplained(
 def summarise(names: tuple[str, ...], chains: Chains, judged: Convergence) -> dict[str, dict[str, float]]:
     """Mean, sd, quantiles and diagnostics of each parameter's draws."""
     draws = np.asarray(chains.theta)[..., : len(names)].reshape(-1, len(names))
-    q05, q95 = np.quantile(draws, [0.05, 0.95], axis=0)
     return {
         name: {
-            "mean": float(draws[:, i].mean()),
-            "sd": float(draws[:, i].std(ddof=1)),
-            "q05": float(q05[i]),
-            "q95": float(q95[i]),
+            **_statistics(draws[:, i]),
             "ess_bulk": float(judged.ess_bulk[i]),
             "rhat": float(judged.rhat[i]),
         }
         for i, name in enumerate(names)
     }
+
+
+def _statistics(draws: Float[np.ndarray, " S"]) -> dict[str, float]:
+    q05, q95 = np.quantile(draws, [0.05, 0.95])
+    return {"mean": float(draws.mean()), "sd": float(draws.std(ddof=1)), "q05": float(q05), "q95": float(q95)}
+
+
+@program
+def _of_members(posterior: Posterior, theta: Array, members: tuple[tuple[int, ...], ...]) -> tuple[Array, ...]:
+    def one(theta):
+        return posterior.population.of_members(theta, posterior.of_model(theta), np.asarray(members, dtype=int))
+
+    return jax.vmap(jax.vmap(one))(theta)

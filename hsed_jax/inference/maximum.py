@@ -25,6 +25,8 @@ _MOST_STEPS = 60
 # Newton's method towards the mode of the density in u ends where it expects to gain less than this many nats.
 _LEAST_GAIN = 1e-4
 _MOST_NEWTON_STEPS, _MOST_HALVINGS = 20, 6
+# No coordinate, of order one, goes further at once.
+_LONGEST = 8.0
 # What ended at a bound starts again at this share of the way to it, at most so often.
 _RETURN, _MOST_RETURNS = 0.5, 3
 # An end of the race this many standard deviations from the mode should be half the square of it lower [nats]; one that is higher
@@ -125,6 +127,8 @@ def _dips(posterior: Posterior, data: Data, one: Maximum, other: Maximum) -> boo
 
 def _mode(posterior: Posterior, data: Data, start: Float[Array, " p"]) -> Maximum:
     u, converged = _off_the_bounds(posterior, data, *_descend(posterior, data, start))
+    if posterior.population.levels:
+        u = _settled(posterior, u)
     center, log_density, whitening = _sampling_frame(posterior, data, u)
     if posterior.population.levels:
         u = center
@@ -175,6 +179,11 @@ def _expand(posterior: Posterior, data: Data, u: Float[Array, " p"]) -> Expansio
 
 
 @program
+def _settled(posterior: Posterior, u: Float[Array, " p"]) -> Float[Array, " p"]:
+    return posterior.unconstrain(posterior.population.settled(posterior.constrain(u)))
+
+
+@program
 def _physical(posterior: Posterior, u: Float[Array, " p"]) -> tuple[Float[Array, " p"], Float[Array, "p p"]]:
     return posterior.constrain(u), jax.jacfwd(posterior.constrain)(u)
 
@@ -216,6 +225,7 @@ def _sampling_frame(
     here = _expand(posterior, data, center)
     for _ in range(_MOST_NEWTON_STEPS):
         step = np.linalg.solve(here.curvature, here.gradient)
+        step = step * min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
         if not np.isfinite(step).all() or float(step @ np.asarray(here.gradient)) < _LEAST_GAIN:
             break
         for _ in range(_MOST_HALVINGS):

@@ -16,15 +16,35 @@ Source: Gelman & Hill 2007; Papaspiliopoulos, Roberts & Sköld 2007 (partially n
 
 import math
 from collections.abc import Sequence
+from functools import cache
 from typing import Any, NamedTuple, final
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+from numpyro.distributions.transforms import AffineTransform, ComposeTransform, SoftplusTransform
 
 from hsed_jax.inference.likelihood import LOG_2PI
 from hsed_jax.inference.priors import Prior
+
+# A search does not begin below this share of the median of a spread's prior.
+_LEAST = 0.2
+
+
+@cache
+def spread_support(prior: Prior) -> Any:
+    """The map from u to a spread: its logarithm where it is small, where offsets follow it, and itself where it is large, where
+    the density of its logarithm would end like a wall.
+    """
+    if prior.bounds != (0.0, None):
+        return prior.to_support
+    with jax.ensure_compile_time_eval():
+        size = float(prior.quantile(0.5))
+        soft = ComposeTransform([SoftplusTransform(), AffineTransform(0.0, size)])
+        below, middle, above = (float(soft.inv(prior.quantile(share))) for share in (0.16, 0.5, 0.84))
+    return ComposeTransform([AffineTransform(middle, 0.5 * (above - below)), soft])
 
 
 class Varying(NamedTuple):
@@ -153,6 +173,36 @@ class Population(eqx.Module):
             found.append(jnp.asarray(drawn))
         return tuple(found)
 
+    def of_members(
+        self, theta: Float[Array, " p"], center: Float[Array, " q"], members: np.ndarray
+    ) -> tuple[Array, ...]:
+        """The parameters of the model of each member, (M, q) a level.
+
+        Arguments:
+            theta: all parameters.
+            center: those of the model, at the centre of the population.
+            members: of each experiment its member of every level, (n, L); they say which outer member one lies within.
+        """
+        rows = jnp.asarray(np.concatenate(self._of_each(members)))
+        none = tuple(jnp.zeros((level.shape[0], 1)) for level in self.levels)
+        found = self.own(theta, center, rows, none)
+        ends = np.cumsum([len(level.members) for level in self.levels])[:-1]
+        return tuple(jnp.split(found, ends))
+
+    def _of_each(self, members: np.ndarray) -> list[np.ndarray]:
+        """Of each member of a level the members of all levels that it has: itself and what it lies within; else none."""
+        none = np.asarray([len(level.members) for level in self.levels])
+        tables = []
+        for number, level in enumerate(self.levels):
+            table = np.tile(none, (len(level.members), 1))
+            for member, row in enumerate(table):
+                own = members[members[:, number] == member, :number]
+                if len(own):
+                    row[:number] = np.where((own == own[0]).all(axis=0), own[0], none[:number])
+                row[number] = member
+            tables.append(table)
+        return tables
+
     def _within(self, own: Float[Array, "n q"]) -> Float[Array, "n q"]:
         low, high = np.full(own.shape[1], -np.inf), np.full(own.shape[1], np.inf)
         for _, varying in self._varying:
@@ -184,6 +234,16 @@ class Population(eqx.Module):
         terms = [-jnp.sum(self._log_factor(theta, number)) for number in range(len(self.levels))]
         return sum(terms, start=jnp.zeros(()))
 
+    def settled(self, theta: Float[Array, " p"]) -> Float[Array, " p"]:
+        """The same members with spreads as far as their offsets lie apart, and not much less than the priors of the spreads say:
+        their joint density is highest where no measurement would have them."""
+        for number, (level, (spreads, offsets)) in enumerate(zip(self.levels, self.places, strict=True)):
+            old, z = self.of(theta, number)
+            least = jnp.stack([_LEAST * v.spread.quantile(0.5) for v in level.varying])
+            new = jnp.maximum(old * jnp.sqrt(jnp.mean(z**2, axis=1)), least)
+            theta = theta.at[spreads].set(new).at[offsets].set((z * (old / new)[:, None]).ravel())
+        return theta
+
     def centred(self, theta: np.ndarray, information: np.ndarray) -> "Population":
         """The same with every offset as centred as the measurements tell it.
 
@@ -193,18 +253,16 @@ class Population(eqx.Module):
         """
         centring, reference = [], []
         for number, (level, (_, place)) in enumerate(zip(self.levels, self.places, strict=True)):
-            spreads, offsets = (np.asarray(x) for x in self.of(jnp.asarray(theta), number))
-            # The joint mode of spreads and offsets has too large a spread; how far the offsets lie apart does not.
-            found = np.maximum(spreads * np.sqrt(np.mean(offsets**2, axis=1)), 1e-3 * spreads)
+            spreads = np.asarray(self.of(jnp.asarray(theta), number)[0])
             told = np.zeros(level.shape)
             positions = np.arange(place.start, place.stop).reshape(level.shape)
             for member, own in enumerate(positions.T):
                 # A parameter that others of its member stand in for is not told.
                 block = information[np.ix_(own, own)] + 1e-9 * np.eye(len(own))
                 told[:, member] = 1 / np.diag(np.linalg.inv(block)) - 1e-9
-            told = np.maximum(told, 0.0) * ((found / spreads) ** 2)[:, None]
+            told = np.maximum(told, 0.0)
             centring.append(jnp.asarray(told / (1 + told)))
-            reference.append(jnp.asarray(found))
+            reference.append(jnp.asarray(spreads))
         return eqx.tree_at(lambda p: (p.centring, p.reference), self, (tuple(centring), tuple(reference)))
 
 

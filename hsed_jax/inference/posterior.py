@@ -24,7 +24,7 @@ from hsed_jax.inference.likelihood import (
     standardised_residual,
     whitened,
 )
-from hsed_jax.inference.population import Level, Population
+from hsed_jax.inference.population import Level, Population, spread_support
 from hsed_jax.inference.predict import Predictor
 from hsed_jax.inference.priors import Prior
 from hsed_jax.programs import program
@@ -138,6 +138,12 @@ class Posterior(eqx.Module):
         return eqx.tree_at(lambda p: p.declared, self, self.declared * factors)
 
     @property
+    def _supports(self) -> list[Any]:
+        """The maps from u to the supports of the priors."""
+        spreads = self.population.spreads
+        return [spread_support(p) if n in spreads else p.to_support for n, p in self.priors.items()]
+
+    @property
     def _is_relative(self) -> np.ndarray:
         """Whether the error of a column is relative, (J,)."""
         return np.asarray(self._relative, dtype=bool)[self.groups]
@@ -152,13 +158,13 @@ class Posterior(eqx.Module):
         return self.population.released(self._supported(u))
 
     def _supported(self, u: Float[Array, " p"]) -> Float[Array, " p"]:
-        first = jnp.stack([prior.to_support(x) for prior, x in zip(self._priors, u, strict=False)])
+        first = jnp.stack([to_support(x) for to_support, x in zip(self._supports, u, strict=False)])
         return jnp.concatenate([first, u[first.size :]]) if self.population.levels else first
 
     def unconstrain(self, theta: Float[Array, " p"]) -> Float[Array, " p"]:
         """u(θ), kept finite at the bounds."""
         held = self.population.held(theta)
-        first = jnp.stack([prior.to_support.inv(x) for prior, x in zip(self._priors, held, strict=False)])
+        first = jnp.stack([to_support.inv(x) for to_support, x in zip(self._supports, held, strict=False)])
         u = jnp.concatenate([first, held[first.size :]])
         return jnp.clip(jnp.nan_to_num(u, nan=0.0, posinf=_FAR, neginf=-_FAR), -_FAR, _FAR)
 
@@ -323,13 +329,14 @@ class Posterior(eqx.Module):
         if not self.population.levels:
             return self
         plain = eqx.tree_at(lambda p: p.population, self, Population(self.population.levels, self.population.first))
+        theta = self.population.settled(theta)
         u, information = _told(plain, theta, data)
         per_u = np.diag(np.asarray(jax.jacfwd(plain.constrain)(u)))
         population = plain.population.centred(np.asarray(theta), np.asarray(information) / np.outer(per_u, per_u))
         return eqx.tree_at(lambda p: p.population, self, population)
 
     def _log_jacobian(self, u: Float[Array, " p"]) -> Float[Array, ""]:
-        terms = [p.to_support.log_abs_det_jacobian(x, p.to_support(x)) for p, x in zip(self._priors, u, strict=False)]
+        terms = [support.log_abs_det_jacobian(x, support(x)) for support, x in zip(self._supports, u, strict=False)]
         return sum(terms, start=self.population.log_jacobian(self._supported(u)))
 
 

@@ -75,7 +75,7 @@ def expected_improvement(outcome: Outcome) -> Picture:
 
 def estimates(outcome: Outcome) -> Picture:
     """Fig. 7 of a run with steps of a design, the parameters of a virtual specimen as reference."""
-    names = outcome.posterior.names
+    names = outcome.posterior.reported
     units = [outcome.units.get(name, "1") for name in names]
     return figures.estimate_history(
         outcome.estimates, outcome.band("q05"), outcome.band("q95"), names, units, outcome.truth

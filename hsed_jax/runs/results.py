@@ -61,8 +61,14 @@ def _posterior(fit: Fit) -> dict[str, xr.Dataset]:
         "n_steps": (dims, np.asarray(chains.steps)),
     }
     shape = np.shape(chains.diverging)
-    coords = {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
-    return {"posterior": xr.Dataset(draws, coords), "sample_stats": xr.Dataset(stats, coords)}
+    coords: dict = {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
+    for level, own in zip(fit.posterior.population.levels, fit.of_members, strict=True):
+        for v in level.varying:
+            about = {"units": fit.units.get(v.name, "1")}
+            draws[f"{level.name}.{v.name}"] = ((*dims, level.name), own[..., v.column], about)
+        coords[level.name] = list(level.members)
+    of_stats = {name: coords[name] for name in dims}
+    return {"posterior": xr.Dataset(draws, coords), "sample_stats": xr.Dataset(stats, of_stats)}
 
 
 def _predictions(comparison: Comparison, root: str, pair: Pair) -> dict[str, xr.Dataset]:
