@@ -56,6 +56,41 @@ class Candidate:
         return {k: v for k, v in found if is_said(v)}
 
 
+@dataclass(frozen=True)
+class Judgement:
+    """What an effect is to the specimens.
+
+    Attributes:
+        effect: of the catalogue.
+        level: the column that tells the specimens apart.
+        verdict: `population` (all have it), `specimens` (those in `members` do, the others do not) or `scatter`.
+        probability: of the verdict.
+        members: that have it.
+        of: by member mean, sd, 5 % and 95 % quantile of its size by itself, dimensionless, and the `probability` that it has it.
+    """
+
+    effect: str
+    level: str
+    verdict: str
+    probability: float
+    members: Sequence[str]
+    of: Mapping[str, Mapping[str, float]]
+
+    @property
+    def sentence(self) -> str:
+        """In words."""
+        said = {
+            "population": f"is of the population: all {len(self.of)} of {self.level} have it",
+            "specimens": f"is of {self.level} {' and '.join(self.members) or 'few'} only, {len(self.members)} of {len(self.of)}",
+            "scatter": f"is scatter: its size is no property of any {self.level}",
+        }[self.verdict]
+        return f"{self.effect} {said} (probability {self.probability:.2f})"
+
+    def summary(self) -> dict[str, Any]:
+        """As in `summary.json`."""
+        return {**vars(self), "members": list(self.members), "of": {m: dict(v) for m, v in self.of.items()}}
+
+
 @dataclass(frozen=True, repr=False)
 class Diagnosis(Tabular):
     """What is missing.
@@ -77,6 +112,7 @@ class Diagnosis(Tabular):
         scales: characteristic values that amplitudes of the candidates are relative to.
         notes: sentences on how the diagnosis was made.
         forms: labels of the forms of the named effects, where these are not the default ones.
+        specimens: what effects are to the specimens, where the study has levels.
     """
 
     verdict: str
@@ -97,6 +133,7 @@ class Diagnosis(Tabular):
     scales: Scales
     notes: Sequence[str] = ()
     forms: Mapping[str, str] = field(default_factory=dict)
+    specimens: Sequence[Judgement] = ()
 
     def summary(self) -> dict[str, Any]:
         """The key `diagnosis` of `summary.json`."""
@@ -116,6 +153,7 @@ class Diagnosis(Tabular):
             "expected_log_bayes_factor": self.expected_log_bayes_factor,
             "p_value": self.p_value,
             "p_value_after": self.p_value_after,
+            "specimens": [one.summary() for one in self.specimens] or None,
         }
         return content | {key: value for key, value in optional.items() if value is not None}
 
@@ -160,8 +198,12 @@ class Diagnosis(Tabular):
 
     @property
     def _notes(self) -> list[str]:
-        """How the diagnosis was made, and why likely effects are not named."""
-        return [*self.notes, *(f"{c.effect} {self._instead(c)}" for c in self._unnamed[:_SHOWN])]
+        """What effects are to the specimens, how the diagnosis was made, and why likely effects are not named."""
+        return [
+            *(one.sentence for one in self.specimens),
+            *self.notes,
+            *(f"{c.effect} {self._instead(c)}" for c in self._unnamed[:_SHOWN]),
+        ]
 
     @property
     def _unnamed(self) -> list[Candidate]:
