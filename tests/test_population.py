@@ -223,7 +223,7 @@ def test_a_run_writes_its_levels_and_goes_on_where_it_was(folder, tmp_path, cali
     assert main(["run", str(folder / "study.yaml"), "--output", str(out)]) == 0
     summary = json.loads((out / "summary.json").read_text())
     told = summary["calibration"]["levels"]["bar"]["a"]
-    assert set(told) == {"mean", "spread", "of"} and set(told["of"]) == {"A1", "A2", "A3", "B1", "B2"}
+    assert set(told) == {"mean", "spread", "of", "untested"} and set(told["of"]) == {"A1", "A2", "A3", "B1", "B2"}
     assert {"mean", "sd", "q05", "q95"} <= set(told["of"]["A1"]) and set(summary["calibration"]["map"]) == {
         "a", "b", "bar.a.spread"}  # fmt: skip
     with xr.open_datatree(out / "results.nc", engine="h5netcdf") as tree:

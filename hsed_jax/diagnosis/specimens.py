@@ -7,14 +7,15 @@ these likelihoods three explanations are made:
 * **specimens**: some have it, with such sizes, and the others have none; every number of them is equally probable;
 * **scatter**: none has it, or the sizes scatter about nothing.
 
-Each has the prior probability of a third, μ the prior of the catalogue, c a half-normal one. No member decides by itself: what has
-six chances to look odd shares its prior probability among six, which is what accounts for their number.
+Each has the prior probability of a third, μ the prior of the catalogue, c a half-normal one.  No member decides by itself: what
+has six chances to look odd shares its prior probability among six, which is what accounts for their number.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import gammaln, logsumexp
@@ -99,7 +100,7 @@ def _judged(
     free = np.append(own, column)
     fits = models.fit(target, [Task(models.member(free, _held(theta, free)), x, use) for use in uses])
     target = problem.train.target(np.sum([f.predicted for f in fits], axis=0), used)
-    neutral = float(models.box.theta(models.neutral)[column])
+    neutral = float(models.member(own).held[column])
     found = [models.box.theta(f.x)[column] - neutral for f in fits if np.isfinite(f.cost)]
     unit = float(max([theta[column] - neutral, *found], key=abs)) or 1.0
     low, high = (models.box.theta(side)[column] for side in (models.box.low, models.box.high))
@@ -109,7 +110,7 @@ def _judged(
     at, table = _tabulated(shares, _heights(problem, target, x, theta, own, column, neutral + unit * shares, uses))
     prior = models.box.priors[problem.names[column]]
     inside = np.clip(neutral + unit * at, low + 1e-9 * abs(unit), high - 1e-9 * abs(unit))
-    weighed = weigh_explanations(at, table, np.asarray(prior.log_density(inside), dtype=float))
+    weighed = weigh_explanations(at, table, np.asarray(prior.log_density(jnp.asarray(inside)), dtype=float))
     of = {
         member: _statistics(neutral + unit * at, table[m]) | {"probability": float(weighed.has[m])}
         for m, member in enumerate(membership.members)

@@ -15,6 +15,7 @@ from hsed_jax.inference.correlation import SIGNIFICANT, Judged, judge, size_p_va
 from hsed_jax.inference.likelihood import Data, Error
 from hsed_jax.inference.maximum import Maximum, maximise
 from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence
+from hsed_jax.inference.population import Level, Varying
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.sampling import draw
 from hsed_jax.inference.watch import Watch, arrays_of, fingerprint, tree_like
@@ -124,22 +125,32 @@ class Fit(Tabular):
         found = _of_members(self.posterior, self.chains.theta, tuple(map(tuple, members.tolist())))
         return tuple(np.asarray(one) for one in found)
 
-    def levels(self) -> dict[str, dict[str, Any]]:
-        """What varies: by level and parameter its `mean` (the centre of the population), its `spread`, and `of` each member its
-        own value, as `summary` has them; SI, and the spread of a positive parameter that of its logarithm."""
+    def levels(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """What varies: by level and parameter its `mean` (the centre of the population) and `spread` (of a positive parameter
+        that of its logarithm), its value `of` each member, and that of an `untested` one; as `summary` has them, SI."""
         known, found = self.summary(), {}
-        for level, draws in zip(self.posterior.population.levels, self.of_members, strict=True):
+        levels = self.posterior.population.levels
+        for number, (level, draws) in enumerate(zip(levels, self.of_members, strict=True)):
             found[level.name] = {}
             for varying in level.varying:
                 own = [_statistics(draws[..., m, varying.column].ravel()) for m in range(len(level.members))]
-                spread = known[f"{level.name}.{varying.name}.spread"]
-                about = {
+                found[level.name][varying.name] = {
                     "mean": known[varying.name],
-                    "spread": spread,
+                    "spread": known[f"{level.name}.{varying.name}.spread"],
                     "of": dict(zip(level.members, own, strict=True)),
+                    "untested": _statistics(self._untested(varying, levels[: number + 1])),
                 }
-                found[level.name][varying.name] = about
         return found
+
+    def _untested(self, varying: Varying, levels: Sequence[Level]) -> Float[np.ndarray, " S"]:
+        """Draws of a parameter of a specimen that is a new member of all these levels, SI."""
+        draws = dict(zip(self.names, np.moveaxis(np.asarray(self.chains.theta), -1, 0), strict=False))
+        center, random = draws[varying.name].ravel(), np.random.default_rng(0)
+        spreads = [
+            draws[f"{lv.name}.{v.name}.spread"].ravel() for lv in levels for v in lv.varying if v.name == varying.name
+        ]
+        moves = sum(spread * random.standard_normal(spread.size) for spread in spreads)
+        return np.clip(center * np.exp(moves) if varying.is_log else center + moves, varying.lower, varying.upper)
 
     def _table(self) -> Table:
         rows = [
