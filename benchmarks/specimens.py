@@ -6,9 +6,9 @@
 The coupons are 24 cyclic tests of four bars (Carreno et al. 2020), one coupon a bar held out; the law is that of Menegotto and
 Pinto. `population` lets stiffness, strength, hardening and sharpness vary by bar, `common` gives all bars the same, `independent`
 calibrates each bar by itself. `gibbs` draws from the posterior of `population` by an adaptive Metropolis within Gibbs, the
-treatment that was published, on the same simulator, compiled and batched, and starts it where `population` has its mode. `recovery`
-simulates populations and asks how often intervals cover the truth. Results go to `specimens.json` beside this file, from which
-`--markdown` prints the table; what takes long is kept in DIR and taken up again from there.
+treatment that was published, on the same simulator, compiled and batched, and starts it where `population` has its mode.
+`recovery` simulates populations and asks how often intervals cover the truth. Results go to `specimens.json` beside this file,
+from which `--markdown` prints the table; what takes long is kept in DIR and taken up again from there.
 """
 
 import argparse
@@ -54,7 +54,7 @@ SWEEPS, CHAINS, HYPER = 2000, 4, 20
 def coupon_study(levels, **sampling):
     import hsed_jax as hx
 
-    study = {**STUDY, "experiments": {"campaign": str(COUPONS)}, "calibration": {"starts": 2, **sampling}}
+    study = {**STUDY, "experiments": {"campaign": str(COUPONS)}, "calibration": {"starts": 1, **sampling}}
     study["model"] = {**STUDY["model"], **({"levels": {"bar": list(VARYING)}} if levels else {})}
     return hx.load_study(study)
 

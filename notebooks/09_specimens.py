@@ -59,8 +59,8 @@ units = {"time": "s", "elongation": "m", "force": "N"}
 campaign = hx.Campaign.from_frames(pd.DataFrame(rows), records, name="dampers", protocol="displacement", channels=units)
 
 # %% [markdown]
-# The column `specimen` tells them apart. `model.levels` says what varies with it: the stiffness, and with it the strength $A/\\beta$;
-# the shape of the loop is the same for all. The fifth damper is held out with all its tests: nobody knows it.
+# The column `specimen` tells them apart. `model.levels` says what varies with it: the stiffness, and with it the strength
+# $A/eta$; the shape of the loop is the same for all. The fifth damper is held out with all its tests: nobody knows it.
 
 # %%
 study = hx.load_study(
@@ -80,8 +80,8 @@ fit = hx.calibrate(study, campaign)
 fit
 
 # %% [markdown]
-# `specimen.A.spread` is how far the logarithms lie apart, and below it is each specimen by itself. The last one stands out, since its
-# dashpot has to be something to this model.
+# `specimen.A.spread` is how far the logarithms lie apart, and below it is each specimen by itself. In the last one the dashpot
+# has to be stiffness to this model.
 
 # %%
 axes = hx.plot.population(fit)
@@ -93,8 +93,8 @@ axes = hx.plot.population(fit)
 hx.compare(fit)
 
 # %% [markdown]
-# The diagnosis looks for what is missing, and asks of what it names whether the population has it, these specimens only, or none of
-# them.
+# The diagnosis looks for what is missing, and asks of what it names whether the population has it, these specimens only, or none
+# of them.
 
 # %%
 diagnosis = hx.diagnose(fit, campaign)

@@ -202,16 +202,13 @@ def test_a_positive_parameter_varies_by_its_logarithm_and_stays_within_what_its_
     np.testing.assert_allclose(own, [[2 * np.exp(-0.5), 7.0], [3.0, 7.0], [2 * np.exp(0.25), 7.0]])
 
 
-def test_offsets_are_as_centred_as_measurements_tell_them(folder, calibration):
+def test_offsets_are_centred_where_measurements_tell_them(folder, calibration):
     posterior = calibration.fit.posterior
-    (centring,), (reference,) = posterior.population.centring, posterior.population.reference
-    # Four measurements of 0.3 against a spread of about 0.8, and beside a centre that they tell as well.
-    told = EACH / SIGMA**2 * float(reference[0]) ** 2
-    np.testing.assert_allclose(centring, told / (1 + told), atol=0.05)
+    assert np.asarray(posterior.population.centring[0]).min() == 1
     few = study_of(folder, ["error={absolute: 30.0}"])
     built = Built(few)
     hardly = calibrate_built(built, built.measured, start=jnp.asarray([5.0, 2.0]))
-    assert np.asarray(hardly.fit.posterior.population.centring).max() < 0.1
+    assert np.asarray(hardly.fit.posterior.population.centring[0]).max() == 0
     assert hardly.fit.warning is None
     # Nothing was learned: the spread is as its prior has it.
     assert hardly.fit.summary()["bar.a.spread"]["mean"] == pytest.approx(SPREAD * np.sqrt(2 / np.pi), rel=0.1)

@@ -8,10 +8,9 @@ may lie within each other (bars of a mill): their offsets add up.  So a populati
 parameters are spreads and standardised offsets, and each experiment is simulated with the parameters of its own members.
 
 A sampler finds z unhandy where measurements tell $d_m$ better than the population does: every change of τ then has to change all
-z.  It moves $c_m = z_m(\tau/\tau_0)^\lambda$, between the offset itself (λ = 1) and the standardised one (λ = 0), with
-$\lambda = I/(1+I)$, I what the measurements tell of z.
+z.  There it moves the offset itself, $c_m = z_m\tau/\tau_0$; where they tell less, z (Papaspiliopoulos, Roberts & Sköld 2007).
 
-Source: Gelman & Hill 2007; Papaspiliopoulos, Roberts & Sköld 2007 (partially non-centred parametrisations).
+Source: Gelman & Hill 2007.
 """
 
 import math
@@ -29,6 +28,8 @@ from numpyro.distributions.transforms import AffineTransform, ComposeTransform, 
 from hsed_jax.inference.likelihood import LOG_2PI
 from hsed_jax.inference.priors import Prior
 
+# Offsets are told by measurements that have so many times the information on z that the population has.
+_TOLD = 3.0
 # A search does not begin below this share of the median of a spread's prior.
 _LEAST = 0.2
 
@@ -93,7 +94,7 @@ class Population(eqx.Module):
         first: how many parameters stand before those of the population.
 
     Attributes:
-        centring: λ of every offset, one array (K, M) a level.
+        centring: one for an offset that a sampler moves as it is, zero for one that it moves standardised, an array (K, M) a level.
         reference: τ₀ of every spread, one array (K,) a level.
     """
 
@@ -245,7 +246,7 @@ class Population(eqx.Module):
         return theta
 
     def centred(self, theta: np.ndarray, information: np.ndarray) -> "Population":
-        """The same with every offset as centred as the measurements tell it.
+        """The same with every offset as it is where the measurements tell it, and standardised where the population does.
 
         Arguments:
             theta: where, (p,).
@@ -260,8 +261,7 @@ class Population(eqx.Module):
                 # A parameter that others of its member stand in for is not told.
                 block = information[np.ix_(own, own)] + 1e-9 * np.eye(len(own))
                 told[:, member] = 1 / np.diag(np.linalg.inv(block)) - 1e-9
-            told = np.maximum(told, 0.0)
-            centring.append(jnp.asarray(told / (1 + told)))
+            centring.append(jnp.asarray(told > _TOLD, float))
             reference.append(jnp.asarray(spreads))
         return eqx.tree_at(lambda p: (p.centring, p.reference), self, (tuple(centring), tuple(reference)))
 

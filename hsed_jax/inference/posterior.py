@@ -34,6 +34,8 @@ _FAR = 30.0
 # log(σ/σ_min) of an error that is as large as what was measured.
 _ROOM = 12.0
 _LEAST_CURVATURE = 1e-3
+# Coordinates are of order one, and so is their density where the Hessian does not say so.
+_LEAST_OF_POPULATION = 0.25
 
 
 class Expansion(NamedTuple):
@@ -302,7 +304,7 @@ class Posterior(eqx.Module):
         if self.population.levels:
             # Spreads and offsets bend each other's density, and not upwards everywhere.
             values, axes = jnp.linalg.eigh(information + of_prior)
-            curvature = (axes * jnp.maximum(values, _LEAST_CURVATURE)) @ axes.T
+            curvature = (axes * jnp.maximum(values, _LEAST_OF_POPULATION)) @ axes.T
         return Expansion(likelihood + prior, likelihood + density, gradient, curvature, information)
 
     def of_model(self, theta: Float[Array, " p"]) -> Float[Array, " q"]:
