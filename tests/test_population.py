@@ -248,7 +248,7 @@ def test_a_run_writes_its_levels_and_goes_on_where_it_was(folder, tmp_path, cali
         (["model.levels={bar: {a: {normal: [0, 1]}}}"], r"model\.levels\.bar\.a: a spread cannot be negative"),
         (["model.levels={bar: [a, a]}"], r"model\.levels\.bar: this is a list of parameters, each once"),
         (["model.levels={bar: []}"], r"model\.levels\.bar: this must not be empty"),
-        (["model.levels={bar: {a: 0.2}}"], r"model\.levels\.bar\.a: this must be a prior"),
+        (["model.levels={bar: {a: 0.2}}"], r"model\.levels\.bar\.a: a spread has a prior, such as"),
         (["model.levels={bar: [a]}", "model.parameters.a=3.0"], r"'a' is no parameter that is calibrated; those are b"),
         (["steps=[design, calibrate]"], r"model\.levels: a design plans experiments of one specimen"),
     ],

@@ -142,7 +142,15 @@ def _by_parameter(value: Any) -> Any:
     return {name: {} for name in value}
 
 
-SpreadEntry = Annotated[dict[str, Any], BeforeValidator(prior_or_default)]
+def _spread(value: Any) -> Any:
+    if not isinstance(value, dict):
+        raise ValueError(
+            f"a spread has a prior, such as {{half_normal: 0.1}}, or {{}} for the default one, but it is {shown(value)}"
+        )
+    return prior_or_default(value)
+
+
+SpreadEntry = Annotated[dict[str, Any], BeforeValidator(_spread)]
 LevelsEntry = dict[str, Annotated[dict[str, SpreadEntry], Field(min_length=1), BeforeValidator(_by_parameter)]]
 """By column of the experiments, the parameters that vary with it: a list, or by name the prior of each spread."""
 MODELS = ("a model of a spring law", "a model that is a function")

@@ -94,7 +94,7 @@ class Population(eqx.Module):
         first: how many parameters stand before those of the population.
 
     Attributes:
-        centring: one for an offset that a sampler moves as it is, zero for one that it moves standardised, an array (K, M) a level.
+        centring: one for an offset that a sampler moves as it is, zero for one that it moves standardised, (K, M) a level.
         reference: τ₀ of every spread, one array (K,) a level.
     """
 
