@@ -1,5 +1,6 @@
 """Populations of specimens: the map and its derivatives, posteriors known in closed form, strangers, files, clear messages."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -264,6 +265,6 @@ def test_levels_need_a_campaign_and_members(folder):
         Built(virtual).check()
     study = study_of(folder)
     campaign = Built(study).measured
-    one = campaign.__class__(**{**vars(campaign), "experiments": campaign.experiments[:EACH]})
+    one = dataclasses.replace(campaign, experiments=campaign.experiments[:EACH])
     with pytest.raises(UserError, match=r"needs at least two members, and the training experiments have only 'A1'"):
         hx.calibrate(study, one)
