@@ -254,14 +254,16 @@ class Population(eqx.Module):
         """
         centring, reference = [], []
         for number, (level, (_, place)) in enumerate(zip(self.levels, self.places, strict=True)):
-            spreads = np.asarray(self.of(jnp.asarray(theta), number)[0])
+            spreads, offsets = (np.asarray(x) for x in self.of(jnp.asarray(theta), number))
             told = np.zeros(level.shape)
             positions = np.arange(place.start, place.stop).reshape(level.shape)
             for member, own in enumerate(positions.T):
                 # A parameter that others of its member stand in for is not told.
                 block = information[np.ix_(own, own)] + 1e-9 * np.eye(len(own))
                 told[:, member] = 1 / np.diag(np.linalg.inv(block)) - 1e-9
-            centring.append(jnp.asarray(told > _TOLD, float))
+            # Of offsets that do not differ, the density would be highest where their spread vanishes.
+            is_told = np.median(told, axis=1) * np.mean(np.asarray(offsets) ** 2, axis=1) > _TOLD
+            centring.append(jnp.asarray(np.broadcast_to(is_told[:, None], level.shape), float))
             reference.append(jnp.asarray(spreads))
         return eqx.tree_at(lambda p: (p.centring, p.reference), self, (tuple(centring), tuple(reference)))
 
