@@ -71,7 +71,8 @@ def _odd(problem: Problem, membership: Membership) -> list[str]:
     """The members that the noise does not explain, each at its own best fit, where they are few."""
     assert problem.start is not None
     train, models = problem.train, problem.models
-    own = np.asarray([k for k in problem.law if problem.names[k] in membership.varying], dtype=int)
+    # What is common, too: one odd member has moved it for all.
+    own = problem.law
     theta = models.member(np.zeros(0, dtype=int)).held
     theta[problem.law] = models.box.theta(problem.start)[problem.law]
     used = train.used & membership.rows[:, :, None]
