@@ -29,6 +29,7 @@ from hsed_jax.reporting import (
     discovery_figures,
     misfit_figures,
     misfit_maps,
+    population_figures,
     posterior_figures,
     request_figures,
 )
@@ -197,6 +198,28 @@ def posterior(
     """
     earlier = None if before is None else before.fit
     return _several(posterior_figures.posterior(calibration.fit, earlier, truth or {}))
+
+
+def population(calibration: Calibration, level: str | None = None) -> np.ndarray:
+    """What varies between specimens: every member with its 90 % interval, and the population that it comes from.
+
+    Arguments:
+        calibration: of a study with `model.levels`.
+        level: the column that tells specimens apart; by default the last one of the study.
+
+    Returns:
+        Axes, one for each parameter that varies with the level, (K,).
+
+    Raises:
+        UserError: the study has no such level.
+    """
+    levels = calibration.fit.levels()
+    if not levels or (level is not None and level not in levels):
+        raise UserError(
+            f"there is no level {level or 'to draw'}; the study has {', '.join(levels) or 'none (model.levels)'}"
+        )
+    level = level or list(levels)[-1]
+    return _several(population_figures.population(level, levels[level], calibration.fit.units))
 
 
 # What is missing, and what adding it did.

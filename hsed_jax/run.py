@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from hsed_jax.app import command as app
 from hsed_jax.errors import UserError
+from hsed_jax.exports import command as exporting
 from hsed_jax.interruptions import Interrupted, answer, ended_in_time
 from hsed_jax.plain import shown
 from hsed_jax.sweeps import command as sweeping
@@ -33,6 +34,23 @@ class _CallableModule(ModuleType):
 
 
 sys.modules[__name__].__class__ = _CallableModule
+
+
+# Steps without a design, by the command that takes them.
+_PARTS = (
+    ("compare", "calibrate and compare with the measurements, without a design", "calibrate compare"),
+    ("diagnose", "find the physical effects that the model lacks", "calibrate compare diagnose"),
+    (
+        "improve",
+        "add the missing effects (or those you choose) and show the error fall",
+        "calibrate compare diagnose improve",
+    ),
+    (
+        "discover",
+        "learn what no effect of the catalogue is: where it sits, its curve, its formula, as an effect of your own",
+        "calibrate compare diagnose discover improve",
+    ),
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -67,25 +85,14 @@ def command_line() -> argparse.ArgumentParser:
     init.add_argument("--output", metavar="STUDY.yaml", help="where to (default: CAMPAIGN/study.yaml)")
     init.add_argument("--force", action="store_true", help="replace a study that is there")
     init.set_defaults(command=_init)
-    text = "calibrate and compare with the measurements, without a design"
-    comparison = commands.add_parser("compare", help=text, description=text.capitalize() + ".")
-    _add_run(comparison)
-    comparison.set_defaults(steps=["calibrate", "compare"])
-    text = "find the physical effects that the model lacks"
-    diagnosis = commands.add_parser("diagnose", help=text, description=text.capitalize() + ".")
-    _add_run(diagnosis)
-    diagnosis.set_defaults(steps=["calibrate", "compare", "diagnose"])
-    text = "add the missing effects (or those you choose) and show the error fall"
-    improvement = commands.add_parser("improve", help=text, description=text.capitalize() + ".")
-    _add_run(improvement)
-    improvement.add_argument(
-        "--add", action="append", metavar="EFFECT", help="add this effect; may be said several times"
-    )
-    improvement.set_defaults(steps=["calibrate", "compare", "diagnose", "improve"])
-    text = "learn what no effect of the catalogue is: where it sits, its curve, its formula, as an effect of your own"
-    discovery = commands.add_parser("discover", help=text, description=text.capitalize() + ".")
-    _add_run(discovery)
-    discovery.set_defaults(steps=["calibrate", "compare", "diagnose", "discover", "improve"])
+    for name, text, steps in _PARTS:
+        part = commands.add_parser(name, help=text, description=text.capitalize() + ".")
+        _add_run(part)
+        part.set_defaults(steps=steps.split())
+        if name == "improve":
+            part.add_argument(
+                "--add", action="append", metavar="EFFECT", help="add this effect; may be said several times"
+            )
     _add_ask_and_tell(commands)
     sweeping.add_commands(commands)
     text = "write the report of a run again, or one page of several runs side by side"
@@ -95,16 +102,7 @@ def command_line() -> argparse.ArgumentParser:
         "--output", metavar="FILE.html", help="where to (default: RUN/report.html; of several runs: runs.html)"
     )
     report.set_defaults(command=_report)
-    text = "write the calibrated law of a run as scripts for OpenSees, or its parameters as a table for a paper"
-    export = commands.add_parser("export", help=text, description=text.capitalize() + ".")
-    export.add_argument("run", metavar="RUN", help="run folder; of one that was improved the improved model is taken")
-    export.add_argument("--opensees", action="store_true", help="specimen.py and specimen.tcl: the law at its MAP")
-    export.add_argument(
-        "--table", action="store_true", help="parameters.md and parameters.tex: means, 90 %% intervals, priors"
-    )
-    export.add_argument("--before", action="store_true", help="the model as it was before its improvement")
-    export.add_argument("--out", metavar="DIR", help="where to (default: RUN/export)")
-    export.set_defaults(command=_export)
+    exporting.add_command(commands)
     text = "the catalogue of physical effects"
     effects = commands.add_parser("effects", help=text, description=text.capitalize() + ".")
     effects.add_argument("name", nargs="?", metavar="NAME", help="show one effect: equation, parameters, reference")
@@ -329,18 +327,6 @@ def _report(options: Any) -> int:
     output = Path(options.output) if options.output else folders[0] / "report.html" if alone else Path("runs.html")
     write_page(report_page(runs[0]) if alone else comparison_page(runs), output)
     print(f"wrote {output}")
-    return 0
-
-
-def _export(options: Any) -> int:
-    from hsed_jax.exports.export import KINDS, export
-
-    kinds = [kind for kind in KINDS if getattr(options, kind)]
-    if not kinds:
-        raise UserError("say what to export: --opensees, --table or both")
-    for kind in kinds:
-        for path in export(options.run, options.out, kind=kind, before=options.before):
-            print(f"wrote {path}")
     return 0
 
 

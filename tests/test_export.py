@@ -49,7 +49,11 @@ CASES = {
     "pinching, sharp": ("bouc_wen", SHARP, {"pinching": ("foliente", PINCHING)}),
     "loop_shape": ("bouc_wen", BOUC_WEN, {"loop_shape": ("", {"delta": -0.8})}),
     "yield_sharpness": ("bouc_wen", BOUC_WEN, {"yield_sharpness": ("", {"delta": 0.9})}),
-    "yielding": ("elastic", {"k": 2e6}, {"yielding": ("", {"delta": 3.0, "phi": 0.7})}),
+    "yielding": ("elastic", {"k": 2e6}, {"yielding": ("to a bound", {"delta": 3.0, "phi": 0.7})}),
+    "yielding, free": (
+        *("elastic", {"k": 2e6}),
+        {"yielding": ("free", {"delta": 2.0, "elastic": 0.3, "turned": 0.4, "sharpness": 1.4})},
+    ),
     "hardening": ("bouc_wen", BOUC_WEN, {"hardening": ("linear", {"delta": 0.4})}),
     "hardening, one side": ("bilinear", YIELDING, {"hardening": ("tension only", {"delta": 0.4})}),
     "hardening, power": ("takeda", YIELDING, {"hardening": ("power", {"delta": 0.4, "power": 0.6})}),

@@ -23,6 +23,7 @@ from hsed_jax.discovery.findings import Curve, Discovery
 from hsed_jax.discovery.places import Place
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.nuts import Chains, Convergence
+from hsed_jax.inference.population import Population
 from hsed_jax.measurements import Campaign, Channel, Experiment, Record, write_campaign
 from hsed_jax.runs.ask_tell import AskTell
 from hsed_jax.runs.outcome import Outcome
@@ -48,8 +49,9 @@ def fitted(names=("A", "beta"), at=(4e5, 1.0), count=3):
     zeros = jnp.zeros((2, 60))
     chains = Chains(jnp.asarray(theta), zeros, zeros > 1, zeros.astype(int), jnp.full(2, 0.5))
     good = Convergence(np.full(len(names), 1.0), np.full(len(names), 900.0), 0)
-    posterior = SimpleNamespace(names=names, model_names=tuple(n for n in names if "error." not in n),
-                                outputs=(), groups=None)  # fmt: skip
+    of_model = tuple(n for n in names if "error." not in n)
+    posterior = SimpleNamespace(names=names, reported=names, model_names=of_model, fitted=len(of_model),
+                                outputs=(), groups=None, population=Population())  # fmt: skip
     data = SimpleNamespace(count=np.asarray(count), weights=None, memory=None)
     one_mode = SimpleNamespace(warning=lambda names: None)
     return bare(Fit, posterior=posterior, units=UNITS, chains=chains, convergence=good, maximum=one_mode, data=data,

@@ -17,6 +17,7 @@ from hsed_jax.criticism import locate as locating
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.locate import Location
 from hsed_jax.criticism.prediction import Prediction, learned_misfit, predict
+from hsed_jax.diagnosis.lanes import Apart
 from hsed_jax.errors import UserError
 from hsed_jax.inference.fit import Fit, fit
 from hsed_jax.inference.watch import Watch
@@ -61,6 +62,20 @@ class Calibration(Tabular):
         """Predict the completed experiments of a campaign."""
         experiments = campaign.completed.experiments
         return predict(self.fit, self.built.data(campaign, experiments), self.built.taken(experiments))
+
+    def apart(self, campaign: Campaign) -> Apart | None:
+        """How far the specimens of a campaign are from their population, those for training first; None without levels."""
+        posterior = self.fit.posterior
+        if not (levels := posterior.population.levels):
+            return None
+        data = self.built.data(campaign, (*campaign.train.experiments, *campaign.test.experiments))
+        theta, strangers = self.fit.maximum.theta, posterior.population.strangers(data.members, 1)
+        own = np.asarray(posterior.by_experiment(theta, data, tuple(z[0] for z in strangers)))
+        varying = {v.name: v for level in levels for v in level.varying}
+        columns = [v.column for v in varying.values()]
+        is_log = np.asarray([v.is_log for v in varying.values()])
+        own, center = own[:, columns], np.asarray(posterior.of_model(theta))[columns]
+        return Apart(tuple(varying), np.where(is_log, own / center, 1.0), np.where(is_log, 0.0, own - center))
 
     @cached_property
     def train(self) -> Prediction:
@@ -142,7 +157,7 @@ def compare(calibration: Calibration, campaign: Campaign | None = None) -> Compa
     if campaign is not calibration.campaign:
         calibration = replace(calibration, campaign=campaign)
     declared = calibration.fit.posterior.is_declared
-    parameters = len(calibration.fit.posterior.model_names)
+    parameters = calibration.fit.posterior.fitted
     notes = [*calibration.fit.correlation_notes(), *thinning_notes(calibration.built, campaign)]
     if calibration.built.component_test and calibration.built.grid is not None and not campaign.has_time:
         notes.append(

@@ -105,7 +105,7 @@ class _Beside:
         built = calibration.built
         self._built = Built(with_effects(built, effects, forms), built.campaign) if effects else built
         self._campaign, self._effects, self._forms, self._watch = campaign, effects, forms, watch
-        self._known = calibration.map
+        self._known, self._apart = calibration.map, calibration.apart(campaign)
         has_inner = set(FreeFunction.slots[1:]) <= set(built.elements[0].law.slots)
         kind = FreeFunction if has_inner else FreeForce
         self.problem = self._problem(kind)
@@ -227,7 +227,8 @@ class _Beside:
     def _problem(self, *kinds: type[AbstractEffect]) -> Problem:
         """The problem with these effects as candidates."""
         built = Built(self._built.study.with_own_effects(*kinds), self._built.campaign)
-        return problem_of(built, self._campaign, [kind.name for kind in kinds], watch=self._watch, known=self._known)
+        names = [kind.name for kind in kinds]
+        return problem_of(built, self._campaign, names, watch=self._watch, known=self._known, apart=self._apart)
 
     def _motions(self) -> list[Motion]:
         """What the model as it is goes through in the training experiments."""

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from hsed_jax.analysis.calibration import Calibration, calibrate_built, compare
+from hsed_jax.analysis.specimens import over_specimens
 from hsed_jax.config.schema import Study
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.improve import Step, Trail, step_of
@@ -44,8 +45,14 @@ def diagnose(calibration: Calibration, campaign: Campaign | None = None, watch: 
     """
     campaign = calibration.campaign if campaign is None else campaign
     watch = watch or Watch()
-    problem = problem_of(calibration.built, campaign, watch=watch, known=calibration.map)
-    return diagnosing.diagnose(problem, watch.report)
+    built = calibration.built
+
+    def problem_with(some: Campaign) -> Problem:
+        return problem_of(built, some, watch=watch, known=calibration.map, apart=calibration.apart(some))
+
+    problem = problem_with(campaign)
+    found = diagnosing.diagnose(problem, watch.report)
+    return over_specimens(found, problem, problem_with, built, campaign, watch.report)
 
 
 def discriminate(built: Built, campaign: Campaign) -> Given:
@@ -173,7 +180,8 @@ def improve(
     watch = watch or Watch()
     watch.report("the model with the effects")
     forms = {effect: default_form(calibration.built.catalogue[effect]).label for effect in effects} | dict(forms or {})
-    problem = problem_of(calibration.built, campaign, effects, watch=watch, known=calibration.map, forms=forms)
+    known, apart = calibration.map, calibration.apart(campaign)
+    problem = problem_of(calibration.built, campaign, effects, watch=watch, known=known, forms=forms, apart=apart)
     before = compare(calibration, campaign)
     train = problem.train
     # As the calibration fits it, by what that leaves.

@@ -5,7 +5,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from hsed_jax.config.sections import InputEntry, ProgramEntry, Section
+from hsed_jax.config.sections import InputEntry, LevelsEntry, ProgramEntry, Section
 from hsed_jax.plain import Number, shown
 
 
@@ -19,6 +19,7 @@ class FunctionEntry(Section):
     command: ProgramEntry | None = None
     derivatives: Literal["jax", "differences"] | None = None
     parameters: Annotated[dict[str, Number | InputEntry], Field(min_length=1)]
+    levels: LevelsEntry = {}
     effects: ClassVar[dict[str, dict[str, Number | dict[str, Any]]]] = {}
     """None: they are a spring law's."""
     own_effects: ClassVar[list[str]] = []

@@ -7,9 +7,8 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from hsed_jax.config.mechanics import prior_or_default
 from hsed_jax.config.schema import Study
-from hsed_jax.config.sections import MODELS, TAGS, one_distribution
+from hsed_jax.config.sections import MODELS, TAGS, one_distribution, prior_or_default
 from hsed_jax.errors import UserError
 from hsed_jax.plain import DEPTH, is_file, parse_yaml, shown
 

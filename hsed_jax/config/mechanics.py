@@ -8,22 +8,18 @@ from pydantic import BeforeValidator, Discriminator, Field, PlainSerializer, Tag
 from hsed_jax.config.functions import FunctionEntry
 from hsed_jax.config.sections import (
     MODELS,
+    LevelsEntry,
     OwnLawEntry,
     Positive,
     PriorEntry,
     Section,
     SpringEntry,
-    one_distribution,
+    prior_or_default,
 )
 from hsed_jax.plain import Number, Whole, shown
 
 Ratio = Annotated[Number, Field(ge=0, lt=1)]
 End = Whole | Literal["ground"]
-
-
-def prior_or_default(value: Any) -> Any:
-    """Refuse a prior that is not one distribution; `{}` is the default one."""
-    return value if value == {} else one_distribution(value)
 
 
 ParameterEntry = Number | Annotated[dict[str, Any], BeforeValidator(prior_or_default)]
@@ -149,6 +145,8 @@ class StructureEntry(Section):
 class ModelEntry(SpecimenModelEntry):
     """The computational simulator: the spring law, its parameters, its effects."""
 
+    levels: LevelsEntry = {}
+    """What varies between specimens: parameters by columns of the experiments, the outer ones first."""
     own_effects: list[str] = []
     """Python files with effects of your own, relative to the study; they join the catalogue."""
 

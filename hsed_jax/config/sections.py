@@ -137,6 +137,33 @@ def one_distribution(value: Any) -> Any:
 
 
 PriorEntry = Annotated[dict[str, Any], BeforeValidator(one_distribution)]
+
+
+def prior_or_default(value: Any) -> Any:
+    """Refuse a prior that is not one distribution; `{}` is the default one."""
+    return value if value == {} else one_distribution(value)
+
+
+def _by_parameter(value: Any) -> Any:
+    if not isinstance(value, list):
+        return value
+    for name in value:
+        if not isinstance(name, str) or value.count(name) > 1:
+            raise ValueError(f"this is a list of parameters, each once, such as [A, beta], but one is {shown(name)}")
+    return {name: {} for name in value}
+
+
+def _spread(value: Any) -> Any:
+    if not isinstance(value, dict):
+        raise ValueError(
+            f"a spread has a prior, such as {{half_normal: 0.1}}, or {{}} for the default one, but it is {shown(value)}"
+        )
+    return prior_or_default(value)
+
+
+SpreadEntry = Annotated[dict[str, Any], BeforeValidator(_spread)]
+LevelsEntry = dict[str, Annotated[dict[str, SpreadEntry], Field(min_length=1), BeforeValidator(_by_parameter)]]
+"""By column of the experiments, the parameters that vary with it: a list, or by name the prior of each spread."""
 MODELS = ("a model of a spring law", "a model that is a function")
 """The two shapes of `model`, as validation names them."""
 

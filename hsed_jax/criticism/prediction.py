@@ -169,7 +169,8 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
     thetas = jnp.concatenate([fit.maximum.theta[None], draws[:: max(1, draws.shape[0] // _DRAWS)][:_DRAWS]])
     measured, used = np.asarray(data.values), np.asarray(data.weights) > 0
     limits = ABSURD * _largest(measured, used, posterior.groups)
-    found = _predicted(posterior, thetas, data, limits, _shortfall(fit, data))
+    strangers = posterior.population.strangers(data.members, len(thetas))
+    found = _predicted(posterior, thetas, strangers, data, limits, _shortfall(fit, data))
     predicted, ok, sigma, plain, corrected, lost = jax.tree.map(np.asarray, found)
     parts = dict(corrected.parts)
     if fit.inflation is not None:
@@ -230,7 +231,7 @@ def _shortfall(fit: "Fit", data: Data) -> Shortfall | None:
     if fit.discrepancy is None or fit.support is None:
         return None
     points = jnp.asarray(fit.support.cube(data.conditions.inputs))
-    return Shortfall(fit.data, *fit.discrepancy.conditional(points))
+    return Shortfall(fit.data, *map(np.asarray, fit.discrepancy.conditional(points)))
 
 
 def _largest(measured: np.ndarray, used: np.ndarray, groups: np.ndarray) -> np.ndarray:
@@ -247,10 +248,14 @@ def _named(experiments: tuple[Experiment, ...], which: np.ndarray) -> str:
 
 
 @program
-def _predicted(posterior, thetas, data, limits, shortfall):
+def _predicted(posterior, thetas, strangers, data, limits, shortfall):
     """Predictions at the first parameters, whether they converged and their σ; bands over those of the other parameters that
     stay within the limits (J,), without and with the discrepancy, and the share (n,) that does not."""
-    predicted, ok = jax.vmap(lambda t: posterior.predict(posterior.of_model(t), data.conditions, data.count))(thetas)
+
+    def at(theta, strangers):
+        return posterior.predict(posterior.by_experiment(theta, data, strangers), data.conditions, data.count)
+
+    predicted, ok = jax.vmap(at)(thetas, strangers)
     at_map = posterior.sigma(thetas[0], predicted[0], ok[0], data)
     good = (ok[1:] > 0) & jnp.all(jnp.abs(predicted[1:]) <= limits, axis=-1)
     share = (good / jnp.sum(good, axis=0))[..., None]

@@ -60,6 +60,41 @@ class Candidate:
         return {k: v for k, v in found if is_said(v)}
 
 
+@dataclass(frozen=True)
+class Judgement:
+    """What an effect is to the specimens.
+
+    Attributes:
+        effect: of the catalogue.
+        level: the column that tells the specimens apart.
+        verdict: `population` (all have it), `specimens` (those in `members` do, the others do not) or `scatter`.
+        probability: of the verdict.
+        members: that have it.
+        of: by member mean, sd, 5 % and 95 % quantile of its size by itself, dimensionless, and the `probability` that it has it.
+    """
+
+    effect: str
+    level: str
+    verdict: str
+    probability: float
+    members: Sequence[str]
+    of: Mapping[str, Mapping[str, float]]
+
+    @property
+    def sentence(self) -> str:
+        """In words."""
+        said = {
+            "population": f"is of the population: all {len(self.of)} of {self.level} have it",
+            "specimens": f"is of {self.level} {' and '.join(self.members) or 'few'} only, {len(self.members)} of {len(self.of)}",
+            "scatter": f"is scatter: its size is no property of any {self.level}",
+        }[self.verdict]
+        return f"{self.effect} {said} (probability {self.probability:.2f})"
+
+    def summary(self) -> dict[str, Any]:
+        """As in `summary.json`."""
+        return {**vars(self), "members": list(self.members), "of": {m: dict(v) for m, v in self.of.items()}}
+
+
 @dataclass(frozen=True, repr=False)
 class Diagnosis(Tabular):
     """What is missing.
@@ -82,6 +117,7 @@ class Diagnosis(Tabular):
         notes: sentences on how the diagnosis was made.
         forms: labels of the forms of the named effects, where these are not the default ones.
         averaged: predictions over all explanations of an ambiguous verdict; None of any other.
+        specimens: what effects are to the specimens, where the study has levels.
     """
 
     verdict: str
@@ -103,6 +139,7 @@ class Diagnosis(Tabular):
     notes: Sequence[str] = ()
     forms: Mapping[str, str] = field(default_factory=dict)
     averaged: "Averaged | None" = None
+    specimens: Sequence[Judgement] = ()
 
     def summary(self) -> dict[str, Any]:
         """The key `diagnosis` of `summary.json`."""
@@ -123,6 +160,7 @@ class Diagnosis(Tabular):
             "p_value": self.p_value,
             "p_value_after": self.p_value_after,
             "averaged": None if self.averaged is None else self.averaged.summary(),
+            "specimens": [one.summary() for one in self.specimens] or None,
         }
         return content | {key: value for key, value in optional.items() if value is not None}
 
@@ -167,9 +205,15 @@ class Diagnosis(Tabular):
 
     @property
     def _notes(self) -> list[str]:
-        """How the diagnosis was made, what explanations differ in, and why likely effects are not named."""
+        """What effects are to the specimens, how the diagnosis was made, what explanations differ in, and why likely effects are
+        not named."""
         between = [] if self.averaged is None else [self.averaged.sentence]
-        return [*self.notes, *between, *(f"{c.effect} {self._instead(c)}" for c in self._unnamed[:_SHOWN])]
+        return [
+            *(one.sentence for one in self.specimens),
+            *self.notes,
+            *between,
+            *(f"{c.effect} {self._instead(c)}" for c in self._unnamed[:_SHOWN]),
+        ]
 
     @property
     def _unnamed(self) -> list[Candidate]:

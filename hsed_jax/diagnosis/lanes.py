@@ -46,6 +46,42 @@ class Part(NamedTuple):
     neutral: Float[np.ndarray, " q"]
 
 
+class Apart(NamedTuple):
+    """How far the parameters of each experiment are from those of all, since its specimen has its own.
+
+    Attributes:
+        names: of the parameters.
+        factor, shift: what each is multiplied by, and what is added, (n, K).
+    """
+
+    names: tuple[str, ...]
+    factor: Float[np.ndarray, "n K"]
+    shift: Float[np.ndarray, "n K"]
+
+    def across(self, names: tuple[str, ...], rows: int) -> "Apart":
+        """The same for all parameters of a larger model and for more experiments, which have those of all."""
+        factor, shift = np.ones((rows, len(names))), np.zeros((rows, len(names)))
+        for k, name in enumerate(self.names):
+            column = names.index(name)
+            factor[: len(self.factor), column] = self.factor[:, k]
+            shift[: len(self.shift), column] = self.shift[:, k]
+        return Apart(names, factor, shift)
+
+
+class LanesApart(NamedTuple):
+    """Lanes whose experiments have parameters of their own, relative to those that are asked for."""
+
+    lanes: "Lanes"
+    apart: Apart
+
+    def __call__(
+        self, thetas: Float[np.ndarray, "L P"], experiments: Int[np.ndarray, " L"]
+    ) -> tuple[Float[np.ndarray, "L J"], Float[np.ndarray, " L"]]:
+        """As those of `Lanes`."""
+        own = thetas * self.apart.factor[experiments] + self.apart.shift[experiments]
+        return self.lanes(own, experiments)
+
+
 class Lanes:
     """Outputs of a model over lanes, each a parameter vector and the number of an experiment.
 

@@ -17,6 +17,7 @@ import numpy as np
 from hsed_jax.errors import UserError
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.effects.base import AbstractSpringEffect, SpringPoint
+from hsed_jax.physics.effects.forms import chosen
 from hsed_jax.physics.laws.base import AbstractSpringLaw
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.scales import Scales
@@ -122,7 +123,15 @@ def _bouc_wen(law: Any, effects: Mapping[str, tuple[str, Any]], scales: Scales, 
     plain = (0.0, law.A, n, gamma * law.A ** (n - 1), beta * law.A ** (n - 1), 1.0)
     degrading = [effects[name] for name in ("stiffness_degradation", "strength_degradation") if name in effects]
     for name, effect in degrading:
-        _require(name, effect, growth=0, saturation=0, power=1, onset=0, driver_1=0, driver_2=0)
+        _require(
+            name,
+            effect,
+            growth=0,
+            saturation=0,
+            power=1,
+            onset=0,
+            **dict.fromkeys(map(chosen, range(1, len(effect.drivers))), 0),
+        )
     if "pinching" in effects:
         name, p = effects["pinching"]
         _require(name, p, widening=1, flatness=1, of_elongation=0, driver_1=0)
@@ -148,8 +157,9 @@ def _elastic(law: Any, effects: Mapping[str, tuple[str, Any]], scales: Scales, r
         return ("Elastic", law.k)
     # The elastic elongation of a spring that yields is the z of Bouc–Wen with n = 1.
     effect = effects["yielding"][1]
-    bound = effect.delta / scales.elongation
-    return ("BoucWen", 0.0, law.k, 1.0, (1 - effect.phi) * bound, effect.phi * bound, 1.0, 0.0, 0.0, 0.0)
+    bound, n = effect.delta / scales.elongation**effect.sharpness, effect.sharpness
+    gamma, beta = (1 - effect.phi - effect.turned) * bound, effect.phi * bound
+    return ("BoucWen", effect.elastic, law.k, n, gamma, beta, 1.0, 0.0, 0.0, 0.0)
 
 
 def _bilinear(law: Any, effects: Mapping[str, tuple[str, Any]], scales: Scales, reach: float) -> tuple:
@@ -200,13 +210,13 @@ def _beside(name: str, effect: Any, law: AbstractSpringLaw, scales: Scales, reac
     force = float(effect.delta * scales.force)
     if effect.name == "coulomb_friction":
         # Sharp friction turns over with the rate; as an ElasticPP that sticks over 1e-3 u_c it was 6 % off.
-        _require(name, effect, of_bristle=1)
+        _require(name, effect, of_bristle=1, worn=0)
         length = effect.bristle * scales.elongation
         return ("BoucWen", 0.0, force / length, 1.0, 0.0, 1 / length, 1.0, 0.0, 0.0, 0.0)
     if effect.delta < 0:
         raise _refused(name, effect, "with a negative amplitude ")
     if effect.name == "viscous_damping":
-        _require(name, effect, side=0, of_elongation=0)
+        _require(name, effect, side=0, of_elongation=0, worn=0)
         power = 1.0
     elif effect.name == "quadratic_damping":
         _require(name, effect, side=0)
@@ -220,11 +230,11 @@ def _curve(effect: Any, scales: Scales, reach: float) -> tuple:
     """A spring that is elastic: two straight lines, or a curve in points."""
 
     def force(elongation: float) -> float:
-        point = SpringPoint(np.float64(elongation), 0.0, 0.0, {}, scales, 1.0)
+        point = SpringPoint(np.float64(elongation), 0.0, 0.0, {}, scales, 1.0, 1.0)
         return float(effect.contribute(point)["force"])
 
     if effect.name == "hardening" and (effect.power, effect.bend) == (1, 0):
-        unit = scales.elongation
+        unit = float(scales.elongation)
         return ("Elastic", force(unit) / unit, 0.0, -force(-unit) / unit)
     corner = [effect.clearance * scales.elongation] if effect.name == "contact_stiffening" else []
     half = np.linspace(0, _BEYOND * reach, _POINTS // 2 + 1)[1:]

@@ -29,19 +29,21 @@ class Emulator(eqx.Module):
     """Predictions of all experiments, quadratic in the parameters of the model.
 
     Attributes:
-        center, spread: of the parameters, for x = (θ − center)/spread, (p,).
-        coefficients: (q, n, J), q = (p + 1)(p + 2)/2.
+        center, spread: of the parameters, for x = (θ − center)/spread, (m, p), m being 1, or n where each experiment has its own.
+        coefficients: (m, q, n/m, J), q = (p + 1)(p + 2)/2.
         error: sd over the posterior of the log density's error [nats].
     """
 
-    center: Float[Array, " p"]
-    spread: Float[Array, " p"]
-    coefficients: Float[Array, "q n J"]
+    center: Float[Array, "m p"]
+    spread: Float[Array, "m p"]
+    coefficients: Float[Array, "m q k J"]
     error: Float[Array, ""]
 
-    def __call__(self, theta: Float[Array, " p"]) -> Float[Array, "n J"]:
-        """Outputs at parameters of the model, SI."""
-        return jnp.tensordot(_terms((theta - self.center) / self.spread), self.coefficients, 1)
+    def __call__(self, theta: Float[Array, "m p"]) -> Float[Array, "n J"]:
+        """Outputs at parameters of the model, SI, for all experiments or of each its own (`Posterior.by_experiment`)."""
+        terms = jax.vmap(_terms)((theta - self.center) / self.spread)
+        found = jnp.einsum("mq,mqkj->mkj", terms, self.coefficients)
+        return found.reshape(-1, found.shape[-1])
 
 
 @program
@@ -51,13 +53,15 @@ def emulate(posterior: Posterior, data: Data, maximum: Maximum, key: PRNGKeyArra
     count = max(_LEAST, _DRAWS * (p + 1) * (p + 2) // 2)
     w = _SPREAD * jax.random.normal(key, (count, maximum.start.size))
     u = maximum.start + w @ maximum.whitening.T
-    theta = jax.vmap(posterior.constrain)(u)[:, :p]
+    theta = jax.vmap(lambda x: posterior.by_experiment(posterior.constrain(x), data))(u)
     center, spread = jnp.mean(theta, axis=0), jnp.std(theta, axis=0)
     spread = jnp.where(spread > 0, spread, 1.0)
     outputs, ok = jax.lax.map(lambda x: posterior.predictions(x, data), u, batch_size=TILE)
-    terms = jax.vmap(_terms)((theta - center) / spread)
-    coefficients = jnp.linalg.lstsq(terms, outputs.reshape(count, -1))[0].reshape(-1, *outputs.shape[1:])
-    emulated = jnp.tensordot(terms, coefficients, 1)
+    terms = jax.vmap(jax.vmap(_terms), out_axes=1)((theta - center) / spread)
+    size, (n, J) = theta.shape[1], outputs.shape[1:]
+    tables = jnp.swapaxes(outputs.reshape(count, size, -1), 0, 1)
+    coefficients = jax.vmap(lambda a, b: jnp.linalg.lstsq(a, b)[0])(terms, tables)
+    emulated = jnp.swapaxes(terms @ coefficients, 0, 1).reshape(count, n, J)
 
     def both(u, outputs, emulated, ok):
         certain = jnp.ones_like(ok)
@@ -69,7 +73,8 @@ def emulate(posterior: Posterior, data: Data, maximum: Maximum, key: PRNGKeyArra
     gap = jnp.where(share > 0, exact - approximate, 0.0)
     error = jnp.sqrt(share @ (gap - share @ gap) ** 2)
     # As many coefficients as were fitted are missing from the draws' own error.
-    return Emulator(center, spread, coefficients, error * jnp.sqrt(count / (count - terms.shape[1])))
+    coefficients = coefficients.reshape(size, -1, n // size, J)
+    return Emulator(center, spread, coefficients, error * jnp.sqrt(count / (count - terms.shape[2])))
 
 
 def _terms(x: Float[Array, " p"]) -> Float[Array, " q"]:

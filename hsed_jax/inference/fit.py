@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
@@ -14,9 +15,10 @@ from hsed_jax.inference.correlation import SIGNIFICANT, Judged, judge, size_p_va
 from hsed_jax.inference.likelihood import Data, Error
 from hsed_jax.inference.maximum import Maximum, maximise
 from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence
+from hsed_jax.inference.population import Level, Varying
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.sampling import draw
-from hsed_jax.inference.watch import Watch, arrays_of, fingerprint
+from hsed_jax.inference.watch import Watch, arrays_of, fingerprint, tree_like
 from hsed_jax.programs import program
 from hsed_jax.tables import Table, Tabular, cell
 
@@ -62,18 +64,22 @@ class Fit(Tabular):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters, inferred errors last."""
-        return self.posterior.names
+        """Names of the parameters: of the model, inferred errors, spreads of a population."""
+        return self.posterior.reported
 
     @cached_property
     def map(self) -> dict[str, float]:
         """θ_MAP by name, SI."""
-        return dict(zip(self.names, np.asarray(self.maximum.theta).tolist(), strict=True))
+        return dict(zip(self.names, np.asarray(self.maximum.theta).tolist(), strict=False))
 
     @property
     def warning(self) -> str | None:
         """What is wrong with the draws, or that the posterior has several modes, in one sentence, or None."""
-        found = self.chains.cut_short, self.maximum.warning(self.names), self.convergence.warning(self.names)
+        found = (
+            self.chains.cut_short,
+            self.maximum.warning(self.posterior.names),
+            self.convergence.warning(self.posterior.names),
+        )
         return "; ".join(filter(None, found)) or None
 
     @property
@@ -131,6 +137,42 @@ class Fit(Tabular):
         """Mean, sd, 5 % and 95 % quantile, bulk ESS and R-hat of each parameter, SI."""
         return summarise(self.names, self.chains, self.convergence)
 
+    @cached_property
+    def of_members(self) -> tuple[Float[np.ndarray, "chains draws M q"], ...]:
+        """Draws of the model's parameters of each member, SI, an array a level."""
+        if not self.posterior.population.levels:
+            return ()
+        members = np.asarray(self.data.members)[: int(self.data.count)]
+        found = _of_members(self.posterior, self.chains.theta, tuple(map(tuple, members.tolist())))
+        return tuple(np.asarray(one) for one in found)
+
+    def levels(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """What varies: by level and parameter its `mean` (the centre of the population) and `spread` (of a positive parameter
+        that of its logarithm), its value `of` each member, and that of an `untested` one; as `summary` has them, SI."""
+        known, found = self.summary(), {}
+        levels = self.posterior.population.levels
+        for number, (level, draws) in enumerate(zip(levels, self.of_members, strict=True)):
+            found[level.name] = {}
+            for varying in level.varying:
+                own = [_statistics(draws[..., m, varying.column].ravel()) for m in range(len(level.members))]
+                found[level.name][varying.name] = {
+                    "mean": known[varying.name],
+                    "spread": known[f"{level.name}.{varying.name}.spread"],
+                    "of": dict(zip(level.members, own, strict=True)),
+                    "untested": _statistics(self._untested(varying, levels[: number + 1])),
+                }
+        return found
+
+    def _untested(self, varying: Varying, levels: Sequence[Level]) -> Float[np.ndarray, " S"]:
+        """Draws of a parameter of a specimen that is a new member of all these levels, SI."""
+        draws = dict(zip(self.names, np.moveaxis(np.asarray(self.chains.theta), -1, 0), strict=False))
+        center, random = draws[varying.name].ravel(), np.random.default_rng(0)
+        spreads = [
+            draws[f"{lv.name}.{v.name}.spread"].ravel() for lv in levels for v in lv.varying if v.name == varying.name
+        ]
+        moves = sum(spread * random.standard_normal(spread.size) for spread in spreads)
+        return np.clip(center * np.exp(moves) if varying.is_log else center + moves, varying.lower, varying.upper)
+
     def _table(self) -> Table:
         rows = [
             (
@@ -147,6 +189,11 @@ class Fit(Tabular):
             "laplace": "draws of the Gaussian around the MAP, not of the posterior",
         }[self.chains.sampler]
         state = f"warning: {self.warning}" if self.warning else found
+        for level, parameters in self.levels().items():
+            for name, about in parameters.items():
+                for member, v in about["of"].items():
+                    numbers = (cell(v[key], ".4g") for key in ("mean", "sd", "q05", "q95"))
+                    rows.append((f"{name} of {level} {member}", "", *numbers, "", ""))
         notes = [] if self.doubt is None else [self.doubt]
         heads = ("parameter", "MAP", "mean", "sd", "5 %", "95 %", "ESS", "R-hat")
         return Table(f"calibrated on {int(self.data.count)} experiments; {state}", heads, rows, notes)
@@ -194,7 +241,8 @@ def fit(
     else:
         watch.report("the most probable parameters")
         posterior, data, maximum, process = _most_probable(posterior, data, points, errors, support)
-        watch.keep(name, arrays_of((posterior.declared, data.weights, data.memory, process, maximum)))
+        kept = (posterior.declared, posterior.population, data.weights, data.memory, process, maximum)
+        watch.keep(name, arrays_of(kept))
     chains = draw(posterior, data, maximum, jnp.asarray(0.8), key, settings, watch, seconds)
     standardised = np.asarray(_standardised(declared, data, maximum.theta))
     chi2, p_value = _left_unexplained(standardised, data, declared, _judged(standardised, data, declared, errors))
@@ -211,7 +259,11 @@ def _read_back(
     posterior: Posterior, data: Data, kept: Sequence[np.ndarray], errors: Sequence[Error]
 ) -> tuple[Posterior, Data, Maximum, "Process | None"]:
     """What `_most_probable` found, from the arrays that were kept of it."""
-    declared, weights, memory, *rest = map(jnp.asarray, kept)
+    size = len(arrays_of(posterior.population))
+    declared, rest = kept[0], kept[1 + size :]
+    posterior = posterior.inflated(declared / np.asarray(posterior.declared))
+    posterior = eqx.tree_at(lambda p: p.population, posterior, tree_like(posterior.population, kept[1 : 1 + size]))
+    weights, memory, *rest = map(jnp.asarray, rest)
     data, process = data._replace(weights=weights, memory=memory), None
     if any(error.discrepancy for error in errors):
         from hsed_jax.inference.discrepancy import Process
@@ -221,7 +273,6 @@ def _read_back(
         data = data._replace(decorrelation=process.whitening)
     each = len(Maximum._fields) - 1
     best, *others = (Maximum._make([*rest[i : i + each], ()]) for i in range(0, len(rest), each))
-    posterior = posterior.inflated(np.asarray(declared) / np.asarray(posterior.declared))
     return posterior, data, best._replace(others=tuple(others)), process
 
 
@@ -235,7 +286,7 @@ def _most_probable(
         # The same program as with the discrepancy that is then learned.
         data = data._replace(decorrelation=none_of(data))
     maximum = maximise(posterior, data, points)
-    declared, process = posterior, None
+    declared, process, is_centred = posterior, None, False
     for _ in range(_ROUNDS):
         standardised = np.asarray(_standardised(declared, data, maximum.theta))
         judged = _judged(standardised, data, declared, errors)
@@ -244,17 +295,20 @@ def _most_probable(
         learned = _learned(declared, data, maximum, errors, support, process)
         found = (weights, judged.memory, inflated.declared, *arrays_of(learned))
         before = (data.weights, data.memory, posterior.declared, *arrays_of(process))
-        if len(found) == len(before) and all(
+        is_settled = len(found) == len(before) and all(
             np.allclose(old, new, rtol=_SETTLED) for old, new in zip(before, found, strict=True)
-        ):
-            break
-        posterior, process = inflated, learned
-        data = data._replace(
-            weights=weights,
-            memory=jnp.asarray(judged.memory),
-            decorrelation=None if process is None else process.whitening,
         )
-        maximum = maximise(posterior, data, points.at[0].set(maximum.u))
+        if is_settled and (is_centred or not posterior.population.levels):
+            break
+        if not is_settled:
+            posterior, process = inflated, learned
+            data = data._replace(
+                weights=weights,
+                memory=jnp.asarray(judged.memory),
+                decorrelation=None if process is None else process.whitening,
+            )
+        posterior, is_centred = posterior.centred(maximum.theta, data), True
+        maximum = maximise(posterior, data, points.at[0].set(posterior.unconstrain(maximum.theta)))
     return posterior, data, maximum, process
 
 
@@ -305,23 +359,31 @@ def _left_unexplained(
     if not used.any():
         return None, None
     noises = {g: noise for g, noise in enumerate(judged.noises) if posterior.is_declared[g]}
-    parameters = len(posterior.model_names)
-    p_value = size_p_value(standardised, used, judged.memory, noises, posterior.groups, parameters)
+    p_value = size_p_value(standardised, used, judged.memory, noises, posterior.groups, posterior.fitted)
     return float(np.mean(standardised[used] ** 2)), p_value
 
 
 def summarise(names: tuple[str, ...], chains: Chains, judged: Convergence) -> dict[str, dict[str, float]]:
     """Mean, sd, quantiles and diagnostics of each parameter's draws."""
-    draws = np.asarray(chains.theta).reshape(-1, len(names))
-    q05, q95 = np.quantile(draws, [0.05, 0.95], axis=0)
+    draws = np.asarray(chains.theta)[..., : len(names)].reshape(-1, len(names))
     return {
         name: {
-            "mean": float(draws[:, i].mean()),
-            "sd": float(draws[:, i].std(ddof=1)),
-            "q05": float(q05[i]),
-            "q95": float(q95[i]),
+            **_statistics(draws[:, i]),
             "ess_bulk": float(judged.ess_bulk[i]),
             "rhat": float(judged.rhat[i]),
         }
         for i, name in enumerate(names)
     }
+
+
+def _statistics(draws: Float[np.ndarray, " S"]) -> dict[str, float]:
+    q05, q95 = np.quantile(draws, [0.05, 0.95])
+    return {"mean": float(draws.mean()), "sd": float(draws.std(ddof=1)), "q05": float(q05), "q95": float(q95)}
+
+
+@program
+def _of_members(posterior: Posterior, theta: Array, members: tuple[tuple[int, ...], ...]) -> tuple[Array, ...]:
+    def one(theta):
+        return posterior.population.of_members(theta, posterior.of_model(theta), np.asarray(members, dtype=int))
+
+    return jax.vmap(jax.vmap(one))(theta)

@@ -87,6 +87,7 @@ class Data(NamedTuple):
         gaps: time since the sample before of the same history [s], infinite where there is none, shape (n, J).
         memory: ρ, correlation of the noise with that of the sample before, shape (n, J).
         count: how many experiments there are; rows beyond are padding.
+        members: of each experiment its member of every level of a population, shape (n, L).
         decorrelation: of the residuals where the model's discrepancy is learned, in place of memory and weights.
     """
 
@@ -96,6 +97,7 @@ class Data(NamedTuple):
     gaps: Float[Array, "n J"]
     memory: Float[Array, "n J"]
     count: Int[Array, ""]
+    members: Int[Array, "n L"]
     decorrelation: Decorrelation | None = None
 
 
@@ -118,6 +120,7 @@ def data_of(conditions: PyTree, measured: np.ndarray, used: np.ndarray, gaps: np
         jnp.asarray(np.where(used & before, gaps, np.inf)),
         jnp.zeros(measured.shape),
         jnp.asarray(count),
+        jnp.zeros((len(measured), 0), int),
     )
 
 

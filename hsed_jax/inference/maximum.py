@@ -25,6 +25,8 @@ _MOST_STEPS = 60
 # Newton's method towards the mode of the density in u ends where it expects to gain less than this many nats.
 _LEAST_GAIN = 1e-4
 _MOST_NEWTON_STEPS, _MOST_HALVINGS = 20, 6
+# No coordinate, of order one, goes further at once.
+_LONGEST = 8.0
 # What ended at a bound starts again at this share of the way to it, at most so often.
 _RETURN, _MOST_RETURNS = 0.5, 3
 # An end of the race this many standard deviations from the mode should be half the square of it lower [nats]; one that is higher
@@ -40,7 +42,8 @@ class Maximum(NamedTuple):
     """The best of several starts: a mode of the posterior, and the others.
 
     Attributes:
-        u, theta: unconstrained and physical (SI) coordinates of the MAP (Eq. 6), shape (p,).
+        u, theta: unconstrained and physical (SI) coordinates of the MAP (Eq. 6), shape (p,).  Of a population they are those of
+            `start`: the joint density of spreads and offsets has its mode at spreads that no measurement supports.
         log_posterior: log π(θ)L(θ) there.
         covariance: Gauss–Newton covariance of θ there, prior included, shape (p, p).
         log_evidence: log Z by Laplace's method (Tierney & Kadane 1986), of this mode alone.
@@ -124,12 +127,16 @@ def _dips(posterior: Posterior, data: Data, one: Maximum, other: Maximum) -> boo
 
 def _mode(posterior: Posterior, data: Data, start: Float[Array, " p"]) -> Maximum:
     u, converged = _off_the_bounds(posterior, data, *_descend(posterior, data, start))
+    if posterior.population.levels:
+        u = _settled(posterior, u)
+    center, log_density, whitening = _sampling_frame(posterior, data, u)
+    if posterior.population.levels:
+        u = center
     theta, to_theta = _physical(posterior, u)
     found = _expand(posterior, data, u)
     covariance = to_theta @ np.linalg.inv(found.curvature) @ np.asarray(to_theta).T
-    start, log_density, whitening = _sampling_frame(posterior, data, u)
     log_evidence = log_density + 0.5 * u.size * LOG_2PI + jnp.linalg.slogdet(whitening)[1]
-    return Maximum(u, theta, found.log_posterior, covariance, log_evidence, start, whitening, converged)
+    return Maximum(u, theta, found.log_posterior, covariance, log_evidence, center, whitening, converged)
 
 
 def _off_the_bounds(
@@ -169,6 +176,11 @@ def _descend(posterior: Posterior, data: Data, start: Float[Array, " p"]) -> tup
 @program
 def _expand(posterior: Posterior, data: Data, u: Float[Array, " p"]) -> Expansion:
     return posterior.expand(u, data)
+
+
+@program
+def _settled(posterior: Posterior, u: Float[Array, " p"]) -> Float[Array, " p"]:
+    return posterior.unconstrain(posterior.population.settled(posterior.constrain(u)))
 
 
 @program
@@ -213,6 +225,7 @@ def _sampling_frame(
     here = _expand(posterior, data, center)
     for _ in range(_MOST_NEWTON_STEPS):
         step = np.linalg.solve(here.curvature, here.gradient)
+        step = step * min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
         if not np.isfinite(step).all() or float(step @ np.asarray(here.gradient)) < _LEAST_GAIN:
             break
         for _ in range(_MOST_HALVINGS):

@@ -134,7 +134,7 @@ def advance(
 
         def emulated(w):
             u = place + frame @ w
-            predicted = emulate(posterior.of_model(posterior.constrain(u)))
+            predicted = emulate(posterior.by_experiment(posterior.constrain(u), data))
             return -posterior.log_density_of(u, predicted, jnp.ones(predicted.shape[0]), data)
 
         potential = jax.custom_jvp(exact)

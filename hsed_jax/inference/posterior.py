@@ -1,7 +1,8 @@
 r"""The posterior of one study as pure functions of unconstrained coordinates and data.
 
 Coordinates u are unconstrained; θ(u) maps them into the support of the priors.  Parameters of the model come first, inferred
-errors after them.  Nothing here depends on how many experiments there are: the data are padded and counted.
+errors after them, then those of a population (`hsed_jax.inference.population`).  Nothing here depends on how many experiments
+there are: the data are padded and counted.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -24,13 +25,18 @@ from hsed_jax.inference.likelihood import (
     sigma_of,
     standardised_residual,
 )
+from hsed_jax.inference.population import Level, Population, spread_support
 from hsed_jax.inference.predict import Predictor
 from hsed_jax.inference.priors import Prior
+from hsed_jax.programs import program
 
 # Beyond this the logistic and the exponential are at their bounds to double precision.
 _FAR = 30.0
 # log(σ/σ_min) of an error that is as large as what was measured.
 _ROOM = 12.0
+_LEAST_CURVATURE = 1e-3
+# Coordinates are of order one, and so is their density where the Hessian does not say so.
+_LEAST_OF_POPULATION = 0.25
 
 
 class Expansion(NamedTuple):
@@ -41,12 +47,14 @@ class Expansion(NamedTuple):
         log_density: log density in u, unnormalised.
         gradient: of `log_density`, (p,).
         curvature: minus its Hessian, made positive, (p, p).
+        information: what of the curvature the measurements have told, (p, p).
     """
 
     log_posterior: Float[Array, ""]
     log_density: Float[Array, ""]
     gradient: Float[Array, " p"]
     curvature: Float[Array, "p p"]
+    information: Float[Array, "p p"]
 
 
 @final
@@ -61,9 +69,11 @@ class Posterior(eqx.Module):
         errors: per output.
         outputs: names of the outputs, in the order of `errors`.
         groups: the output that each column of the data belongs to, (J,).
+        levels: of the specimens, where parameters vary between them.
 
     Attributes:
         declared: sizes of the errors, one where it is inferred, (G,).
+        population: what varies between specimens.
     """
 
     predict: Predictor
@@ -75,6 +85,7 @@ class Posterior(eqx.Module):
     _relative: tuple[bool, ...] = eqx.field(static=True)
     _inferred: tuple[tuple[int, int], ...] = eqx.field(static=True)
     declared: Float[Array, " outputs"]
+    population: Population
 
     def __init__(
         self,
@@ -83,12 +94,15 @@ class Posterior(eqx.Module):
         errors: Sequence[Error],
         outputs: Sequence[str],
         groups: np.ndarray,
+        levels: Sequence[Level] = (),
     ):
         sizes = [error.size for error in errors]
         inferred = {f"error.{output}": s for output, s in zip(outputs, sizes, strict=True) if isinstance(s, Prior)}
         self.predict = predict
         self.model_names, self.outputs = tuple(priors), tuple(outputs)
-        self.names, self._priors = (*priors, *inferred), (*priors.values(), *inferred.values())
+        self.population = Population(levels, len(priors) + len(inferred))
+        known = {**priors, **inferred, **self.population.spreads}
+        self.names, self._priors = (*known, *self.population.offsets), tuple(known.values())
         self._columns = tuple(np.asarray(groups).tolist())
         self._relative = tuple(error.is_relative for error in errors)
         self.declared = jnp.asarray([1.0 if isinstance(s, Prior) else s for s in sizes])
@@ -99,8 +113,18 @@ class Posterior(eqx.Module):
 
     @property
     def priors(self) -> dict[str, Prior]:
-        """Of all parameters, inferred errors last."""
-        return dict(zip(self.names, self._priors, strict=True))
+        """Of the parameters that are reported."""
+        return dict(zip(self.reported, self._priors, strict=True))
+
+    @property
+    def reported(self) -> tuple[str, ...]:
+        """The names of the first parameters, which mean something by themselves; standardised offsets, after them, do not."""
+        return self.names[: len(self._priors)]
+
+    @property
+    def fitted(self) -> int:
+        """How many parameters predictions were fitted by."""
+        return len(self.model_names) + len(self.population.offsets)
 
     @property
     def groups(self) -> np.ndarray:
@@ -117,6 +141,12 @@ class Posterior(eqx.Module):
         return eqx.tree_at(lambda p: p.declared, self, self.declared * factors)
 
     @property
+    def _supports(self) -> list[Any]:
+        """The maps from u to the supports of the priors."""
+        spreads = self.population.spreads
+        return [spread_support(p) if n in spreads else p.to_support for n, p in self.priors.items()]
+
+    @property
     def _is_relative(self) -> np.ndarray:
         """Whether the error of a column is relative, (J,)."""
         return np.asarray(self._relative, dtype=bool)[self.groups]
@@ -128,24 +158,31 @@ class Posterior(eqx.Module):
 
     def constrain(self, u: Float[Array, " p"]) -> Float[Array, " p"]:
         """θ(u)."""
-        return jnp.stack([prior.to_support(x) for prior, x in zip(self.priors.values(), u, strict=True)])
+        return self.population.released(self._supported(u))
+
+    def _supported(self, u: Float[Array, " p"]) -> Float[Array, " p"]:
+        first = jnp.stack([to_support(x) for to_support, x in zip(self._supports, u, strict=False)])
+        return jnp.concatenate([first, u[first.size :]]) if self.population.levels else first
 
     def unconstrain(self, theta: Float[Array, " p"]) -> Float[Array, " p"]:
         """u(θ), kept finite at the bounds."""
-        u = jnp.stack([prior.to_support.inv(x) for prior, x in zip(self.priors.values(), theta, strict=True)])
+        held = self.population.held(theta)
+        first = jnp.stack([to_support.inv(x) for to_support, x in zip(self._supports, held, strict=False)])
+        u = jnp.concatenate([first, held[first.size :]])
         return jnp.clip(jnp.nan_to_num(u, nan=0.0, posinf=_FAR, neginf=-_FAR), -_FAR, _FAR)
 
     def starts(self, count: int) -> Float[Array, "count p"]:
         """Well-spread starting points: the middle of the prior, then Sobol' points of its central 80 %."""
         from scipy.stats import qmc
 
-        sequence = qmc.Sobol(len(self.names), scramble=True, rng=0)
+        sequence = qmc.Sobol(len(self._priors), scramble=True, rng=0)
         spread = 0.1 + 0.8 * sequence.random_base2(count.bit_length())[: max(count - 1, 1)]
-        shares = np.vstack([np.full((1, len(self.names)), 0.5), spread])[:count]
+        shares = np.vstack([np.full((1, len(self._priors)), 0.5), spread])[:count]
         theta = np.stack(
-            [np.asarray(prior.quantile(share)) for prior, share in zip(self.priors.values(), shares.T, strict=True)],
-            axis=1,
+            [np.asarray(prior.quantile(share)) for prior, share in zip(self._priors, shares.T, strict=True)], axis=1
         )
+        # Of offsets nobody knows a sign.
+        theta = np.pad(theta, ((0, 0), (0, len(self.population.offsets))))
         return jnp.stack([self.unconstrain(row) for row in jnp.asarray(theta)])
 
     def errors(self, theta: Float[Array, " p"]) -> Float[Array, " J"]:
@@ -176,12 +213,12 @@ class Posterior(eqx.Module):
 
     def standardised(self, theta: Float[Array, " p"], data: Data) -> Float[Array, "n J"]:
         """(f − y)/σ at parameters, neither weighed nor whitened; zero where there are no data."""
-        predicted, ok = self.predict(self.of_model(theta), data.conditions, data.count)
+        predicted, ok = self.predict(self.by_experiment(theta, data), data.conditions, data.count)
         return (data.weights > 0) * (predicted - data.values) / self.sigma(theta, predicted, ok, data)
 
     def compared(self, theta: Float[Array, " p"], data: Data) -> Float[Array, "n J"]:
         """z at parameters, neither weighed nor whitened; zero where there are no data and where the simulation diverged."""
-        predicted, ok = self.predict(self.of_model(theta), data.conditions, data.count)
+        predicted, ok = self.predict(self.by_experiment(theta, data), data.conditions, data.count)
         return self._compared(theta, predicted, ok, data)[0]
 
     def log_density(self, u: Float[Array, " p"], data: Data) -> Float[Array, ""]:
@@ -190,7 +227,7 @@ class Posterior(eqx.Module):
 
     def predictions(self, u: Float[Array, " p"], data: Data) -> tuple[Float[Array, "n J"], Float[Array, " n"]]:
         """Outputs of the experiments, and 1 where the simulation converged, else 0."""
-        return self.predict(self.of_model(self.constrain(u)), data.conditions, data.count)
+        return self.predict(self.by_experiment(self.constrain(u), data), data.conditions, data.count)
 
     def log_density_of(
         self, u: Float[Array, " p"], predicted: Float[Array, "n J"], ok: Float[Array, " n"], data: Data
@@ -208,9 +245,8 @@ class Posterior(eqx.Module):
 
     def log_prior(self, theta: Float[Array, " p"]) -> Float[Array, ""]:
         """Log density of the prior."""
-        return sum(
-            (prior.log_density(x) for prior, x in zip(self.priors.values(), theta, strict=True)), start=jnp.zeros(())
-        )
+        known = (prior.log_density(x) for prior, x in zip(self._priors, theta, strict=False))
+        return sum(known, start=self.population.log_prior(theta))
 
     def residuals(self, u: Float[Array, " p"], data: Data) -> Float[Array, " r"]:
         r"""ρ with ½ρᵀρ = −log posterior + constant, for a least-squares solver.
@@ -222,9 +258,10 @@ class Posterior(eqx.Module):
         predicted, ok = self.predictions(u, data)
         z, log_sigma = self._compared(theta, predicted, ok, data)
         parts = [standardised_residual(z, ok, data)]
-        for prior, x in zip(self.priors.values(), theta, strict=True):
+        for prior, x in zip(self._priors, theta, strict=False):
             mode, highest = prior.mode
             parts.append(jnp.sign(x - mode)[None] * _root(2 * (highest - prior.log_density(x)))[None])
+        parts.append(theta[len(self._priors) :])
         inferred, members = ~self.is_declared, self._members
         if inferred.any():
             used = (data.weights > 0).astype(float)
@@ -254,12 +291,17 @@ class Posterior(eqx.Module):
         g = jax.vmap(lambda one: decorrelated(one, data))(z_along + z * sigma_along)
         h = jnp.sqrt(2 * data.weights) * sigma_along
         information = g @ g.T + jnp.einsum("pnj,qnj->pq", h, h)
-        curvature = information + jnp.diag(self.stiffness(u))
-        return Expansion(likelihood + prior, likelihood + density, gradient, curvature)
+        if self.population.levels:
+            # Spreads and offsets bend each other's density, and not upwards everywhere.
+            values, axes = jnp.linalg.eigh(information - jax.hessian(self._log_prior_of)(u))
+            curvature = (axes * jnp.maximum(values, _LEAST_OF_POPULATION)) @ axes.T
+        else:
+            curvature = information + jnp.diag(self.stiffness(u))
+        return Expansion(likelihood + prior, likelihood + density, gradient, curvature, information)
 
     def stiffness(self, u: Float[Array, " p"]) -> Float[Array, " p"]:
         """Curvature of prior and transformation in u, what is positive of it."""
-        return jnp.maximum(-jnp.diag(jax.hessian(self._log_prior_of)(u)), 1e-3)
+        return jnp.maximum(-jnp.diag(jax.hessian(self._log_prior_of)(u)), _LEAST_CURVATURE)
 
     def _log_prior_of(self, u: Float[Array, " p"]) -> Float[Array, ""]:
         return self.log_prior(self.constrain(u)) + self._log_jacobian(u)
@@ -300,19 +342,46 @@ class Posterior(eqx.Module):
         of_logarithm, sd = logarithmic(errors, self._is_relative, self._members)
         moved = jnp.where(of_logarithm, predicted * jnp.exp(sd * by), 0.0)
         sigma = self.expected_sigma(theta, predicted, data)
-        return jnp.where(of_logarithm, moved, predicted + sigma * by), jnp.where(
-            of_logarithm, sd * jnp.abs(moved), sigma
-        )
+        slope = jnp.where(of_logarithm, sd * jnp.abs(moved), sigma)
+        return jnp.where(of_logarithm, moved, predicted + sigma * by), slope
 
     def of_model(self, theta: Float[Array, " p"]) -> Float[Array, " q"]:
-        """The parameters of the model, without inferred errors."""
+        """The parameters of the model, without inferred errors; of a population those at its centre."""
         return theta[: len(self.model_names)]
 
+    def by_experiment(
+        self, theta: Float[Array, " p"], data: Data, strangers: tuple[Float[Array, "_ _"], ...] = ()
+    ) -> Float[Array, "m q"]:
+        """The parameters of the model for all experiments, (1, q), or of each with its members, (n, q).
+
+        Arguments:
+            theta: all parameters.
+            data: the experiments.
+            strangers: standardised offsets of members that the population does not know, (K, ·) a level.
+        """
+        center = self.of_model(theta)
+        if not self.population.levels:
+            return center[None]
+        return self.population.own(theta, center, data.members, strangers)
+
+    def centred(self, theta: Float[Array, " p"], data: Data) -> "Posterior":
+        """The same posterior in coordinates that suit what the measurements tell of its offsets at θ."""
+        if not self.population.levels:
+            return self
+        plain = eqx.tree_at(lambda p: p.population, self, Population(self.population.levels, self.population.first))
+        theta = self.population.settled(theta)
+        u = plain.unconstrain(theta)
+        information = _expanded(plain, u, data).information
+        per_u = np.diag(np.asarray(jax.jacfwd(plain.constrain)(u)))
+        population = plain.population.centred(np.asarray(theta), np.asarray(information) / np.outer(per_u, per_u))
+        return eqx.tree_at(lambda p: p.population, self, population)
+
     def _log_jacobian(self, u: Float[Array, " p"]) -> Float[Array, ""]:
-        terms = [
-            p.to_support.log_abs_det_jacobian(x, p.to_support(x)) for p, x in zip(self.priors.values(), u, strict=True)
-        ]
-        return sum(terms, start=jnp.zeros(()))
+        terms = [support.log_abs_det_jacobian(x, support(x)) for support, x in zip(self._supports, u, strict=False)]
+        return sum(terms, start=self.population.log_jacobian(self._supported(u)))
+
+
+_expanded = program(Posterior.expand)
 
 
 def _value_and_jacobian(function: Callable, u: Float[Array, " p"]) -> tuple[Any, Any, Any]:

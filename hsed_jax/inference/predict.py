@@ -32,19 +32,19 @@ class Predictor(eqx.Module):
     respond: Respond
 
     def __call__(
-        self, theta: Float[Array, " p"], conditions: PyTree, count: Int[Array, ""]
+        self, theta: Float[Array, "*m p"], conditions: PyTree, count: Int[Array, ""]
     ) -> tuple[Float[Array, "n J"], Float[Array, " n"]]:
         """Outputs (n, J) of the experiments and flags (n,): 1 where the simulation converged, else 0.
 
         Experiments beyond the count are not computed, and zero.  A diverged experiment has zero outputs and zero derivatives.
 
         Arguments:
-            theta: parameters.
+            theta: parameters, (p,), or of each experiment its own, (n, p).
             conditions: of the experiments, leading axis n.
             count: how many experiments matter.
         """
         arrays, rest = eqx.partition(self.respond, eqx.is_array)
-        return _predict(rest, arrays, theta, conditions, count)
+        return _predict(rest, arrays, jnp.atleast_2d(theta), conditions, count)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -57,7 +57,9 @@ def _predict(rest, arrays, theta, conditions, count):
 def _(rest, primals, tangents):
     arrays, theta, conditions, count = primals
     outputs, ok, jacobian = _over_all(partial(_values_and_jacobian, rest))(arrays, theta[None], conditions, count)
-    return (outputs[0], ok[0]), (jacobian[0] @ tangents[1], jnp.zeros_like(ok[0]))
+    along = tangents[1]
+    moved = jacobian[0] @ along[0] if len(along) == 1 else jnp.einsum("njp,np->nj", jacobian[0], along)
+    return (outputs[0], ok[0]), (moved, jnp.zeros_like(ok[0]))
 
 
 # Compiled on their own so that all programs of all equal studies share one trace, which costs more than compiling it.
@@ -88,13 +90,14 @@ def _values_and_jacobian(rest, arrays, lanes):
 
 
 def _over_all(tile_function: Callable) -> Callable:
-    """From a function of a tile of lanes to one of parameters (C, p) and conditions (n, …), flat whatever is vmapped."""
+    """From a function of a tile of lanes to one of parameters (C, 1 or n, p) and conditions (n, …), flat whatever is vmapped."""
 
     @custom_vmap
     def run(arrays, thetas, conditions, count):
         size, chains = jax.tree.leaves(conditions)[0].shape[0], thetas.shape[0]
+        by_experiment = jnp.swapaxes(jnp.broadcast_to(thetas, (chains, size, thetas.shape[-1])), 0, 1)
         lanes = (
-            jnp.tile(thetas, (size, 1)),
+            by_experiment.reshape(size * chains, -1),
             jax.tree.map(lambda values: jnp.repeat(values, chains, axis=0), conditions),
         )
         # Experiments vary slowest, so those that matter stay a prefix.
@@ -118,7 +121,7 @@ def _over_all(tile_function: Callable) -> Callable:
         assert batched_thetas
         arrays, thetas, conditions, count = operands
         chains = thetas.shape[1]
-        results = run(arrays, thetas.reshape(axis_size * chains, -1), conditions, count)
+        results = run(arrays, thetas.reshape(axis_size * chains, *thetas.shape[2:]), conditions, count)
         return (
             jax.tree.map(lambda r: r.reshape(axis_size, chains, *r.shape[1:]), results),
             jax.tree.map(lambda _: True, results),

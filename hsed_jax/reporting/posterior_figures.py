@@ -69,8 +69,8 @@ def posterior(fit: Fit, before: Fit | None, truth: Mapping[str, float]) -> Pictu
 
 
 def _draws(fit: Fit) -> dict[str, np.ndarray]:
-    draws = np.asarray(fit.chains.theta).reshape(-1, len(fit.names))
-    return {name: draws[:, i] for i, name in enumerate(fit.names)}
+    draws = np.asarray(fit.chains.theta)
+    return {name: draws[..., i].ravel() for i, name in enumerate(fit.names)}
 
 
 def _marginal(panel: Axes, values: np.ndarray, at: float, look: str) -> None:

@@ -26,7 +26,7 @@ _STILL = {
     "design": ("fig5_expected_improvement", "fig6_exploration", "fig7_estimates", "fig4bis_one_experiment_map"),
     "bands": ("band_parts",),
     "cycles": ("cycles",),
-    "posterior": ("posterior",),
+    "posterior": ("posterior", "population"),
     "excitation": ("fig3_excitation", "fig4_loops_and_energy"),
 }
 """Figures of the run folder that stand in the page as they are, by section."""

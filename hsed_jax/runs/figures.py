@@ -12,6 +12,7 @@ from hsed_jax.reporting import design_figures, diagnosis_figures, figures
 from hsed_jax.reporting.cycle_figures import cycles
 from hsed_jax.reporting.discovery_figures import learned
 from hsed_jax.reporting.misfit_figures import misfit_pictures
+from hsed_jax.reporting.population_figures import population
 from hsed_jax.reporting.posterior_figures import posterior
 from hsed_jax.reporting.style import Picture
 from hsed_jax.runs.illustrations import (
@@ -75,7 +76,7 @@ def expected_improvement(outcome: Outcome) -> Picture:
 
 def estimates(outcome: Outcome) -> Picture:
     """Fig. 7 of a run with steps of a design, the parameters of a virtual specimen as reference."""
-    names = outcome.posterior.names
+    names = outcome.posterior.reported
     units = [outcome.units.get(name, "1") for name in names]
     return figures.estimate_history(
         outcome.estimates, outcome.band("q05"), outcome.band("q95"), names, units, outcome.truth
@@ -117,7 +118,10 @@ def _posterior_pictures(outcome: Outcome) -> Iterator[tuple[str, Picture]]:
     if outcome.fit is not None:
         better = outcome.improved
         before = None if better is None else outcome.fit
-        yield "posterior", posterior(better or outcome.fit, before, outcome.truth)
+        fit = better or outcome.fit
+        yield "posterior", posterior(fit, before, outcome.truth)
+        for level, parameters in fit.levels().items():
+            yield _file("population", level), population(level, parameters, fit.units)
 
 
 def _file(name: str, owner: str) -> str:

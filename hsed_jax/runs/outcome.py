@@ -78,15 +78,16 @@ class Outcome:
     @property
     def estimates(self) -> np.ndarray:
         """θ_MAP at every step and of the final calibration, SI, (steps + 1, p)."""
-        rows = [[step["map"][name] for name in self.posterior.names] for step in self.steps]
+        names = self.posterior.reported
+        rows = [[step["map"][name] for name in names] for step in self.steps]
         if self.fit is not None:
-            rows.append([self.fit.map[name] for name in self.posterior.names])
-        return np.asarray(rows).reshape(len(rows), len(self.posterior.names))
+            rows.append([self.fit.map[name] for name in names])
+        return np.asarray(rows).reshape(len(rows), len(names))
 
     def band(self, quantile: str) -> np.ndarray:
         """A posterior quantile (`q05`, `q95`) at every step and of the final calibration, SI, (steps + 1, p)."""
         summaries = [step["posterior"] for step in self.steps] + ([self.fit.summary()] if self.fit is not None else [])
-        return np.asarray([[s[name][quantile] for name in self.posterior.names] for s in summaries])
+        return np.asarray([[s[name][quantile] for name in self.posterior.reported] for s in summaries])
 
 
 def summary(outcome: Outcome) -> dict[str, Any]:
@@ -96,12 +97,16 @@ def summary(outcome: Outcome) -> dict[str, Any]:
     if outcome.scales is not None:
         content["scales"] = {name: float(value) for name, value in outcome.scales._asdict().items()}
     if fit is not None:
-        content["calibration"] = {
-            "map": fit.map,
-            "posterior": fit.summary(),
-            "divergences": fit.convergence.divergences,
-            "log_evidence": float(fit.maximum.log_evidence),
-        } | _doubts(fit)
+        content["calibration"] = (
+            {
+                "map": fit.map,
+                "posterior": fit.summary(),
+                "divergences": fit.convergence.divergences,
+                "log_evidence": float(fit.maximum.log_evidence),
+            }
+            | _levels(fit)
+            | _doubts(fit)
+        )
     if outcome.comparison is not None:
         content["comparison"] = outcome.comparison.summary()
     if outcome.location is not None and "comparison" in content:
@@ -115,12 +120,16 @@ def summary(outcome: Outcome) -> dict[str, Any]:
     if outcome.trail is not None:
         content["improvement"] = outcome.trail.summary()
         if outcome.improved is not None and outcome.improved_comparison is not None:
-            content["improvement"] |= {
-                "map": outcome.improved.map,
-                "posterior": outcome.improved.summary(),
-                "divergences": outcome.improved.convergence.divergences,
-                "comparison": outcome.improved_comparison.summary(),
-            } | _doubts(outcome.improved)
+            content["improvement"] |= (
+                {
+                    "map": outcome.improved.map,
+                    "posterior": outcome.improved.summary(),
+                    "divergences": outcome.improved.convergence.divergences,
+                    "comparison": outcome.improved_comparison.summary(),
+                }
+                | _levels(outcome.improved)
+                | _doubts(outcome.improved)
+            )
     if state is not None:
         assert outcome.design is not None
         estimates = outcome.estimates.T.tolist()
@@ -142,6 +151,12 @@ def _references(outcome: Outcome) -> dict[str, str]:
         [] if outcome.trail is None else [effect for step in outcome.trail.steps for effect in step.effects]
     )
     return outcome.model.references | {name: outcome.catalogue[name].reference for name in dict.fromkeys(used)}
+
+
+def _levels(fit: Fit) -> dict[str, Any]:
+    """What varies between specimens, where anything does."""
+    found = fit.levels()
+    return {"levels": found} if found else {}
 
 
 def _doubts(fit: Fit) -> dict[str, Any]:

@@ -6,6 +6,7 @@ explanations of an ambiguous diagnosis, and `ranking` is the table of the diagno
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -54,7 +55,7 @@ def _posterior(fit: Fit) -> dict[str, xr.Dataset]:
     """Draws of every parameter, and statistics of the sampler."""
     chains = fit.chains
     dims = ("chain", "draw")
-    draws = {
+    draws: dict[str, Any] = {
         name: (dims, np.asarray(chains.theta[..., i]), {"units": fit.units.get(name, "1")})
         for i, name in enumerate(fit.names)
     }
@@ -64,8 +65,14 @@ def _posterior(fit: Fit) -> dict[str, xr.Dataset]:
         "n_steps": (dims, np.asarray(chains.steps)),
     }
     shape = np.shape(chains.diverging)
-    coords = {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
-    return {"posterior": xr.Dataset(draws, coords), "sample_stats": xr.Dataset(stats, coords)}
+    coords: dict = {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
+    for level, own in zip(fit.posterior.population.levels, fit.of_members, strict=True):
+        for v in level.varying:
+            about = {"units": fit.units.get(v.name, "1")}
+            draws[f"{level.name}.{v.name}"] = ((*dims, level.name), own[..., v.column], about)
+        coords[level.name] = list(level.members)
+    of_stats = {name: coords[name] for name in dims}
+    return {"posterior": xr.Dataset(draws, coords), "sample_stats": xr.Dataset(stats, of_stats)}
 
 
 def _compared(comparison: Comparison, root: str, pair: Pair) -> dict[str, xr.Dataset]:

@@ -7,6 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from hsed_jax.backend import prepare
@@ -18,6 +19,7 @@ from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import Data, Error
 from hsed_jax.inference.observation import Grid, Histories, Observation, Outputs, Quantities, assemble
+from hsed_jax.inference.population import Level
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.predict import Predictor
 from hsed_jax.inference.priors import Prior
@@ -35,7 +37,7 @@ from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import AbstractModel, Parametrised, Simulator
 from hsed_jax.physics.structures import OWNER, Structure
 from hsed_jax.physics.timeline import Timeline
-from hsed_jax.study import laboratories, observed, pairs, parts, structures
+from hsed_jax.study import laboratories, levels, observed, pairs, parts, structures
 from hsed_jax.study.designs import design_of, settings_of
 from hsed_jax.study.elements import elements_of, placed
 from hsed_jax.study.excitations import excitation_of, protocol_of
@@ -301,13 +303,20 @@ class Built:
         """The posterior of the study."""
         free, _ = self.parameters
         respond = Outputs(self.simulator, self.observation, tuple(free))
-        return Posterior(Predictor(respond), free, self.errors, self.outputs, self.observation.groups)
+        return Posterior(Predictor(respond), free, self.errors, self.outputs, self.observation.groups, self.levels)
+
+    @cached_property
+    def levels(self) -> tuple[Level, ...]:
+        """What varies between specimens."""
+        return levels.levels_of(self)
 
     def data(self, campaign: Campaign, experiments: Sequence[Experiment], size: int | None = None) -> Data:
         """Experiments of a campaign as data, padded to `size` rows."""
         pairs.check_same(campaign, self.pair)
         relative = np.asarray([error.is_relative for error in self.errors])
-        return assemble(self.observation, campaign, self.taken(experiments), relative, size)
+        data = assemble(self.observation, campaign, self.taken(experiments), relative, size)
+        members = levels.members_of(self.levels, campaign, experiments, len(data.values))
+        return data._replace(members=jnp.asarray(members))
 
     @property
     def settings(self) -> "Settings":
@@ -367,7 +376,7 @@ class Built:
 
     def _needed(self, performs: bool) -> list[str]:
         """What a check builds: not the simulator, nor a specimen that is one, whose scales may take a simulation."""
-        needed = ["pair", "space", "structure", "parameters", "excitation", "outputs", "timeline", "errors"]
+        needed = ["pair", "space", "structure", "parameters", "excitation", "outputs", "timeline", "errors", "levels"]
         if self.study.experiments.laboratory is not None or "design" in self.study.steps:
             virtual = self.study.experiments.virtual is not None
             needed += ["sensors", "programme", *(["specimen"] if virtual else ["laboratory"] if performs else [])]

@@ -11,7 +11,7 @@ from hsed_jax.config.schema import ImproveEntry, ScalesEntry, Study
 from hsed_jax.criticism.compare import compare
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.diagnosis.box import Box
-from hsed_jax.diagnosis.lanes import Lanes, Part
+from hsed_jax.diagnosis.lanes import Apart, Lanes, LanesApart, Part
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import FormColumns, Problem
@@ -101,6 +101,7 @@ def problem_of(
     watch: Watch | None = None,
     known: Mapping[str, float] | None = None,
     forms: Mapping[str, str] | None = None,
+    apart: Apart | None = None,
 ) -> Problem:
     """The large model and the measurements.
 
@@ -112,6 +113,7 @@ def problem_of(
         watch: follows the fits.
         known: parameters of the model as it is, by name, SI, as a calibration found them.
         forms: the one form, by its label, that a candidate may have; by default any that its law can have.
+        apart: how far specimens are from their population, training experiments first; it stays so.
     """
     names = applicable(built, campaign) if effects is None else list(effects)
     large = Built(with_effects(built, names), built.campaign, open_forms=tuple(names))
@@ -128,7 +130,9 @@ def problem_of(
     columns = {n: np.asarray([k for k, one in enumerate(order) if owner_of(one) == n], dtype=int) for n in names}
     parts = [Part(name, groups[name], k, neutral[k]) for name, k in columns.items()]
     lanes = Lanes(large.simulator, large.observation, order, conditions, parts)
-    models = NestedModels(lanes, Box(free), neutral, watch)
+    size = jax.tree.leaves(conditions)[0].shape[0]
+    predictions = lanes if apart is None else LanesApart(lanes, apart.across(order, size))
+    models = NestedModels(predictions, Box(free), neutral, watch)
     start = None if known is None else models.point({name: known[name] for name in free if name in known})
     of_effects = {k for k, name in enumerate(order) if owner_of(name) in catalogue}
     size = len(train)

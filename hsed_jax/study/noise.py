@@ -42,8 +42,12 @@ def _check_discrepancy(study: Study, name: str, size: NoiseEntry) -> None:
     """Refuse a discrepancy that cannot be learned.
 
     Raises:
-        UserError: of histories, without inputs, or beside a noise that nobody declares.
+        UserError: of histories, without inputs, of a population, or beside a noise that nobody declares.
     """
+    if getattr(study.model, "levels", {}):
+        raise UserError(
+            "error.discrepancy: it is not told from the scatter between specimens (model.levels); say one of the two"
+        )
     if study.observe == "histories":
         raise UserError(
             "error.discrepancy: it is learned over the inputs, of quantities (observe: quantities); of histories say "

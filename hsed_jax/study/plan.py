@@ -36,6 +36,10 @@ def check_plan(study: Study) -> None:
         )
     if "improve" in steps and "diagnose" not in steps and study.improve.add is None:
         raise UserError("steps: improve needs diagnose before it, or improve.add with the effects to add")
+    if study.model.levels and "design" in steps:
+        raise UserError(
+            "model.levels: a design plans experiments of one specimen; leave the levels out, or the step design"
+        )
     if study.experiments.folder is not None and "design" not in steps:
         raise UserError("steps: experiments.folder is asked by the step design; put design first")
     _check_sizes(study)

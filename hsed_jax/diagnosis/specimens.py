@@ -1,0 +1,262 @@
+r"""Is an effect one of the population, of some specimens only, or scatter?
+
+Every member of a level is asked how probable its measurements are with each size of the effect, its own parameters adjusted. Of
+these likelihoods three explanations are made:
+
+* **population**: all have it, with sizes $\mu\,e^{cz}$, z standard normal;
+* **specimens**: some have it, with such sizes, and the others have none; every number of them is equally probable;
+* **scatter**: none has it, or the sizes scatter about nothing.
+
+Each has the prior probability of a third, μ the prior of the catalogue, c a half-normal one.  No member decides by itself: what
+has six chances to look odd shares its prior probability among six, which is what accounts for their number.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.special import gammaln, logsumexp
+
+from hsed_jax.diagnosis.evidence import laplace
+from hsed_jax.diagnosis.findings import Judgement
+from hsed_jax.diagnosis.nested import Descent, Target, Task
+from hsed_jax.diagnosis.problem import Problem
+
+# Sizes that every member is fitted at, in units of the largest one found; the negative ones where an effect has two signs.
+_SIZES, _NEGATIVE = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0, 1.25, 1.6), (-1.0, -0.5, -0.25)
+# The grids of the integrals: sizes, centres, and coefficients of variation with their half-normal prior.
+_POINTS, _CENTRES = 1600, 48
+_VARIATION, _VARIATIONS = 0.3, np.asarray([0.03, 0.1, 0.2, 0.3, 0.45, 0.6, 0.9])
+# A member has an effect that is more probable than not.
+_HAS = 0.5
+
+
+class Membership(NamedTuple):
+    """The training experiments of a level.
+
+    Attributes:
+        level: its name.
+        members: their names.
+        of: the member of each experiment, (n,).
+        varying: names of the parameters that vary with it.
+    """
+
+    level: str
+    members: tuple[str, ...]
+    of: Int[np.ndarray, " n"]
+    varying: tuple[str, ...]
+
+    @property
+    def rows(self) -> Bool[np.ndarray, "M n"]:
+        """The experiments of each member."""
+        return np.arange(len(self.members))[:, None] == self.of
+
+
+def judge_specimens(
+    problem: Problem,
+    effects: Sequence[str],
+    forms: Mapping[str, str],
+    optimum: Mapping[str, float],
+    memberships: Sequence[Membership],
+) -> list[Judgement]:
+    """Judge named effects over the members of each level.
+
+    Arguments:
+        problem: the measurements and the large model.
+        effects: named in one model.
+        forms: labels of their forms, where these are not the default ones.
+        optimum: parameters of that model at its best fit, by name, SI.
+        memberships: of the training experiments.
+    """
+    chosen = {
+        effect: problem.effects[effect][forms.get(effect) or next(iter(problem.effects[effect]))] for effect in effects
+    }
+    theta = problem.models.member(np.zeros(0, dtype=int)).held
+    for form in chosen.values():
+        for column, value in form.held.items():
+            theta[column] = value
+    for name, value in optimum.items():
+        theta[problem.names.index(name)] = value
+    return [
+        _judged(problem, effect, int(form.columns[0]), theta, problem.models.point(optimum), membership)
+        for membership in memberships
+        for effect, form in chosen.items()
+    ]
+
+
+def _judged(
+    problem: Problem, effect: str, column: int, theta: np.ndarray, x: np.ndarray, membership: Membership
+) -> Judgement:
+    models, uses = problem.models, range(len(membership.members))
+    own = np.asarray([k for k in problem.law if problem.names[k] in membership.varying], dtype=int)
+    used = problem.train.used & membership.rows[:, :, None]
+    rows = np.arange(len(problem.train.values))
+    outputs, _ = models.lanes(np.repeat(theta[None], len(rows), axis=0), rows)
+    target = problem.train.standard(outputs, used).target
+    # Each member with its own size: what that leaves is the error that sizes are judged with.
+    free = np.append(own, column)
+    fits = models.fit(target, [Task(models.member(free, _held(theta, free)), x, use) for use in uses])
+    target = problem.train.standard(np.sum([f.predicted for f in fits], axis=0), used).target
+    neutral = float(models.member(own).held[column])
+    found = [models.box.theta(f.x)[column] - neutral for f in fits if np.isfinite(f.cost)]
+    unit = float(max([theta[column] - neutral, *found], key=abs)) or 1.0
+    low, high = (models.box.theta(side)[column] for side in (models.box.low, models.box.high))
+    # Beyond its bounds there is no size.
+    shares = np.asarray([*_SIZES, *_NEGATIVE])
+    shares = np.unique(np.clip(unit * shares, low - neutral, high - neutral) / unit)
+    at, table = _tabulated(shares, _heights(problem, target, x, theta, own, column, neutral + unit * shares, uses))
+    prior = models.box.priors[problem.names[column]]
+    inside = np.clip(neutral + unit * at, low + 1e-9 * abs(unit), high - 1e-9 * abs(unit))
+    weighed = weigh_explanations(at, table, np.asarray(prior.log_density(jnp.asarray(inside)), dtype=float))
+    of = {
+        member: _statistics(neutral + unit * at, table[m]) | {"probability": float(weighed.has[m])}
+        for m, member in enumerate(membership.members)
+    }
+    having = weighed.named(membership.members)
+    return Judgement(effect, membership.level, weighed.verdict, weighed.probability, having, of)
+
+
+def _heights(
+    problem: Problem, target: Target, x: np.ndarray, theta: np.ndarray, own: np.ndarray, column: int, sizes: np.ndarray,
+    uses: Sequence[int],
+) -> Float[np.ndarray, "M S"]:  # fmt: skip
+    """Log probability of each member's measurements at each size."""
+    tasks = []
+    for use in uses:
+        for size in sizes:
+            held = theta.copy()
+            held[column] = size
+            tasks.append(Task(problem.models.member(own, _held(held, own)), x, use))
+    fits = problem.models.fit(target, tasks)
+    heights = np.asarray([_height(problem, f) for f in fits]).reshape(len(uses), len(sizes))
+    return np.where(np.isfinite(heights), heights, -1e6)
+
+
+def _height(problem: Problem, fit: Descent) -> float:
+    return laplace(fit, problem.models) if len(fit.free) else -fit.cost
+
+
+def _held(theta: np.ndarray, free: np.ndarray) -> dict[int, float]:
+    return {k: float(value) for k, value in enumerate(theta) if k not in free}
+
+
+def _tabulated(sizes: np.ndarray, heights: Float[np.ndarray, "M S"]) -> tuple[np.ndarray, Float[np.ndarray, "M P"]]:
+    """Log likelihoods on a fine grid of sizes, less their largest values."""
+    from scipy.interpolate import PchipInterpolator
+
+    at = np.linspace(sizes[0], sizes[-1], _POINTS)
+    table = np.stack([PchipInterpolator(sizes, row)(at) for row in heights])
+    return at, table - table.max(axis=1, keepdims=True)
+
+
+def _statistics(sizes: np.ndarray, heights: np.ndarray) -> dict[str, float]:
+    if sizes[0] > sizes[-1]:
+        sizes, heights = sizes[::-1], heights[::-1]
+    share = np.exp(heights - logsumexp(heights))
+    mean, below = float(share @ sizes), np.cumsum(share) - 0.5 * share
+    q05, q95 = np.interp([0.05, 0.95], below, sizes)
+    return {"mean": mean, "sd": float(np.sqrt(share @ (sizes - mean) ** 2)), "q05": float(q05), "q95": float(q95)}
+
+
+class Weighed(NamedTuple):
+    """What sizes of an effect say of it.
+
+    Attributes:
+        verdict: population, specimens or scatter.
+        probability: of that.
+        has: probability that each member has the effect, (M,).
+    """
+
+    verdict: str
+    probability: float
+    has: Float[np.ndarray, " M"]
+
+    def named(self, members: Sequence[str]) -> list[str]:
+        """The members that have it, of those given."""
+        if self.verdict == "scatter":
+            return []
+        return [m for m, p in zip(members, self.has, strict=True) if self.verdict == "population" or p > _HAS]
+
+
+def weigh_explanations(
+    at: Float[np.ndarray, " P"], table: Float[np.ndarray, "M P"], log_prior: Float[np.ndarray, " P"]
+) -> Weighed:
+    """Weigh the three explanations.
+
+    Arguments:
+        at: sizes on a grid that holds nothing, 0, in units of the largest one that was found.
+        table: log likelihoods of each member there.
+        log_prior: log density of the prior of a size there, up to a constant.
+    """
+    many, step = len(table), float(at[1] - at[0])
+    none = np.asarray([np.interp(0.0, at, row) for row in table])
+    likelihoods = np.exp(table - table.max(axis=1, keepdims=True))
+    heights = table.max(axis=1) - none
+
+    def ratios(density: Float[np.ndarray, "C P"]) -> Float[np.ndarray, "M C"]:
+        """Log odds of each member between sizes of these densities and none."""
+        with np.errstate(divide="ignore"):
+            return heights[:, None] + np.log(likelihoods @ (density.T * step))
+
+    centres = np.linspace(at[0], at[-1], _CENTRES)
+    centres = centres[np.abs(centres) > 0.5 * (centres[1] - centres[0])]
+    log_centre = np.interp(centres, at, log_prior)
+    log_variation = -0.5 * (_VARIATIONS / _VARIATION) ** 2
+    pairs = np.asarray([(centre, variation) for centre in centres for variation in _VARIATIONS])
+    log_weight = (log_centre[:, None] + log_variation).ravel()
+    log_weight -= logsumexp(log_weight)
+    by_number, has = _numbers(ratios(_lognormal(at, *pairs.T)), log_weight)
+    scales = np.geomspace(0.02, 2.0, 24)
+    # A scale as probable as the prior of a size makes it.
+    log_scale = np.interp(scales * np.sign(at[-1] + at[0]), at, log_prior) + np.log(scales)
+    scattered = _half_normal(at, scales)
+    log_scattered = ratios(scattered).sum(axis=0) + log_scale - logsumexp(log_scale)
+    scatter = np.logaddexp(-math.log(2), float(logsumexp(log_scattered)) - math.log(2))
+    some = float(logsumexp(by_number[1:many])) - math.log(many - 1)
+    explanations = {"population": float(by_number[many]), "specimens": some, "scatter": float(scatter)}
+    total = float(logsumexp(list(explanations.values())))
+    verdict = max(explanations, key=lambda name: explanations[name])
+    return Weighed(verdict, math.exp(explanations[verdict] - total), has)
+
+
+def _lognormal(at: np.ndarray, centre: np.ndarray, variation: np.ndarray) -> Float[np.ndarray, "C P"]:
+    """Densities of sizes of one sign."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.log(at[None] / centre[:, None]) / variation[:, None]
+        density = np.exp(-0.5 * ratio**2) / (math.sqrt(2 * math.pi) * variation[:, None] * np.abs(at[None]))
+    return np.where(np.isfinite(density) & (at[None] * centre[:, None] > 0), density, 0.0)
+
+
+def _half_normal(at: np.ndarray, scale: np.ndarray) -> Float[np.ndarray, "C P"]:
+    """Densities of sizes that scatter about nothing, to the sides that there are."""
+    density = np.exp(-0.5 * (at[None] / scale[:, None]) ** 2)
+    return density / (density.sum(axis=1, keepdims=True) * (at[1] - at[0]))
+
+
+def _numbers(
+    ratios: Float[np.ndarray, "M C"], log_weight: Float[np.ndarray, " C"]
+) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " M"]]:
+    """Log evidence that so many members have the effect, 0 to M, every choice of them equally probable; and the probability of
+    each member to have it, where every number from one on is equally probable."""
+    many = len(ratios)
+    choices = np.asarray([gammaln(many + 1) - gammaln(k + 1) - gammaln(many - k + 1) for k in range(many + 1)])
+
+    def sums(rows: Float[np.ndarray, "R C"]) -> Float[np.ndarray, "R1 C"]:
+        """Logs of the elementary symmetric polynomials of odds."""
+        found = np.full((len(rows) + 1, ratios.shape[1]), -np.inf)
+        found[0] = 0.0
+        for row in rows:
+            found[1:] = np.logaddexp(found[1:], found[:-1] + row)
+        return found
+
+    by_number = np.asarray(logsumexp(sums(ratios) + log_weight, axis=1)) - choices
+    total = logsumexp(by_number[1:])
+    has = []
+    for m in range(many):
+        others = sums(np.delete(ratios, m, axis=0))
+        with_it = logsumexp(others + ratios[m] + log_weight, axis=1) - choices[1:]
+        has.append(math.exp(min(float(logsumexp(with_it) - total), 0.0)))
+    return by_number, np.asarray(has)

@@ -1,0 +1,105 @@
+"""Levels of a study: which columns of the experiments parameters vary with, and who is a member of what."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hsed_jax.config.functions import FunctionEntry
+from hsed_jax.errors import UserError
+from hsed_jax.inference.population import Level, Varying
+from hsed_jax.inference.priors import Prior
+from hsed_jax.measurements import Campaign, Experiment
+from hsed_jax.physics.outputs import own_name, owner_of
+from hsed_jax.physics.parameters import parameters_of
+from hsed_jax.plain import shown
+from hsed_jax.study import parts
+
+if TYPE_CHECKING:
+    from hsed_jax.study.build import Built
+
+# Prior of a spread, a half-normal: of the logarithm, or in standard deviations of the parameter's own prior.
+_SPREAD = 0.3
+
+
+def levels_of(built: "Built") -> tuple[Level, ...]:
+    """The levels of a study, their members those of the training experiments.
+
+    Raises:
+        UserError: there is no measured campaign or no such column, a cell of it is empty, or a parameter is none that could vary.
+    """
+    said = built.study.model.levels
+    if not said:
+        return ()
+    campaign = built.measured
+    if campaign is None:
+        raise UserError(
+            "model.levels: members are told by a column of experiments.csv, and this study has no campaign of measurements; "
+            "leave the levels out, or give experiments.campaign"
+        )
+    free, _ = built.parameters
+    found = []
+    for column, entries in said.items():
+        where = f"model.levels.{column}"
+        members = tuple(dict.fromkeys(member_of(e, column, campaign) for e in campaign.train))
+        if len(members) < 2:
+            only = f"only {members[0]!r}" if members else "no experiment"
+            raise UserError(f"{where}: a level needs at least two members, and the training experiments have {only}")
+        varying = [_varying(built, f"{where}.{name}", name, entry, free) for name, entry in entries.items()]
+        found.append(Level(column, members, tuple(varying)))
+    return tuple(found)
+
+
+def member_of(experiment: Experiment, column: str, campaign: Campaign) -> str:
+    """The value of a column for an experiment.
+
+    Raises:
+        UserError: there is no such column, or its cell is empty.
+    """
+    value = experiment.id if column == "id" else experiment.metadata.get(column)
+    if value is None:
+        known = ["id", *dict.fromkeys(name for e in campaign for name in e.metadata)]
+        if column not in known:
+            raise UserError(
+                f"model.levels.{column}: experiments.csv has no such column; it has {', '.join(known)} to tell specimens apart"
+            )
+        raise UserError(f"model.levels.{column}: experiment {experiment.id!r} has no {column}; fill its cell")
+    return value
+
+
+def members_of(levels: Sequence[Level], campaign: Campaign, experiments: Sequence[Experiment], size: int) -> np.ndarray:
+    """The member that each experiment has of each level, padded to `size` rows; members of no level come after all others."""
+    table = np.zeros((size, len(levels)), dtype=int)
+    for column, level in enumerate(levels):
+        known = {member: number for number, member in enumerate(level.members)}
+        for row, experiment in enumerate(experiments):
+            member = member_of(experiment, level.name, campaign)
+            table[row, column] = known.setdefault(member, len(known))
+    return table
+
+
+def _varying(built: "Built", where: str, name: str, entry: Mapping, free: Mapping[str, Prior]) -> Varying:
+    if name not in free:
+        raise UserError(f"{where}: {shown(name)} is no parameter that is calibrated; those are {', '.join(free)}")
+    prior = free[name]
+    is_log = prior.bounds[0] is not None and prior.bounds[0] >= 0
+    if entry:
+        spread = parts.prior(where, dict(entry))
+        if spread.bounds[0] is None or spread.bounds[0] < 0:
+            raise UserError(f"{where}: a spread cannot be negative; give a prior such as {{half_normal: {_SPREAD}}}")
+    else:
+        sd = 0.5 * float(prior.quantile(0.84) - prior.quantile(0.16))
+        spread = Prior("half_normal", _SPREAD if is_log else _SPREAD * sd)
+    return Varying(name, list(free).index(name), is_log, spread, *_limits(built, name))
+
+
+def _limits(built: "Built", name: str) -> tuple[float, float]:
+    """What a law or an effect allows of a parameter, SI; of a function's nobody knows."""
+    if not isinstance(built.study.model, FunctionEntry):
+        naming, owner = built.naming, owner_of(name)
+        known = naming.of_laws if owner not in naming.catalogue else parameters_of(naming.catalogue[owner])
+        found = known.get(name if owner not in naming.catalogue else own_name(name))
+        if found is not None:
+            return found.lower, found.upper
+    return -math.inf, math.inf
