@@ -60,7 +60,7 @@ campaign = hx.Campaign.from_frames(pd.DataFrame(rows), records, name="dampers", 
 
 # %% [markdown]
 # The column `specimen` tells them apart. `model.levels` says what varies with it: the stiffness, and with it the strength
-# $A/eta$; the shape of the loop is the same for all. The fifth damper is held out with all its tests: nobody knows it.
+# $A/\beta$; the shape of the loop is the same for all. The fifth damper is held out with all its tests: nobody knows it.
 
 # %%
 study = hx.load_study(

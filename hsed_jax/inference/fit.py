@@ -99,7 +99,7 @@ class Fit(Tabular):
         else:
             worth = (
                 "the intervals are those of the parameters if the model were right, and too narrow (error: {inflate: true} "
-                "widens them by what is left, error: {discrepancy: true} learns it)"
+                "widens them by what is left; of quantities error: {discrepancy: true} learns it)"
             )
         left = f"(chi2 per datum {self.chi2_per_datum:.3g}, which should be about 1)"
         return f"the model does not explain the data {left}: {worth}"
