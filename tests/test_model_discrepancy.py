@@ -262,13 +262,8 @@ def test_what_contradicts_itself_is_refused(error, words):
     [
         (["error={discrepancy: true}"], "no noise of peak_force is declared"),
         (["error={relative: 0.05, discrepancy: true}", "observe=histories"], "say inflate: true"),
-        (
-            ["error={relative: 0.05, discrepancy: true}", "inputs={}", "steps=[calibrate]",
-             "excitation.near_fault_pulse={V_P: 2.0, T_P: 1.0}"],
-            "the study has none",
-        ),
     ],
-)  # fmt: skip
+)
 def test_a_discrepancy_that_cannot_be_learned_is_refused(overrides, words):
     with pytest.raises(UserError, match=words):
         Built(load_study(PAPER, overrides)).check()

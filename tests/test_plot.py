@@ -90,7 +90,7 @@ def design():
     state = DesignState(tuple(Trial(space.point(np.array(x)), np.zeros(3), "completed") for x in points))
     laboratory = SimpleNamespace(parameters={"A": 5e5, "beta": 1.0})
     outcome = bare(Outcome, space=space, state=state, initial=1, steps=steps, fit=None, units=UNITS,
-                   posterior=SimpleNamespace(names=("A", "beta")), laboratory=laboratory)  # fmt: skip
+                   posterior=SimpleNamespace(names=("A", "beta"), reported=("A", "beta")), laboratory=laboratory)  # fmt: skip
     return bare(Run, study=STUDY, conduct=SimpleNamespace(steps=steps), outcome=lambda status: outcome)
 
 
@@ -115,7 +115,20 @@ def discovered():
     return Discovery(True, place=place, formula="F_c u/u_c", curve=curve)
 
 
+def replicates():
+    """A calibration of three bars, whose stiffness and shape vary."""
+    told = {"mean": 4e5, "q05": 3.9e5, "q95": 4.1e5}
+    varying = {
+        "mean": told,
+        "spread": {"mean": 0.05},
+        "untested": told,
+        "of": {name: told for name in ("B1", "B2", "B3")},
+    }
+    return bare(Calibration, fit=SimpleNamespace(levels=lambda: {"bar": {"A": varying, "beta": varying}}, units=UNITS))
+
+
 CASES = {
+    "population": (lambda: hx.plot.population(replicates()), 2),
     "learned": (lambda: hx.plot.learned(discovered(), histories(2, 1)[0]), None),
     "expected": (lambda: hx.plot.expected(asked(), "E01"), 2),
     "ground_motions": (lambda: hx.plot.ground_motions(STUDY), 2),
