@@ -1,6 +1,7 @@
-"""The paper's structure and simulator, the shared data, the reference table: what several test files use."""
+"""The paper's structure and simulator, the shared data, the reference table: and a browser: what several test files use."""
 
 import gc
+import shutil
 import signal
 from pathlib import Path
 
@@ -101,3 +102,16 @@ def pulse_conditions():
 def pytest_report_header() -> str:
     """Where the package under test lies."""
     return f"hsed_jax: {Path(hsed_jax.__file__).parent}"
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium, driven by Playwright; skips where one of them is missing."""
+    sync_api = pytest.importorskip("playwright.sync_api")
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if chromium is None:
+        pytest.skip("there is no Chromium on the path")
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        yield browser
+        browser.close()

@@ -394,18 +394,6 @@ def test_an_inlined_figure_keeps_its_words_and_its_identifiers_to_itself(folder)
 # In a browser.
 
 
-@pytest.fixture(scope="module")
-def browser():
-    sync_api = pytest.importorskip("playwright.sync_api")
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if chromium is None:
-        pytest.skip("there is no Chromium on the path")
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        yield browser
-        browser.close()
-
-
 @pytest.fixture
 def opened(browser, page_file):
     """A factory: the report in a fresh tab, what it said on the console, and what it asked of the network."""

@@ -1,5 +1,6 @@
 """What a run leaves: its report, and the files that can be taken away."""
 
+from abc import abstractmethod
 from html import escape
 from typing import Any
 from urllib.parse import quote
@@ -23,40 +24,39 @@ def address(run: str, name: str) -> str:
     return f"files/{quote(run)}/{name}"
 
 
-class Report:
+class _OfRun:
+    """A part of the page about the run that is chosen; it is drawn again when that changes or ends."""
+
+    def __init__(self, session: Session):
+        self._session = session
+        self.view = html(note("There is no run yet."))
+        session.param.watch(self._show, ["run", "ended"])
+
+    def _show(self, *_: Any) -> None:
+        run = self._session.run
+        self.view.object = self._shown(run) if run else note("There is no run yet.")
+
+    @abstractmethod
+    def _shown(self, run: str) -> str:
+        """What is said of a run."""
+
+
+class Report(_OfRun):
     """The page that `hsed report` writes."""
 
-    def __init__(self, session: Session):
-        self._session = session
-        self.view = html(note("There is no run yet."))
-        session.param.watch(self._show, ["run", "ended"])
-
-    def _show(self, *_: Any) -> None:
-        run = self._session.run
-        if not run:
-            self.view.object = note("There is no run yet.")
-        elif (self._session.folder.inside(run) / "report.html").is_file():
-            # What has changed has another address, so that a page that is kept is not shown for it.
-            where = f"{address(run, 'report.html')}?{self._session.ended}"
-            about = f'title="report of {escape(run)}" sandbox="allow-scripts allow-downloads"'
-            self.view.object = f'<iframe {about} src="{where}"></iframe>'
-        else:
-            self.view.object = note("The run has no report yet; it is written at its end.")
+    def _shown(self, run: str) -> str:
+        if not (self._session.folder.inside(run) / "report.html").is_file():
+            return note("The run has no report yet; it is written at its end.")
+        # What has changed has another address, so that a page that is kept is not shown for it.
+        where = f"{address(run, 'report.html')}?{self._session.ended}"
+        about = f'title="report of {escape(run)}" sandbox="allow-scripts allow-downloads"'
+        return f'<iframe {about} src="{where}"></iframe>'
 
 
-class Download:
+class Download(_OfRun):
     """Files of a run to keep."""
 
-    def __init__(self, session: Session):
-        self._session = session
-        self.view = html(note("There is no run yet."))
-        session.param.watch(self._show, ["run", "ended"])
-
-    def _show(self, *_: Any) -> None:
-        run = self._session.run
-        if not run:
-            self.view.object = note("There is no run yet.")
-            return
+    def _shown(self, run: str) -> str:
         folder = self._session.folder.inside(run)
         rows = [
             f'<tr><td><a href="{address(run, name)}?download" download="{escape(folder.name)}-{name}">{name}</a></td>'
@@ -65,4 +65,4 @@ class Download:
             if (folder / name).is_file()
         ]
         where = note(f"They lie in {folder}, too, beside the figures and the journal.")
-        self.view.object = f"<h2>Files of this run</h2><table>{''.join(rows)}</table>{where}"
+        return f"<h2>Files of this run</h2><table>{''.join(rows)}</table>{where}"
