@@ -550,22 +550,26 @@ def test_the_page_of_two_runs_draws_its_charts(opened, page_file, tmp_path):
 @pytest.mark.parametrize(
     ("error", "said"),
     [
-        (None, "the noise that the campaign declares, inferred where it declares none."),
-        ({"inflate": True}, "inferred where it declares none; what the model leaves beyond it counts as error, too."),
+        (None, "error: the noise that the campaign declares, inferred where it declares none."),
+        ({"inflate": True}, "inferred where it declares none, and what the model leaves beyond it."),
         ({"relative": 0.05, "correlated": False}, "error: 5 % of what was measured."),
-        ({"force": {"unknown": True}, "inflate": True}, "error: force inferred; what the model leaves"),
+        ({"relative": 0.05, "discrepancy": True}, "5 % of what was measured, and a discrepancy of the model that is learned."),
+        ({"force": {"unknown": True, "inflate": True}}, "error: force inferred, and what the model leaves beyond it."),
     ],
 )
 def test_an_error_is_told_as_it_is_written(error, said):
+    from hsed_jax import load_study
     from hsed_jax.reporting.asked import asked
 
-    study = {
-        "model": {"spring": "elastic", "parameters": {"k": 1.0e6}, "effects": {}},
+    entries = {
+        "study": "told",
+        "model": {"spring": "elastic", "parameters": {"k": {"uniform": [1.0e5, 1.0e6]}}},
         "experiments": {"campaign": "measured"},
         "observe": "histories",
-        "error": error,
         "steps": ["calibrate"],
     }
+    # As a run keeps it: with every default that there is.
+    study = load_study(entries | ({"error": error} if error else {})).written()
     component = Record(np.arange(81), record(0).channels)
     declared = {"elongation": Channel("elongation", "m"), "force": Channel("force", "N")}
     sentences = asked(

@@ -123,24 +123,26 @@ def _observed(study: Mapping[str, Any], campaign: Campaign) -> str:
     if study["observe"] == "quantities":
         what = _listed([*map(campaign.pair.called, study["quantities"])])
     entry = study.get("error") or {}
-    # Besides what the error is, an entry may say how it is taken.
-    error = {name: value for name, value in entry.items() if name not in ("correlated", "inflate")}
-    if not error:
-        said = "the noise that the campaign declares, inferred where it declares none"
-    elif set(error) & {"relative", "absolute", "unknown"}:
-        said = _error(error)
-    else:
-        said = ", ".join(f"{name} {_error(entry)}" for name, entry in error.items())
-    beyond = "; what the model leaves beyond it counts as error, too" if entry.get("inflate") else ""
-    return f"Observed: {what}; error: {said}{beyond}."
+    of_outputs = {name: value for name, value in entry.items() if isinstance(value, Mapping)}
+    said = ", ".join(f"{name} {_error(value)}" for name, value in of_outputs.items()) or _error(entry)
+    return f"Observed: {what}; error: {said}."
 
 
 def _error(entry: Mapping[str, Any]) -> str:
+    """What an error is, of all outputs or of one, and how it is taken."""
     if entry.get("unknown"):
-        return "inferred"
-    return (
-        f"{100 * entry['relative']:g} % of what was measured" if "relative" in entry else f"{entry['absolute']:g} (SI)"
-    )
+        said = "inferred"
+    elif "relative" in entry:
+        said = f"{100 * entry['relative']:g} % of what was measured"
+    elif "absolute" in entry:
+        said = f"{entry['absolute']:g} (SI)"
+    else:
+        said = "the noise that the campaign declares, inferred where it declares none"
+    if entry.get("inflate"):
+        said += ", and what the model leaves beyond it"
+    if entry.get("discrepancy"):
+        said += ", and a discrepancy of the model that is learned"
+    return said
 
 
 def _design(study: Mapping[str, Any]) -> str:
