@@ -12,7 +12,7 @@ from hsed_jax.inference import blocks
 from hsed_jax.inference import maximum as search
 from hsed_jax.inference.emulator import emulate
 from hsed_jax.inference.fit import Fit
-from hsed_jax.inference.importance import Weighted, resampled
+from hsed_jax.inference.importance import Proposal, Weighted, resampled
 from hsed_jax.inference.nuts import Chains, Settings, advance, arrived, begin, convergence
 from hsed_jax.inference.priors import Prior
 from hsed_jax.inference.sampling import _mixed, weigh_around
@@ -129,7 +129,7 @@ def test_a_budget_leaves_the_draws_there_are_and_says_so():
     assert 10 <= made < 100_000 and chains.theta.shape == (2, made, 2) and chains.steps.shape == (2, made)
     assert np.ptp(np.asarray(chains.theta[:, -1])) > 0 and np.asarray(chains.steps).min() > 0
     expected = f"stopped by the budget of 1.0 s (calibration.seconds) after {made} of 100000 draws"
-    assert chains.cut_short == expected
+    assert chains.doubt == expected
     found = Fit(posterior, data, maximum, chains, convergence(chains), {})
     assert found.warning is not None and found.warning.startswith(expected)
 
@@ -138,7 +138,7 @@ def test_a_budget_that_ends_in_the_adaptation_leaves_the_gaussian():
     posterior, data, maximum = ridge(0.3)
     chains = drawn(posterior, data, maximum, Settings(2, 100, 50), seconds=1e-6)
     assert chains.sampler == "laplace" and chains.theta.shape == (2, 50, 2)
-    assert chains.cut_short is not None and "Gaussian around the MAP" in chains.cut_short
+    assert chains.doubt is not None and "Gaussian around the MAP" in chains.doubt
 
 
 def test_weights_that_cannot_be_relied_on_leave_it_to_nuts():
@@ -146,13 +146,16 @@ def test_weights_that_cannot_be_relied_on_leave_it_to_nuts():
     posterior, data, maximum = ridge(3.0, width=3.0, thin=0.002)
     weighted = weigh_around(posterior, data, maximum, 1000, np.random.default_rng(0))
     assert not weighted.reliable
+    chains = drawn(posterior, data, maximum, Settings(2, 100, 500, sampler="auto"))
+    assert chains.sampler == "nuts" and chains.doubt is None
+    # Who asks for them gets them, and is told.
     chains = drawn(posterior, data, maximum, Settings(2, 100, 500, sampler="importance"))
-    assert chains.sampler == "nuts"
+    assert chains.sampler == "importance" and "Pareto shape" in str(chains.doubt)
 
 
 def test_a_few_draws_are_left_to_nuts():
     posterior, data, maximum = ridge(0.2)
-    chains = drawn(posterior, data, maximum, Settings(1, 5, 3, sampler="importance"))
+    chains = drawn(posterior, data, maximum, Settings(1, 5, 3, sampler="auto"))
     assert chains.sampler == "nuts" and chains.theta.shape == (1, 3, 2)
 
 
@@ -170,7 +173,8 @@ def test_the_worth_of_weights_is_what_their_mean_scatters_by():
 
 def test_resampling_keeps_every_draw_as_often_as_it_weighs():
     weights = np.asarray([0.5, 0.25, 0.125, 0.125, 0.0])
-    weighted = Weighted(np.arange(5.0)[:, None], -np.arange(5.0), weights, 0.0, 0.1)
+    proposal = Proposal(np.zeros(1), np.eye(1))
+    weighted = Weighted(np.arange(5.0)[:, None], -np.arange(5.0), weights, 0.0, 0.1, proposal)
     u, height = resampled(weighted, 80, np.random.default_rng(0))
     np.testing.assert_array_equal(np.bincount(np.asarray(u)[:, 0].astype(int), minlength=5), [40, 20, 10, 10, 0])
     np.testing.assert_array_equal(height, -np.asarray(u)[:, 0])

@@ -77,9 +77,9 @@ class DesignEntry(Section):
 class CalibrationEntry(Section):
     """Sizes of the calibration: starts of the MAP; chains, adaptation and kept draws per chain of NUTS."""
 
-    sampler: Literal["nuts", "importance", "laplace"] = "nuts"
-    """Importance sampling is as exact and many times faster where it works, and NUTS takes over where it does not; laplace is
-    the Gaussian around the MAP, without sampling."""
+    sampler: Literal["auto", "nuts", "importance", "laplace"] = "auto"
+    """Importance sampling is as exact as NUTS and many times faster where it works, which it can tell; `auto` tries it first and
+    leaves to NUTS what it cannot vouch for.  `laplace` is the Gaussian around the MAP, without sampling."""
     starts: Count = 4
     chains: Count = 4
     warmup: Count = 150

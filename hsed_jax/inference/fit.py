@@ -76,7 +76,7 @@ class Fit(Tabular):
     def warning(self) -> str | None:
         """What is wrong with the draws, or that the posterior has several modes, in one sentence, or None."""
         found = (
-            self.chains.cut_short,
+            self.chains.doubt,
             self.maximum.warning(self.posterior.names),
             self.convergence.warning(self.posterior.names),
         )

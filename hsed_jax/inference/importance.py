@@ -76,6 +76,7 @@ class Weighted(NamedTuple):
         weights: summing to one, (S,).
         log_evidence: log Z; -inf where no draw has a density.
         shape: Pareto shape of the largest weights.
+        learnt: the proposal that these draws call for.
     """
 
     points: Points
@@ -83,11 +84,22 @@ class Weighted(NamedTuple):
     weights: Heights
     log_evidence: float
     shape: float
+    learnt: Proposal
 
     @property
     def worth(self) -> float:
         """Number of draws that the weighted ones are worth (Kish)."""
         return _worth(self.weights) if np.isfinite(self.log_evidence) else 0.0
+
+    @property
+    def doubt(self) -> str | None:
+        """Why moments of these draws may not be believed, in a sentence; None where they may."""
+        if self.reliable:
+            return None
+        return (
+            f"importance sampling cannot be relied on here: Pareto shape {self.shape:.2f}, {len(self.points)} draws worth "
+            f"{self.worth:.0f} (calibration.sampler: auto leaves it to NUTS)"
+        )
 
     @property
     def reliable(self) -> bool:
@@ -119,9 +131,10 @@ def weigh(
     points, height, log_weight = _round(log_density, proposal, draws, random)
     total = float(np.asarray(logsumexp(log_weight)))
     if not np.isfinite(total):
-        return Weighted(points, height, np.full(draws, 1 / draws), -np.inf, np.inf)
-    weights = np.exp(log_weight - total)
-    return Weighted(points, height, weights / weights.sum(), total - float(np.log(draws)), _pareto_shape(log_weight))
+        return Weighted(points, height, np.full(draws, 1 / draws), -np.inf, np.inf, proposal)
+    weights, evidence = np.exp(log_weight - total), total - float(np.log(draws))
+    shape, learnt = _pareto_shape(log_weight), proposal.learnt(points, log_weight)
+    return Weighted(points, height, weights / weights.sum(), evidence, shape, learnt)
 
 
 def _round(

@@ -24,7 +24,7 @@ from hsed_jax.programs import program
 
 
 class Settings(NamedTuple):
-    """Chains, adaptation draws and kept draws per chain, target acceptance; and the sampler: nuts, importance or laplace."""
+    """Chains, adaptation draws and kept draws per chain, target acceptance; and the sampler: auto, nuts, importance or laplace."""
 
     chains: int = 4
     warmup: int = 100
@@ -45,7 +45,7 @@ class Chains(NamedTuple):
         sampler: that drew them: `nuts`, `importance` or `laplace` (of the Gaussian around the mode, not of the posterior).
         worth: number of independent draws that they are worth at most.
         emulator_error: of the log density of the emulator that gave NUTS its gradients [nats]; None where the simulator did.
-        cut_short: how a budget of time ended them, in a sentence; None where it did not.
+        doubt: why they are less than what was asked for, in a sentence; None where they are not.
     """
 
     theta: Float[Array, "chains draws p"]
@@ -56,7 +56,7 @@ class Chains(NamedTuple):
     sampler: str = "nuts"
     worth: float = np.inf
     emulator_error: float | None = None
-    cut_short: str | None = None
+    doubt: str | None = None
 
 
 class Course(NamedTuple):

@@ -1,6 +1,6 @@
 """Draws of a posterior by the sampler that a study asks for: NUTS, importance sampling, or the Gaussian around the mode.
 
-Importance sampling says itself whether it may be believed; where not, NUTS takes its place.  NUTS takes its gradients from an
+Importance sampling says itself whether it may be believed; where not, NUTS takes its place if the study leaves it open.  NUTS takes its gradients from an
 emulator where that is accurate, and from the simulator where not; its draws are exact with either.
 
 No sampler crosses from one mode of a posterior to another.  So each mode is drawn from by itself, in its own frame, and the
@@ -51,7 +51,7 @@ def draw(
         key: of the random numbers.
         settings: sizes, and by which sampler.
         watch: follows NUTS.
-        seconds: budget of NUTS; what it left undone says `cut_short`.
+        seconds: budget of NUTS; `doubt` says what it left undone.
     """
     if not maximum.others:
         return _of_one_mode(posterior, data, maximum, step_size, key, settings, watch, seconds)
@@ -95,7 +95,7 @@ def _mixed(found: list[Chains], shares: Float[np.ndarray, " modes"], key: PRNGKe
         sampler="nuts" if any(c.sampler == "nuts" for c in found) else found[0].sampler,
         worth=float(1 / sum(share**2 / max(worth, 1.0) for share, worth in zip(shares, worths, strict=True))),
         emulator_error=max(errors) if len(errors) == len(found) else None,
-        cut_short="; ".join(dict.fromkeys(c.cut_short for c in found if c.cut_short)) or None,
+        doubt="; ".join(dict.fromkeys(c.doubt for c in found if c.doubt)) or None,
     )
 
 
@@ -114,12 +114,15 @@ def _of_one_mode(
     if settings.sampler == "laplace":
         u, height = _gaussian(maximum, first, number)
         return _independent(posterior, u, height, step_size, settings, number)
-    if settings.sampler == "importance":
+    if settings.sampler in ("auto", "importance"):
         random = _generator(first)
         weighted = weigh_around(posterior, data, maximum, number, random)
-        if weighted.reliable:
+        if weighted.reliable or settings.sampler == "importance":
             u, height = map(jnp.asarray, resampled(weighted, number, random))
-            return _independent(posterior, u, height, step_size, settings, weighted.worth)
+            by_weight = settings._replace(sampler="importance")
+            return _independent(posterior, u, height, step_size, by_weight, weighted.worth)._replace(doubt=weighted.doubt)
+        # Wider, and turned, where the posterior is no Gaussian: chains then need shorter trajectories.
+        maximum = maximum._replace(whitening=jnp.asarray(weighted.learnt.frame))
     emulator = emulate(posterior, data, maximum, first)
     error = float(emulator.error)
     accurate = error < _ACCURATE
@@ -142,7 +145,7 @@ def _of_one_mode(
         u, height = _gaussian(maximum, first, number)
         gaussian = _independent(posterior, u, height, step_size, settings._replace(sampler="laplace"), number)
         instead = f"{budget} before there were draws of the posterior: these are of the Gaussian around the MAP"
-        return gaussian._replace(cut_short=instead)
+        return gaussian._replace(doubt=instead)
     parts = [arrived(posterior, maximum, course, settings) for course in courses]
     *of_draws, step_sizes = (
         jnp.concatenate(leaves) for leaves in zip(*(part[:_ARRAYS] for part in parts), strict=True)
@@ -151,7 +154,7 @@ def _of_one_mode(
         *(values[:, :made] for values in of_draws),
         step_size=step_sizes,
         emulator_error=error if accurate else None,
-        cut_short=f"{budget} after {made} of {settings.draws} draws" if made < settings.draws else None,
+        doubt=f"{budget} after {made} of {settings.draws} draws" if made < settings.draws else None,
     )
 
 
