@@ -174,6 +174,15 @@ def test_under_a_wrong_model_what_predicts_comes_before_what_fits():
     assert "effect_7" in found_in(values, functions=functions, is_explained=lambda fit: len(fit.free) > 2).path[1]
 
 
+def test_a_small_part_of_the_error_is_named_where_what_is_left_is_many_times_the_noise():
+    # After effect_3, which is nearly all of the error, effect_5 is half of what is left.
+    hidden = {"effect_3": 3.0, "effect_5": 0.5}
+    values = data_of(0, **hidden)
+    assert found_in(values, declared=0.1 * SIGMA).best == set(hidden)
+    # So much a formula of effect_3 that is not the specimen's may leave, too.
+    assert found_in(values).best == {"effect_3"}
+
+
 def test_what_is_not_named_has_its_reason():
     search = found_in(data_of(0))
     weak, strong = (found_in(data_of(0, effect_3=size)) for size in (0.1, 0.5))

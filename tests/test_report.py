@@ -553,7 +553,10 @@ def test_the_page_of_two_runs_draws_its_charts(opened, page_file, tmp_path):
         (None, "error: the noise that the campaign declares, inferred where it declares none."),
         ({"inflate": True}, "inferred where it declares none, and what the model leaves beyond it."),
         ({"relative": 0.05, "correlated": False}, "error: 5 % of what was measured."),
-        ({"relative": 0.05, "discrepancy": True}, "5 % of what was measured, and a discrepancy of the model that is learned."),
+        (
+            {"relative": 0.05, "discrepancy": True},
+            "5 % of what was measured, and a discrepancy of the model that is learned.",
+        ),
         ({"force": {"unknown": True, "inflate": True}}, "error: force inferred, and what the model leaves beyond it."),
     ],
 )

@@ -12,7 +12,7 @@ from hsed_jax.inference import blocks
 from hsed_jax.inference import maximum as search
 from hsed_jax.inference.emulator import emulate
 from hsed_jax.inference.fit import Fit
-from hsed_jax.inference.importance import Proposal, Weighted, resampled
+from hsed_jax.inference.importance import Weighted, resampled
 from hsed_jax.inference.nuts import Chains, Settings, advance, arrived, begin, convergence
 from hsed_jax.inference.priors import Prior
 from hsed_jax.inference.sampling import _mixed, weigh_around
@@ -173,8 +173,7 @@ def test_the_worth_of_weights_is_what_their_mean_scatters_by():
 
 def test_resampling_keeps_every_draw_as_often_as_it_weighs():
     weights = np.asarray([0.5, 0.25, 0.125, 0.125, 0.0])
-    proposal = Proposal(np.zeros(1), np.eye(1))
-    weighted = Weighted(np.arange(5.0)[:, None], -np.arange(5.0), weights, 0.0, 0.1, proposal)
+    weighted = Weighted(np.arange(5.0)[:, None], -np.arange(5.0), weights, 0.0, 0.1)
     u, height = resampled(weighted, 80, np.random.default_rng(0))
     np.testing.assert_array_equal(np.bincount(np.asarray(u)[:, 0].astype(int), minlength=5), [40, 20, 10, 10, 0])
     np.testing.assert_array_equal(height, -np.asarray(u)[:, 0])

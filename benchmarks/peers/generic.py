@@ -1,4 +1,4 @@
-"""What generic tools make of an imposed elongation and a measured force: least squares for the law, two black boxes for the force.
+"""What generic tools make of an imposed elongation and a measured force: least squares for the law, and two black boxes.
 
 The law is the one that `hsed init` starts from, Bouc–Wen, here with all four of its parameters free; it shares no code with the
 package.  The black boxes know the elongation and what a hysteretic force is known to depend on: where the motion last turned,
@@ -78,7 +78,10 @@ def black_box_errors(train: Sequence[Cyclic], test: Sequence[Cyclic]) -> dict[st
     every = -(-len(known) // _MOST_SAMPLES)
     boxes = {
         "Gaussian process": (GaussianProcessRegressor(kernel, random_state=0), every),
-        "neural network": (MLPRegressor(hidden_layer_sizes=(64, 64), max_iter=2000, early_stopping=True, random_state=0), 1),
+        "neural network": (
+            MLPRegressor(hidden_layer_sizes=(64, 64), max_iter=2000, early_stopping=True, random_state=0),
+            1,
+        ),
     }
     errors = {}
     for name, (box, each) in boxes.items():

@@ -31,6 +31,8 @@ _ODDS = 10.0
 # Share of the squared held-out error, less the noise, that an effect takes away; the first may take less, if that is all.
 # A textbook formula is off by a third of its effect: the last that is left beside an effect, if smaller, is no other physics.
 _MATERIAL, _FORMULA = 0.05, 0.1
+# Where what is left is so many times the noise, this share of it is enough: the model is wrong, and prediction decides.
+_WRONG, _PART = 5.0, 0.2
 # A score test opens the gate that the size of the residual keeps shut, at this level for all candidates together.
 _STRICT = 1e-3
 # By this share a further effect may raise the squared error on experiments that nothing is fitted to: they are few.
@@ -210,9 +212,11 @@ class Search:
         predictions = self.left_out([frozenset(), self.best, larger.effects])
         before, now, then = map(self._error, predictions)
         is_last = self._is_explained(larger.fit)
-        share = _MATERIAL if not is_last else _FORMULA if self.best else 0.0
-        floor = self.measured.noise**2
-        if not then < now or now**2 - then**2 < share * (before**2 - floor):
+        noise = self.measured.noise
+        needed = (_MATERIAL if not is_last else _FORMULA if self.best else 0.0) * (before**2 - noise**2)
+        if not is_last and now > _WRONG * noise:
+            needed = min(needed, _PART * (now**2 - noise**2))
+        if not then < now or now**2 - then**2 < needed:
             return f"with training experiments left out in turn the error goes from {now:.3f} to {then:.3g} only"
         gain = Gain(self._squares(predictions[1]) - self._squares(predictions[2]))
         if not is_last and not gain.mean > gain.standard_error:

@@ -76,7 +76,6 @@ class Weighted(NamedTuple):
         weights: summing to one, (S,).
         log_evidence: log Z; -inf where no draw has a density.
         shape: Pareto shape of the largest weights.
-        learnt: the proposal that these draws call for.
     """
 
     points: Points
@@ -84,7 +83,6 @@ class Weighted(NamedTuple):
     weights: Heights
     log_evidence: float
     shape: float
-    learnt: Proposal
 
     @property
     def worth(self) -> float:
@@ -131,10 +129,9 @@ def weigh(
     points, height, log_weight = _round(log_density, proposal, draws, random)
     total = float(np.asarray(logsumexp(log_weight)))
     if not np.isfinite(total):
-        return Weighted(points, height, np.full(draws, 1 / draws), -np.inf, np.inf, proposal)
-    weights, evidence = np.exp(log_weight - total), total - float(np.log(draws))
-    shape, learnt = _pareto_shape(log_weight), proposal.learnt(points, log_weight)
-    return Weighted(points, height, weights / weights.sum(), evidence, shape, learnt)
+        return Weighted(points, height, np.full(draws, 1 / draws), -np.inf, np.inf)
+    weights = np.exp(log_weight - total)
+    return Weighted(points, height, weights / weights.sum(), total - float(np.log(draws)), _pareto_shape(log_weight))
 
 
 def _round(

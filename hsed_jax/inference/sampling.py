@@ -120,9 +120,9 @@ def _of_one_mode(
         if weighted.reliable or settings.sampler == "importance":
             u, height = map(jnp.asarray, resampled(weighted, number, random))
             by_weight = settings._replace(sampler="importance")
-            return _independent(posterior, u, height, step_size, by_weight, weighted.worth)._replace(doubt=weighted.doubt)
-        # Wider, and turned, where the posterior is no Gaussian: chains then need shorter trajectories.
-        maximum = maximum._replace(whitening=jnp.asarray(weighted.learnt.frame))
+            return _independent(posterior, u, height, step_size, by_weight, weighted.worth)._replace(
+                doubt=weighted.doubt
+            )
     emulator = emulate(posterior, data, maximum, first)
     error = float(emulator.error)
     accurate = error < _ACCURATE

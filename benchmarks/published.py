@@ -1,0 +1,117 @@
+"""What is learned from measured specimens that lie in a folder?  `python benchmarks/published.py [--data FOLDER]`
+
+Every campaign with a held-out part is taken as a stranger would take it: `hsed init` writes the study, `hsed run` calibrates the
+plain law, names what it lacks and adds it; nothing is told by hand, and no case by its name.  Beside the error on the held-out
+part stand those of generic tools on the same samples: the same law by SciPy's least squares, and two black boxes that know the
+history of the elongation (`peers/generic.py`).  Errors are root mean squares in units of what was measured, about its mean.
+"""
+
+import argparse
+import json
+import shutil
+import tempfile
+import time
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from peers.generic import Cyclic, black_box_errors, least_squares_error
+from run import machine
+
+import hsed_jax as hx
+
+RESULTS = Path(__file__).with_suffix(".json")
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+_STEPS = ("steps=[calibrate, compare, diagnose, improve]",)
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument(
+        "cases", nargs="*", metavar="CASE", help="folders of the data (default: all that can be judged)"
+    )
+    parser.add_argument("--data", type=Path, default=DATA, metavar="FOLDER", help="holds the folders of the campaigns")
+    parser.add_argument(
+        "--pictures", type=Path, metavar="FOLDER", help="draw the loops of every case there, before and after"
+    )
+    parser.add_argument("--resume", action="store_true", help="keep the cases that were measured already")
+    parser.add_argument("--markdown", action="store_true", help="the table of the last results, nothing measured")
+    parser.add_argument("--output", type=Path, default=RESULTS, metavar="FILE.json")
+    options = parser.parse_args()
+    keeps = options.resume or options.markdown
+    rows = json.loads(options.output.read_text(encoding="utf-8"))["rows"] if keeps and options.output.exists() else []
+    if not options.markdown:
+        for folder in judged(options.data, options.cases):
+            if folder.name in [row["case"] for row in rows]:
+                continue
+            rows.append(row_of(folder, options.pictures))
+            results = {"machine": machine(), "rows": rows}
+            options.output.write_text(json.dumps(results, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    print(markdown(rows))
+
+
+def judged(data: Path, wanted: Sequence[str]) -> list[Path]:
+    """The folders of component tests with a held-out part."""
+    folders = [path.parent for path in sorted(data.glob("*/campaign.yaml")) if not wanted or path.parent.name in wanted]
+    campaigns = {folder: hx.read_campaign(folder) for folder in folders}
+    return [f for f, c in campaigns.items() if c.protocol == "displacement" and len(c.test)]
+
+
+def row_of(folder: Path, pictures: Path | None) -> dict[str, Any]:
+    """What comes out of one campaign; its loops before and after are drawn where there is a folder for pictures."""
+    campaign = hx.read_campaign(folder)
+    with tempfile.TemporaryDirectory() as place:
+        work = Path(place) / folder.name
+        shutil.copytree(folder, work)
+        study = work / "study.yaml"
+        study.write_text(hx.initial_study(campaign, work, study), encoding="utf-8")
+        begin = time.perf_counter()
+        hx.run(hx.load_study(study, _STEPS), work / "run", progress=False)
+        seconds = time.perf_counter() - begin
+        summary = json.loads((work / "run" / "summary.json").read_text(encoding="utf-8"))
+        if pictures is not None:
+            pictures.mkdir(parents=True, exist_ok=True)
+            shutil.copy(work / "run" / "figures" / "before_after.png", pictures / f"{folder.name}.png")
+    train, test = ([_cyclic(e) for e in part] for part in (campaign.train, campaign.test))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of scikit-learn, about its own bounds
+        generic = {"least squares": least_squares_error(train, test), **black_box_errors(train, test)}
+    found = summary["diagnosis"]
+    return {
+        "case": folder.name,
+        "noise": found["noise_floor"],
+        "plain": found["error"]["test"][0],
+        "named": found["error"]["test"][1],
+        "verdict": found["verdict"],
+        "effects": found["effects"],
+        "forms": found.get("forms") or {},
+        "generic": generic,
+        "seconds": seconds,
+    }
+
+
+def _cyclic(experiment: hx.Experiment) -> Cyclic:
+    record = experiment.record
+    assert record is not None
+    return Cyclic(*(np.asarray(record[name]) for name in ("elongation", "force")), np.asarray(experiment.in_window))
+
+
+def markdown(rows: Sequence[Mapping[str, Any]]) -> str:
+    """The table of the results."""
+    generic = list(dict.fromkeys(name for row in rows for name in row["generic"]))
+    heads = ["specimen", "noise", "plain law", *generic, "with what is named", "named", "verdict", "s"]
+    lines = [heads, ["---"] * len(heads)]
+    for row in rows:
+        named = ", ".join(f"`{e}`" + (f" ({row['forms'][e]})" if e in row["forms"] else "") for e in row["effects"])
+        others = [f"{row['generic'][name]:.3f}" if name in row["generic"] else "–" for name in generic]
+        errors = [f"{row['plain']:.3f}", *others, f"**{row['named']:.3f}**"]
+        about = [named or "–", f"`{row['verdict']}`", f"{row['seconds']:.0f}"]
+        lines.append([row["case"].replace("_", " "), f"{row['noise']:.3f}", *errors, *about])
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+if __name__ == "__main__":
+    main()
