@@ -1,6 +1,7 @@
 """The paper's structure and simulator, the shared data, the reference table: and a browser: what several test files use."""
 
 import gc
+import os
 import shutil
 import signal
 from pathlib import Path
@@ -30,6 +31,38 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+# Default tests take most of their time in compiling small cases that run for milliseconds.
+QUICK = "JAX_DISABLE_MOST_OPTIMIZATIONS"
+
+
+def pytest_configure(config) -> None:
+    """Default tests compile without XLA's optimisations, but for those of files marked `optimised`, and so do their processes.
+
+    The slow ones run for long and keep them, and so does a run with `JAX_DISABLE_MOST_OPTIMIZATIONS=0`.
+    """
+    # Tracing makes many objects that live: without this, looking for those that do not is a tenth of all.
+    gc.freeze()
+    gc.set_threshold(100_000, 20, 100)
+    if config.option.markexpr == "not slow" and QUICK not in os.environ:
+        os.environ[QUICK] = "1"
+        jax.config.update(QUICK.lower(), True)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def optimised(request):
+    """A file marked `optimised` compares many digits, and is compiled as users' programs are."""
+    if request.node.get_closest_marker("optimised") is None or os.environ.get(QUICK) != "1":
+        yield
+        return
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv(QUICK)
+        jax.config.update(QUICK.lower(), False)
+        jax.clear_caches()
+        yield
+    jax.config.update(QUICK.lower(), True)
+    jax.clear_caches()
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -13,6 +13,7 @@ from hsed_jax.physics.laws import BoucWen
 from hsed_jax.physics.simulator import Timeline
 from hsed_jax.physics.specimen import Specimen
 
+pytestmark = pytest.mark.optimised
 NAMES = ("A", "beta", "gamma", "n", "stiffness_degradation.delta")
 SCALES = np.array([5e5, 1.0, 1.0, 1.0, 2e-5])
 QUANTITIES = ("peak_force", "peak_elongation", "dissipated_energy")

@@ -13,6 +13,7 @@ from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.simulator import Conditions
 from hsed_jax.study.build import Built
 
+pytestmark = pytest.mark.optimised
 EFFECTS = {"hardening": 0, "viscous_damping": 0, "stiffness_degradation": 1, "mass_error": 2}
 
 

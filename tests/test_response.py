@@ -19,6 +19,7 @@ from hsed_jax.physics.outputs import EQ_18, output
 from hsed_jax.physics.simulator import Conditions, Recorded, Simulator, Timeline
 from hsed_jax.physics.structures import ModalDamping, Spring, Structure, difference
 
+pytestmark = pytest.mark.optimised
 NAMES = ("peak_force", "peak_elongation", "dissipated_energy")
 
 

@@ -1,5 +1,6 @@
 """A sweep: its points, its folder, what comes out, and that nothing is lost when workers or the sweep itself are killed."""
 
+import gc
 import json
 import os
 import random
@@ -17,6 +18,7 @@ import psutil
 import pytest
 import xarray as xr
 import yaml
+from distributed import default_client
 
 import hsed_jax as hx
 from hsed_jax.errors import UserError
@@ -249,6 +251,18 @@ def run(folder, monkeypatch):
     run.count, run.does = 0, lambda: None
     monkeypatch.setattr(workflow, "run", instead)
     return run
+
+
+def test_a_scheduler_that_does_not_answer_is_nobodys_default():
+    # What failed is in cycles of references, and lives until they are collected.
+    gc.disable()
+    try:
+        with pytest.raises(UserError, match="no Dask scheduler"), workers.remote_client("nowhere at all"):
+            pass
+        with pytest.raises(ValueError, match=r"[Nn]o client"):
+            default_client()
+    finally:
+        gc.enable()
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError("in two\nlines"), SystemExit("off"), UserError("diverges")])

@@ -154,7 +154,7 @@ def remote_client(address: str) -> "Iterator[Client]":
     from distributed import Client
 
     try:
-        client = Client(address, timeout=_PATIENCE)
+        client = Client(address, timeout=_PATIENCE, set_as_default=False)
     except Exception as error:  # also what something else that answers makes of it
         raise UserError(f"no Dask scheduler answers at {address} ({error}); start one with: dask scheduler") from None
     with client:
