@@ -24,7 +24,7 @@ from hsed_jax.programs import program
 
 
 class Settings(NamedTuple):
-    """Chains, adaptation draws and kept draws per chain, target acceptance; and the sampler: auto, nuts, importance or laplace."""
+    """Chains, adaptation draws and kept draws per chain, target acceptance; and by which sampler."""
 
     chains: int = 4
     warmup: int = 100

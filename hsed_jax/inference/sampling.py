@@ -1,7 +1,7 @@
 """Draws of a posterior by the sampler that a study asks for: NUTS, importance sampling, or the Gaussian around the mode.
 
-Importance sampling says itself whether it may be believed; where not, NUTS takes its place if the study leaves it open.  NUTS takes its gradients from an
-emulator where that is accurate, and from the simulator where not; its draws are exact with either.
+Importance sampling says itself whether it may be believed; where not, NUTS takes its place if the study leaves it open.  NUTS
+takes its gradients from an emulator where that is accurate, and from the simulator where not; its draws are exact with either.
 
 No sampler crosses from one mode of a posterior to another.  So each mode is drawn from by itself, in its own frame, and the
 draws are mixed as the modes share the posterior.
