@@ -81,7 +81,7 @@ def study_of(folder: Path, changes=(), **more):
 
 @pytest.fixture(scope="module")
 def calibration(folder):
-    return hx.calibrate(study_of(folder))
+    return hx.calibrate(study_of(folder, ["calibration.sampler=nuts"]))
 
 
 def exact() -> tuple[dict[str, tuple[float, float]], dict[str, tuple[float, float]], tuple[float, float]]:
