@@ -22,7 +22,7 @@ STEPS = {
 }
 CARE = {
     "quick: a Gaussian around the best fit": "laplace",
-    "careful: chains of NUTS (minutes longer)": "nuts",
+    "careful: draws of the posterior (may take minutes longer)": "auto",
 }
 # What the command line adds for those who type.
 _TYPED = ": say --resume to go on"
