@@ -308,13 +308,13 @@ def test_two_stiffnesses_that_give_one_peak_force_are_both_found(paper_simulator
     def respond(theta, conditions):
         return simulator.quantities({"A": theta[0], "beta": 1.0}, conditions, ("peak_force",))
 
-    posterior = posterior_of(respond, {"A": Prior("uniform", [2e5, 9e5])}, [1.0])
+    posterior = posterior_of(respond, {"A": Prior("uniform", [2e5, 9e5])}, [350.0])
     conditions = pulse_conditions([1.5], [0.6])
     A = np.linspace(2e5, 9e5, 2801)
     force = np.asarray(
         jax.lax.map(lambda a: respond(a[None], pulse_conditions(1.5, 0.6))[0][0], jnp.asarray(A), batch_size=64)
     )
-    data = measured_at([0.0], [[1.17e5]], 350.0)._replace(conditions=conditions)
+    data = measured_at([0.0], [[1.17e5]])._replace(conditions=conditions)
     density = np.exp(-0.5 * ((force - 1.17e5) / 350.0) ** 2)
     density /= density.sum()
     valley = A[force.argmax()]
