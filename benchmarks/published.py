@@ -45,25 +45,25 @@ def main() -> None:
     keeps = options.resume or options.markdown
     rows = json.loads(options.output.read_text(encoding="utf-8"))["rows"] if keeps and options.output.exists() else []
     if not options.markdown:
-        for folder in judged(options.data, options.cases):
-            if folder.name in [row["case"] for row in rows]:
+        known = [row["case"] for row in rows]
+        for folder, campaign in judged(options.data, options.cases).items():
+            if folder.name in known:
                 continue
-            rows.append(row_of(folder, options.pictures))
+            rows.append(row_of(folder, campaign, options.pictures))
             results = {"machine": machine(), "rows": rows}
             options.output.write_text(json.dumps(results, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     print(markdown(rows))
 
 
-def judged(data: Path, wanted: Sequence[str]) -> list[Path]:
-    """The folders of component tests with a held-out part."""
+def judged(data: Path, wanted: Sequence[str]) -> dict[Path, hx.Campaign]:
+    """The component tests with a held-out part, by their folders."""
     folders = [path.parent for path in sorted(data.glob("*/campaign.yaml")) if not wanted or path.parent.name in wanted]
     campaigns = {folder: hx.read_campaign(folder) for folder in folders}
-    return [f for f, c in campaigns.items() if c.protocol == "displacement" and len(c.test)]
+    return {f: c for f, c in campaigns.items() if c.protocol == "displacement" and len(c.test)}
 
 
-def row_of(folder: Path, pictures: Path | None) -> dict[str, Any]:
+def row_of(folder: Path, campaign: hx.Campaign, pictures: Path | None) -> dict[str, Any]:
     """What comes out of one campaign; its loops before and after are drawn where there is a folder for pictures."""
-    campaign = hx.read_campaign(folder)
     with tempfile.TemporaryDirectory() as place:
         work = Path(place) / folder.name
         shutil.copytree(folder, work)
@@ -88,7 +88,7 @@ def row_of(folder: Path, pictures: Path | None) -> dict[str, Any]:
         "named": found["error"]["test"][1],
         "verdict": found["verdict"],
         "effects": found["effects"],
-        "forms": found.get("forms") or {},
+        "forms": {c["effect"]: c["form"] for c in found["ranking"] if c["effect"] in found["effects"] and "form" in c},
         "generic": generic,
         "seconds": seconds,
     }
