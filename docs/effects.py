@@ -222,11 +222,12 @@ def _forms(effect: type[AbstractEffect]) -> list[str]:
     """The table of its forms, and that of the parameters that some of them free."""
     if not effect.forms:
         return []
-    assert issubclass(effect, AbstractSpringEffect)
-    known = parameters_of(effect)
-    name, across = effect.name, re.sub(r"[uvF]_c", r"$\g<0>$", curves_of(effect).across)
-    rows = [f"![Forms of {name}](images/effects/{name}_forms.png)", ""]
-    rows += [f"What the forms contribute, over {across}, each over its own range.", ""]
+    known, rows = parameters_of(effect), []
+    # An effect outside the spring has no state to be drawn over.
+    if issubclass(effect, AbstractSpringEffect):
+        name, across = effect.name, re.sub(r"[uvF]_c", r"$\g<0>$", curves_of(effect).across)
+        rows += [f"![Forms of {name}](images/effects/{name}_forms.png)", ""]
+        rows += [f"What the forms contribute, over {across}, each over its own range.", ""]
     rows += ["| form | equation | frees | holds | source |", "|---|---|---|---|---|"]
     for form in effect.forms:
         frees = ", ".join(f"`{key}`" for key in form.free) or "–"
@@ -306,7 +307,7 @@ def draw() -> None:
         size = {f"{name}.{key}": value for key, value in medium(name).items()}
         picture = (shaken if effect.shaken_only else test).picture(name, size)
         _save(picture, name)
-        if effect.forms:
+        if effect.forms and issubclass(effect, AbstractSpringEffect):
             _save(_forms_picture(name), f"{name}_forms")
 
 

@@ -320,7 +320,7 @@ def test_errors_on_what_was_left_out_are_those_of_fits_made_by_hand():
     used = np.random.default_rng(0).random((N, J)) < 0.9
     search = found_in(values, used=used)
     sets = [frozenset(), frozenset({"effect_1"}), frozenset({"effect_1", "effect_6"})]
-    found = search.held_out(sets)
+    found = search.unseen(sets)
     scale = np.std(values[used])
     for effects, error in zip(sets, found, strict=True):
         free = np.concatenate([LAW, *(COLUMNS[e] for e in sorted(effects))])
@@ -336,7 +336,7 @@ def test_errors_on_what_was_left_out_are_those_of_fits_made_by_hand():
 def test_of_one_experiment_the_past_predicts_the_future():
     values = data_of(2, effect_1=0.4)[:1]
     search = found_in(values)
-    (error,) = search.held_out([frozenset()])
+    (error,) = search.unseen([frozenset()])
     whole = np.pad(values, ((0, N - 1), (0, 0)))
     block = np.arange(J) * 4 // J
     predicted = np.zeros(J)

@@ -16,11 +16,13 @@ from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
 from hsed_jax.physics.effects import EFFECTS
-from hsed_jax.physics.effects.base import SpringPoint
+from hsed_jax.physics.effects.base import AbstractSpringEffect, Setup, SpringPoint
 from hsed_jax.physics.effects.forms import DRIVERS, forms_of, raised
 from hsed_jax.physics.excitations import Imposed, Tabulated
 from hsed_jax.physics.parameters import parameters_of
+from hsed_jax.physics.response import Response
 from hsed_jax.physics.scales import Scales
+from hsed_jax.physics.sensors import measured
 from hsed_jax.physics.simulator import Conditions, Recorded, Timeline
 from hsed_jax.reporting.catalogue import entry
 from hsed_jax.reporting.formulas import in_text
@@ -28,7 +30,9 @@ from hsed_jax.study.build import Built
 from hsed_jax.study.form_curves import curves_of
 
 F, U, V, E = SCALES = Scales(force=1.2e5, elongation=0.25, rate=1.5, energy=2e4)
-SEVERAL = tuple(name for name, effect in EFFECTS.items() if len(forms_of(effect)) > 1)
+SEVERAL = tuple(
+    name for name, effect in EFFECTS.items() if len(forms_of(effect)) > 1 and issubclass(effect, AbstractSpringEffect)
+)
 FORMS = tuple((name, label) for name in SEVERAL for label in forms_of(EFFECTS[name]))
 STRENGTH, STIFFNESS = 1e5, 6e5
 
@@ -46,6 +50,7 @@ def state(count: int = 60) -> dict:
     found |= {"largest_elongation": np.abs(u) * draw.uniform(1, 3, count), "bristle": draw.uniform(-1, 1, count)}
     found |= {"plastic": draw.normal(scale=0.5 * U, size=count)}
     found |= {"bristle_at": draw.normal(scale=0.6 * U, size=count)}
+    found |= {"relaxing": draw.normal(scale=F, size=count)}
     found |= {"reversals": draw.integers(0, 30, count).astype(float)}
     return {name: np.concatenate([[0.0], values[1:]]) for name, values in found.items()}
 
@@ -100,6 +105,18 @@ def beyond(p, s):
 def bent(p, s):
     way = (s.u - s.bristle_at) / (p.bristle * U)
     return np.sign(way) + (s.bristle - np.sign(way)) * np.exp(-np.abs(way))
+
+
+def levelled(p, s):
+    """A power of the elongation that levels out."""
+    grown = np.abs(s.u / U) ** p.power
+    return grown / (1 + p.bend * grown)
+
+
+def rate_to(p, s):
+    """The rate to the power of a damper, linear next to rest."""
+    at = np.abs(s.v / V)
+    return np.where(at > 1e-3, at**p.alpha, at * 1e-3 ** (p.alpha - 1))
 
 
 def lasting(p, x):
@@ -178,6 +195,7 @@ EQUATIONS = {
     "viscous_damping": {
         "linear": dashpot[""],
         "of elongation": ("force", lambda p, x, s: p.delta * F * np.abs(s.u) / U * s.v / V),
+        "saturating": ("force", lambda p, x, s: p.delta * F * (s.v / V) / (1 + p.bend * np.abs(s.v / V))),
         "opening only": dashpot["positive"],
         "closing only": dashpot["negative"],
         "free": (
@@ -202,6 +220,25 @@ EQUATIONS = {
         "wearing": ("force", lambda p, x, s: p.delta * F * np.tanh(s.v / (0.02 * V)) * lasting(p, s.travel * F / E)),
         "heating": ("force", lambda p, x, s: p.delta * F * np.tanh(s.v / (0.02 * V)) * lasting(p, s.energy / E)),
     },
+    "power_damping": {
+        "power": ("force", lambda p, x, s: p.delta * F * rate_to(p, s) * np.sign(s.v)),
+        "free": (
+            "force",
+            lambda p, x, s: p.delta * F * rate_to(p, s) / (1 + p.bend * rate_to(p, s)) * np.sign(s.v) * share(p, s.v),
+        ),
+        "heating": ("force", lambda p, x, s: p.delta * F * rate_to(p, s) * np.sign(s.v) * lasting(p, s.energy / E)),
+    },
+    "yield_sharpness": {
+        "power": ("n", lambda p, x, s: p.delta + 0 * s.z),
+        "free": ("nu", lambda p, x, s: 1 - p.of_part + p.of_part * np.maximum(np.abs(s.z) / STRENGTH, 1e-3) ** p.delta),
+    },
+    "loop_shape": {
+        "constant": ("gamma", lambda p, x, s: p.delta + 0 * s.z),
+        "free": ("gamma", lambda p, x, s: p.delta * np.maximum(np.abs(s.z) / STRENGTH, 1e-9) ** p.power),
+    },
+    "relaxation": dict.fromkeys(
+        ("linear", "power", "thermally activated"), ("force", lambda p, x, s: p.delta * s.relaxing)
+    ),
     "stribeck_friction": {
         name: (
             "force",
@@ -213,6 +250,17 @@ EQUATIONS = {
             ),
         )
         for name, r in {"exponential": lambda p: 0.2, "of any speed": lambda p: p.falling}.items()
+    }
+    | {
+        "free": (
+            "force",
+            lambda p, x, s: (
+                p.delta
+                * F
+                * (p.remaining + (1 - p.remaining) * np.exp(-((np.abs(s.v) / (p.falling * V)) ** p.steepness)))
+                * np.tanh(s.v / (p.sticking * V))
+            ),
+        )
     },
     "hardening": {
         "linear": spring[""],
@@ -220,20 +268,17 @@ EQUATIONS = {
         "compression only": spring["negative"],
         "power": ("force", lambda p, x, s: p.delta * F * np.abs(s.u / U) ** p.power * np.sign(s.u)),
         "saturating": ("force", lambda p, x, s: p.delta * F * (s.u / U) / (1 + p.bend * np.abs(s.u / U))),
-        "free": (
-            "force",
-            lambda p, x, s: (
-                p.delta * F * (bent := np.abs(s.u / U) ** p.power) / (1 + p.bend * bent) * np.sign(s.u) * share(p, s.u)
-            ),
-        ),
+        "free": ("force", lambda p, x, s: p.delta * F * levelled(p, s) * np.sign(s.u) * share(p, s.u)),
     },
     "cubic_stiffness": {
         "cubic": ("force", lambda p, x, s: p.delta * F * (s.u / U) ** 3),
         "power": ("force", lambda p, x, s: p.delta * F * np.abs(s.u / U) ** p.power * np.sign(s.u)),
+        "free": ("force", lambda p, x, s: p.delta * F * levelled(p, s) * np.sign(s.u) * share(p, s.u)),
     },
     "quadratic_stiffness": {
         "quadratic": ("force", lambda p, x, s: p.delta * F * (s.u / U) ** 2),
         "power": ("force", lambda p, x, s: p.delta * F * np.abs(s.u / U) ** p.power),
+        "free": ("force", lambda p, x, s: p.delta * F * levelled(p, s)),
     },
     "contact_stiffening": {
         "linear": ("force", stop),
@@ -328,7 +373,14 @@ EQUATIONS["yielding"] = {
     "to a bound": ("plastic", lambda p, x, s: p.delta * s.plastic),
     **dict.fromkeys(("beside a spring", "free"), ("plastic", lambda p, x, s: (1 - p.elastic) * p.delta * s.plastic)),
 }
-CONSTANT = {("gap", "fixed"), ("support_flexibility", "linear")}
+CONSTANT = {
+    *(("gap", "fixed"), ("support_flexibility", "linear"), ("yield_sharpness", "power"), ("loop_shape", "constant"))
+}
+CREEP = {
+    "linear": lambda p, q: q,
+    "power": lambda p, q: np.abs(q) ** (p.power - 1) * q,
+    "thermally activated": lambda p, q: q * np.sinh(y := np.minimum(p.activation * np.abs(q), 6.0)) / y,
+}
 DRIVEN = {
     "energy": lambda s: s.energy / E,
     "path": lambda s: s.travel * F / E,
@@ -363,6 +415,29 @@ def test_a_form_is_its_equation(name, label):
             # A small power is linear next to zero: (1e-9)^p, where the virgin state has none.
             np.testing.assert_allclose(found[slot], expected, rtol=2e-7 if name == "slip" else 1e-11, atol=1e-12 * F)
             assert np.ptp(expected) > 1e-3 * np.abs(expected).max() or (name, form.name) in CONSTANT
+
+
+@pytest.mark.parametrize("label", CREEP)
+def test_a_relaxing_force_creeps_as_its_form_says(label):
+    effect, at = EFFECTS["relaxation"], state()
+    values = drawn("relaxation", label, 0.7)
+    found = jax.vmap(effect(**forms_of(effect)[label].held, **values).flow)(point(at))["relaxing"]
+    # The virgin element has no force, and the sine over its argument there is one.
+    creep = CREEP[label](SimpleNamespace(**values), at["relaxing"][1:] / F)
+    np.testing.assert_allclose(found[1:], F / U * at["v"][1:] - F * creep / (values["time"] * U / V), rtol=1e-12)
+    assert found[0] == 0.0
+
+
+def test_a_late_drift_begins_when_its_form_says():
+    values = {"delta": 0.2, "onset": 0.3}
+    found = EFFECTS["force_drift"](**values).contribute(Setup(SCALES, 1, 1))
+    span = 100 * U / V
+    assert found == pytest.approx({"force_drift": 0.2 * F / span, "drift_onset": 0.3 * span})
+    time = np.linspace(0.0, span, 101)
+    response = Response({}, {"force": jnp.zeros(101)}, jnp.asarray(True))
+    sensed = measured(response, lambda slot, owner="": found.get(slot, 0.0 if "force" in slot else 1.0), span / 100, 1,
+                      is_imposed=False)  # fmt: skip
+    np.testing.assert_allclose(sensed.channels["force"], 0.2 * F * np.maximum(time / span - 0.3, 0), atol=1e-9 * F)
 
 
 def test_a_bristle_follows_dahls_equation_along_a_path():
@@ -653,8 +728,8 @@ MISTAKES = {
         ("model.effects.stiffness_degradation", "form", "must be a word"),
     ),
     "a form of an effect without forms": (
-        {"relaxation": {"form": "linear"}},
-        ("model.effects.relaxation.form", "'linear'", "no choice of a form"),
+        {"force_gain": {"form": "linear"}},
+        ("model.effects.force_gain.form", "'linear'", "no choice of a form"),
     ),
     "a driver of an effect without drivers": (
         {"hardening": {"driver": "path"}},

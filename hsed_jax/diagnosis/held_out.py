@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import Descent, NestedModels, Target, Task
 
 _FOLDS = 6
@@ -67,6 +68,45 @@ def folds_of(used: Bool[np.ndarray, "n J"], groups: np.ndarray) -> Folds:
         fitted = [used & (block < k) for k in range(1, _BLOCKS)]
         left_out = [used & (block == k) for k in range(1, _BLOCKS)]
     return Folds(np.stack([used, *fitted]), np.stack([np.zeros_like(used), *left_out]))
+
+
+class HeldOut:
+    """What models predict of data that they were not fitted to.
+
+    Arguments:
+        models: the large model.
+        measured: the experiments that are fitted.
+        test: experiments that nothing is fitted to, the rows after those measured.
+    """
+
+    def __init__(self, models: NestedModels, measured: Measured, test: Measured | None):
+        self.models, self.measured, self.test = models, measured, test
+        self.folds = folds_of(measured.used, measured.groups)
+
+    def unseen(self, target: Target, fits: Sequence[Descent]) -> list[float]:
+        """Error of fits on the test experiments; without any, on those left out in turn (on what comes later, where there is
+        one experiment).  Infinite where a simulation fails: what cannot be predicted is no improvement."""
+        if self.test is None:
+            return [self.error(predicted) for predicted in self.left_out(target, fits)]
+        rows = len(self.measured.values) + np.arange(len(self.test.values))
+        outputs, ok = self.models.predict([(f.x, f.member) for f in fits], rows)
+        return [
+            self.test.error(predicted) if converged.all() else math.inf
+            for predicted, converged in zip(outputs, ok, strict=True)
+        ]
+
+    def left_out(self, target: Target, fits: Sequence[Descent]) -> list[np.ndarray | None]:
+        """Of each model what it predicts of every part that is left out, (n, J), as `left_out_predictions` says."""
+        return left_out_predictions(self.models, target, self.folds, fits)
+
+    def error(self, predicted: np.ndarray | None) -> float:
+        """Error of what a model predicts of the folds."""
+        return math.inf if predicted is None else self.measured.error(predicted, self.folds.left_out.any(axis=0))
+
+    def squares(self, predicted: np.ndarray | None) -> np.ndarray:
+        """Squared errors of it, fold by fold, (F,)."""
+        parts = self.folds.left_out[1:]
+        return np.full(len(parts), np.inf) if predicted is None else self.measured.squares(predicted, parts)
 
 
 def left_out_predictions(

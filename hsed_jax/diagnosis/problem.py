@@ -33,6 +33,12 @@ Forms = Mapping[str, FormColumns]
 """The forms of a candidate by their labels, the default one first."""
 
 
+def amplitude_of(forms: Forms) -> tuple[int, Mapping[int, float]]:
+    """The amplitude of an effect in its default form, and what that holds."""
+    form = next(iter(forms.values()))
+    return int(form.columns[0]), form.held
+
+
 def of_other_drivers(forms: Forms, label: str) -> list[str]:
     """The forms of the same shape, with whatever driver."""
     return [other for other, form in forms.items() if form.form.name == forms[label].form.name]

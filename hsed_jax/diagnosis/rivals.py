@@ -97,17 +97,13 @@ def next_experiment(
 
 
 def rivals_of(problem: Problem, search: Search, models: Sequence[Model], best: Model) -> list[Model]:
-    """Models that name something else (and not only something more) and are as good as the best: as probable; or, where
+    """Models that name something else (and no more) and are as good as the best: as probable; or, where
     prediction chose it, of other physics, no larger, and no worse by one standard error on what was left out."""
-    others = [m for m in models if m.effects != best.effects and not m.effects > best.effects]
+    others = [m for m in models if m.effects != best.effects and len(m.effects) <= len(best.effects)]
     as_probable = [m for m in others if m.log_posterior - best.log_posterior >= math.log(_AS_GOOD)]
     if best.effects not in search.predicted:
         return as_probable
-    unlike = [
-        m
-        for m in others
-        if m not in as_probable and 0 < len(m.effects) <= len(best.effects) and _families(problem, best, m)
-    ][:_MOST_TRIED]
+    unlike = [m for m in others if m not in as_probable and m.effects and _families(problem, best, m)][:_MOST_TRIED]
     gains = search.gains([m.effects for m in unlike], best.effects)
     return [*as_probable, *(m for m, gain in zip(unlike, gains, strict=True) if gain.mean + gain.standard_error >= 0)]
 

@@ -1,8 +1,8 @@
 r"""Which set of effects do the measurements support?  A search over nested models, by evidence.
 
 Forward steps add the effect that is supported best; after each, every model one change away (an effect less, one more, one
-exchanged for another) is fitted, so that a wrong first step is taken back.  Sets of k out of K effects share the prior
-probability of their size, $2^{-k-1}/\binom{K}{k}$: looking at thirty candidates does not invent physics.
+exchanged for another or for a pair) is fitted, so that a wrong first step is taken back.  Sets of k out of K effects share the
+prior probability of their size, $2^{-k-1}/\binom{K}{k}$: looking at thirty candidates does not invent physics.
 
 **How wrong a model may be is learned, not assumed.**  A real specimen follows no textbook formula.  All models of a round are
 therefore judged with the errors that the best of them leaves: the error of an output is the declared one or that model's
@@ -18,10 +18,10 @@ from jaxtyping import Float, Int
 from scipy.special import softmax
 
 from hsed_jax.diagnosis.fits import Choice, Fits, Model, Set, spread
-from hsed_jax.diagnosis.held_out import Gain, folds_of, left_out_predictions
+from hsed_jax.diagnosis.held_out import Gain, HeldOut
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import Descent, NestedModels, Target, Task
-from hsed_jax.diagnosis.problem import Forms, of_other_drivers, of_other_shapes
+from hsed_jax.diagnosis.problem import Forms, amplitude_of, of_other_drivers, of_other_shapes
 from hsed_jax.diagnosis.scores import Around, Promise, Trial, score_p_value
 from hsed_jax.errors import UserError
 
@@ -33,6 +33,8 @@ _ODDS = 10.0
 _MATERIAL, _FORMULA = 0.05, 0.1
 # Where what is left is so many times the noise, this share of it is enough: the model is wrong, and prediction decides.
 _WRONG, _PART = 5.0, 0.2
+# Where what is left is so many times the noise, a model that leaves nothing of it is no accident of a formula.
+_CLEAR = 2.0
 # A score test opens the gate that the size of the residual keeps shut, at this level for all candidates together.
 _STRICT = 1e-3
 # By this share a further effect may raise the squared error on experiments that nothing is fitted to: they are few.
@@ -47,6 +49,8 @@ _PROMISING, _STARTS = 2, 2
 _SIZES = 4
 # Beside a set so many effects are fitted: those that promise most.
 _REACH = 8
+# In place of an effect so many others, the most probable ones, are tried with so many beside each that promise most.
+_OTHERS, _BESIDE = 4, 2
 # All forms are fitted of so many sets (of twice as many of one effect), if they are no more nats below the most probable one
 # than this, or gain half as much as it.
 _DEEP, _NEAR = 4, 10.0
@@ -88,12 +92,11 @@ class Search:
         start: Float[np.ndarray, " P"] | None = None,
     ):
         self._is_explained = is_explained
-        self._test, self._start = test, start
+        self._start, self._held_out = start, HeldOut(models, measured, test)
         self.models, self.measured, self.law, self.effects = models, measured, law, dict(effects)
         self._fits = Fits(models, law, effects)
         self._report = report
-        self._folds = folds_of(measured.used, measured.groups)
-        self._fitted = self._folds.fitted
+        self._fitted = self._held_out.folds.fitted
         self.errors = np.where(np.isnan(measured.declared), 0.3, measured.declared)
         self.worth = np.ones(len(self.errors))
         self.target = Target(
@@ -108,6 +111,7 @@ class Search:
         self.missed = 0.0
         self.predicted: dict[Set, Gain] = {}
         self._tried: set[Set] = set()
+        self._pairs: list[Set] = []
         self._pointed: dict[Set, tuple[Descent, Target, Set]] = {}
 
     def run(self) -> None:
@@ -118,7 +122,8 @@ class Search:
             self._fit(around)
             # Where nothing will be named, what is said of a candidate is how large it may be.
             if self.best or self.is_open():
-                self._deepen(around)
+                self._fit_pairs()
+                self._deepen([*around, *self._pairs])
             self._judge()
             found = self._next()
             if found == self.best:
@@ -144,45 +149,22 @@ class Search:
         """Posterior probabilities of models, among themselves."""
         return np.asarray(softmax([m.log_posterior for m in models]))
 
-    def held_out(self, chosen: Sequence[Set]) -> list[float]:
-        """Error on experiments left out in turn (on what comes later, where there is one experiment), for several sets.
-
-        Infinite where a simulation fails: what cannot be predicted is no improvement.
-        """
-        return [self._error(p) for p in self.left_out(chosen)]
-
     def unseen(self, chosen: Sequence[Set]) -> list[float]:
         """Error on the experiments that nothing is fitted to, for several sets; without any, on those left out in turn."""
-        if self._test is None:
-            return self.held_out(chosen)
-        rows = len(self.measured.values) + np.arange(len(self._test.values))
-        fits = [self._fits.best(effects) for effects in chosen]
-        outputs, ok = self.models.predict([(f.x, f.member) for f in fits], rows)
-        return [
-            self._test.error(predicted) if converged.all() else math.inf
-            for predicted, converged in zip(outputs, ok, strict=True)
-        ]
+        return self._held_out.unseen(self.target, [self._fits.best(effects) for effects in chosen])
 
     def gains(self, chosen: Sequence[Set], over: Set) -> list[Gain]:
         """By how much sets predict what was left out better than another set: in every part of it, each from the others."""
-        before, *after = (self._squares(p) for p in self.left_out([over, *chosen]))
+        before, *after = map(self._held_out.squares, self.left_out([over, *chosen]))
         return [Gain(before - squares) for squares in after]
 
     def left_out(self, chosen: Sequence[Set]) -> list[np.ndarray | None]:
         """What sets predict of every part that is left out, each from the others; None where a simulation fails."""
-        fits = [self._fits.best(effects) for effects in chosen]
-        return left_out_predictions(self.models, self.target, self._folds, fits)
-
-    def _error(self, predicted: np.ndarray | None) -> float:
-        return math.inf if predicted is None else self.measured.error(predicted, self._folds.left_out.any(axis=0))
-
-    def _squares(self, predicted: np.ndarray | None) -> np.ndarray:
-        parts = self._folds.left_out[1:]
-        return np.full(len(parts), np.inf) if predicted is None else self.measured.squares(predicted, parts)
+        return self._held_out.left_out(self.target, [self._fits.best(effects) for effects in chosen])
 
     def harms(self, larger: Set, here: Set = frozenset()) -> bool:
         """Whether a set predicts the experiments that nothing is fitted to worse than another one, or not at all."""
-        if self._test is None:
+        if self._held_out.test is None:
             return False
         now, then = self.unseen([here, larger])
         return not then**2 <= (1 + _CHANCE) * now**2
@@ -192,7 +174,7 @@ class Search:
         fit = self._fits.best(chosen)
         of_fit, of_target, found = self._pointed.get(chosen, (None, None, frozenset()))
         if of_fit is not fit or of_target is not self.target:
-            others = {name: _amplitude(forms) for name, forms in self.effects.items() if name not in chosen}
+            others = {name: amplitude_of(forms) for name, forms in self.effects.items() if name not in chosen}
             scores = Around(self.models, self.target, fit).score_tests(others)
             found = frozenset(n for n, score in scores.items() if score_p_value(score, len(self.effects)) < _STRICT)
             self._pointed[chosen] = fit, self.target, found
@@ -210,15 +192,18 @@ class Search:
             now, then = self.unseen([self.best, larger.effects])
             return f"it takes the error on experiments that were not used from {now:.3f} to {then:.3g}"
         predictions = self.left_out([frozenset(), self.best, larger.effects])
-        before, now, then = map(self._error, predictions)
+        before, now, then = map(self._held_out.error, predictions)
         is_last = self._is_explained(larger.fit)
         noise = self.measured.noise
         needed = (_MATERIAL if not is_last else _FORMULA if self.best else 0.0) * (before**2 - noise**2)
         if not is_last and now > _WRONG * noise:
             needed = min(needed, _PART * (now**2 - noise**2))
+        # Two effects that leave nothing are no more than one that does, and needs as many parameters for it.
+        if is_last and (now**2 > _CLEAR * noise**2 or len(larger.fit.free) <= len(here.fit.free)):
+            needed = 0.0
         if not then < now or now**2 - then**2 < needed:
             return f"with training experiments left out in turn the error goes from {now:.3f} to {then:.3g} only"
-        gain = Gain(self._squares(predictions[1]) - self._squares(predictions[2]))
+        gain = Gain(self._held_out.squares(predictions[1]) - self._held_out.squares(predictions[2]))
         if not is_last and not gain.mean > gain.standard_error:
             return (
                 "of training experiments left out in turn it takes away a squared error of "
@@ -253,7 +238,7 @@ class Search:
             tasks = [Task(member, fit.x)]
         assert fit is not None
         self._fits.set_law(fit)
-        defaults = {effect: _amplitude(forms) for effect, forms in self.effects.items()}
+        defaults = {effect: amplitude_of(forms) for effect, forms in self.effects.items()}
         self.scores = Around(self.models, self.target, fit).score_tests(defaults)
 
     def _fit(self, around: Sequence[Set]) -> None:
@@ -270,6 +255,27 @@ class Search:
             if base in self._fits and base not in self._tried:
                 self._tried.add(base)
                 starts |= self._promising(base, others)
+        self._fits.fit(self.target, starts, starts)
+
+    def _fit_pairs(self) -> None:
+        """Fit pairs in place of each effect of the best set, where that leaves more than the noise: another effect, with what
+        promises most beside it.  One that is like neither may have taken what two effects do."""
+        self._pairs = []
+        if not self.best or len(self.best) == MOST_EFFECTS or self._is_explained(self._fits.best(self.best)):
+            return
+        starts: dict[Choice, list[np.ndarray]] = {}
+        for base in (self.best - {out} for out in sorted(self.best)):
+            others = [e for e in self.effects if e not in self.best]
+            singles = [self.model(base | {one}) for one in others if base | {one} in self._fits]
+            for single in sorted(singles, key=lambda m: -m.log_posterior)[:_OTHERS]:
+                further = [e for e in others if e not in single.effects]
+                promises = self._promises(single.fit, further, only_default=True)
+                defaults = [(effect, *one) for effect, forms in promises.items() for one in forms.items()]
+                for effect, label, found in sorted(defaults, key=lambda one: -one[2][0].gain)[:_BESIDE]:
+                    choice = self._fits.top(single.effects) | {(effect, label)}
+                    starts.setdefault(choice, []).extend(p.start for p in found[:_STARTS])
+                    self._pairs.append(single.effects | {effect})
+        self._report(f"pairs in place of {_text(self.best)}")
         self._fits.fit(self.target, starts, starts)
 
     def _promising(self, base: Set, others: Sequence[str]) -> dict[Choice, list[np.ndarray]]:
@@ -376,7 +382,9 @@ class Search:
 
     def _around(self) -> list[Set]:
         """The fitted sets around the best; of a candidate that none of them has, the set of it alone."""
-        sets = [s for s in dict.fromkeys([frozenset(), *self.path, *self._neighbours()]) if s in self._fits]
+        sets = [
+            s for s in dict.fromkeys([frozenset(), *self.path, *self._neighbours(), *self._pairs]) if s in self._fits
+        ]
         alone = [frozenset({e}) for e in self.effects if not any(e in s for s in sets)]
         return [*sets, *(s for s in alone if s in self._fits)]
 
@@ -385,12 +393,6 @@ class Search:
 
     def _log_prior(self, size: int) -> float:
         return -(size + 1) * math.log(2) - math.log(math.comb(len(self.effects), size))
-
-
-def _amplitude(forms: Forms) -> tuple[int, Mapping[int, float]]:
-    """The amplitude of an effect in its default form, and what that holds."""
-    form = next(iter(forms.values()))
-    return int(form.columns[0]), form.held
 
 
 def _text(effects: Set) -> str:

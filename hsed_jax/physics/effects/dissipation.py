@@ -1,17 +1,25 @@
 """Forces against the motion: dampers and friction beside the hysteretic spring."""
 
-from typing import ClassVar, final
+from typing import Any, ClassVar, final
 
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
 from hsed_jax.physics.effects.driven import AbstractWornForce, heating, wearing
-from hsed_jax.physics.effects.forms import FREE, Form, one_side, raised, sided
+from hsed_jax.physics.effects.forms import FREE, Form, bend_parameter, one_side, raised, saturated, sided
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_zero
 
 # Friction turns over within this share of the characteristic rate: a jump would stall any integrator.
 _STICKING = 0.02
+
+
+def _sticking() -> Any:
+    """The parameter that says how sharply friction turns over."""
+    return shape_parameter(
+        "w", "rate at which it turns over, over characteristic rate", neutral=_STICKING, lower=0.005,
+        prior={"lognormal": [-2.3, 1.0]},
+    )  # fmt: skip
 
 
 @register
@@ -27,6 +35,8 @@ class ViscousDamping(AbstractWornForce):
         Form("linear", r"\delta F_c\,\Delta\dot u/v_c"),
         Form("of elongation", r"\delta F_c\,(|\Delta u|/u_c)\,\Delta\dot u/v_c", "Inaudi & Kelly 1995",
              held={"of_elongation": 1.0}, in_units=False),
+        Form("saturating", r"\delta F_c\frac{\Delta\dot u/v_c}{1 + b|\Delta\dot u|/v_c}",
+             "Cross 1965 (oil that thins)", free=("bend",)),
         Form("opening only", r"\delta F_c\max(\Delta\dot u, 0)/v_c", held={"side": 1.0}),
         Form("closing only", r"\delta F_c\min(\Delta\dot u, 0)/v_c", held={"side": -1.0}),
         Form(FREE, r"\delta F_c\left(1 - w_u + w_u|\Delta u|/u_c\right)\Delta\dot u/v_c,\ "
@@ -43,11 +53,12 @@ class ViscousDamping(AbstractWornForce):
         physical=PhysicalForm("c", "N*s/m", lambda scales: scales.force / scales.rate),
     )
     side: Scalar = one_side()
+    bend: Scalar = bend_parameter()
     of_elongation: Scalar = share_parameter("w_u", "whether it grows with the elongation")
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
-        rate = sided(point.rate / point.scales.rate, self.side)
+        rate = sided(saturated(point.rate / point.scales.rate, self.bend), self.side)
         if not is_zero(self.of_elongation):
             rate = rate * (1 + self.of_elongation * (jnp.abs(point.elongation) / point.scales.elongation - 1))
         return {"force": self.delta * point.scales.force * rate * self.lasting(point)}
@@ -94,13 +105,19 @@ class QuadraticDamping(AbstractSpringEffect):
 
 @register
 @final
-class PowerDamping(AbstractSpringEffect):
+class PowerDamping(AbstractWornForce):
     r"""A fluid damper in parallel: $\delta\,F_c\,|\Delta\dot u/v_c|^\alpha\,\mathrm{sign}\,\Delta\dot u$."""
 
     name: ClassVar[str] = "power_damping"
     family: ClassVar[str] = "damping"
     reference: ClassVar[str] = "Symans & Constantinou 1998"
     needs_time: ClassVar[bool] = True
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("power"),
+        Form(FREE, r"\delta F_c\frac{x}{1 + b\,x}\,\mathrm{sign}\,\Delta\dot u,\ x = |\Delta\dot u/v_c|^\alpha,\ "
+             r"\text{times } 1 - |w| \text{ one way}", free=("bend", "side"), in_units=False),
+        heating(r"\delta F_c|\Delta\dot u/v_c|^\alpha\,\mathrm{sign}\,\Delta\dot u\,", "Black & Makris 2007 (oil that warms)"),
+    )  # fmt: skip
 
     delta: Scalar = parameter(
         r"\delta_\alpha",
@@ -113,13 +130,16 @@ class PowerDamping(AbstractSpringEffect):
     alpha: Scalar = parameter(
         r"\alpha", "1", "exponent of the rate", neutral=0.5, lower=0.1, upper=2.0, prior={"uniform": [0.1, 1.0]}
     )
+    bend: Scalar = bend_parameter()
+    side: Scalar = one_side()
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
         ratio = point.rate / point.scales.rate
         # |v|^α has no derivative at rest; below this rate it is linear.
         size = jnp.maximum(jnp.abs(ratio), 1e-3)
-        return {"force": self.delta * point.scales.force * jnp.exp((self.alpha - 1) * jnp.log(size)) * ratio}
+        drag = sided(saturated(jnp.exp((self.alpha - 1) * jnp.log(size)) * ratio, self.bend), self.side)
+        return {"force": self.delta * point.scales.force * drag * self.lasting(point)}
 
 
 @register
@@ -152,10 +172,7 @@ class CoulombFriction(AbstractWornForce):
         prior={"half_normal": 0.3},
         physical=PhysicalForm("force", "N", lambda scales: scales.force),
     )
-    sticking: Scalar = shape_parameter(
-        "w", "rate at which it turns over, over characteristic rate", neutral=_STICKING, lower=0.005,
-        prior={"lognormal": [-2.3, 1.0]},
-    )  # fmt: skip
+    sticking: Scalar = _sticking()
     bristle: Scalar = shape_parameter(
         "b", "elongation at which it slides over characteristic elongation", neutral=0.05, lower=0.005,
         prior={"lognormal": [-3.0, 0.8]},
@@ -201,6 +218,12 @@ class StribeckFriction(AbstractSpringEffect):
     forms: ClassVar[tuple[Form, ...]] = (
         Form("exponential"),
         Form("of any speed", r"v_r = r\,v_c", free=("falling",)),
+        Form(
+            FREE,
+            r"\delta F_c\left[\mu + (1-\mu)e^{-(|\Delta\dot u|/r v_c)^m}\right]\tanh(\Delta\dot u/w v_c)",
+            "Bo & Pavelescu 1982",
+            free=("falling", "steepness", "sticking"),
+        ),
     )
 
     delta: Scalar = parameter(
@@ -225,9 +248,13 @@ class StribeckFriction(AbstractSpringEffect):
         "r", "speed at which it falls over characteristic rate", neutral=0.2, lower=0.02,
         prior={"lognormal": [-1.6, 0.8]},
     )  # fmt: skip
+    steepness: Scalar = shape_parameter(
+        "m", "power of the speed that it falls with", neutral=1.0, lower=0.3, upper=4.0, prior={"lognormal": [0.0, 0.5]}
+    )
+    sticking: Scalar = _sticking()
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
         ratio = point.rate / point.scales.rate
-        share = self.remaining + (1 - self.remaining) * jnp.exp(-jnp.abs(ratio) / self.falling)
-        return {"force": self.delta * point.scales.force * share * jnp.tanh(ratio / _STICKING)}
+        share = self.remaining + (1 - self.remaining) * jnp.exp(-raised(jnp.abs(ratio) / self.falling, self.steepness))
+        return {"force": self.delta * point.scales.force * share * jnp.tanh(ratio / self.sticking)}

@@ -5,9 +5,9 @@ from typing import ClassVar, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
-from hsed_jax.physics.effects.forms import FREE, Form, one_side, raised, sided
+from hsed_jax.physics.effects.forms import FREE, Form, bend_parameter, one_side, raised, saturated, sided
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
-from hsed_jax.physics.scales import is_number, is_zero
+from hsed_jax.physics.scales import is_number
 
 
 @register
@@ -52,16 +52,12 @@ class Hardening(AbstractSpringEffect):
     power: Scalar = shape_parameter(
         "p", "power of the elongation", neutral=1.0, lower=0.2, upper=1.5, prior={"lognormal": [-0.4, 0.4]}
     )
-    bend: Scalar = shape_parameter(
-        "b", "how soon it saturates", neutral=0.0, lower=0.0, upper=50.0, prior={"half_normal": 3.0}
-    )
+    bend: Scalar = bend_parameter()
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
         ratio = raised(point.elongation / point.scales.elongation, self.power)
-        if not is_zero(self.bend):
-            ratio = ratio / (1 + self.bend * jnp.abs(ratio))
-        return {"force": self.delta * point.scales.force * sided(ratio, self.side)}
+        return {"force": self.delta * point.scales.force * sided(saturated(ratio, self.bend), self.side)}
 
 
 @register
@@ -75,6 +71,13 @@ class CubicStiffness(AbstractSpringEffect):
     forms: ClassVar[tuple[Form, ...]] = (
         Form("cubic", r"\delta F_c(\Delta u/u_c)^3"),
         Form("power", r"\delta F_c|\Delta u/u_c|^p\,\mathrm{sign}\,\Delta u", free=("power",), in_units=False),
+        Form(
+            FREE,
+            r"\delta F_c\frac{|x|^p}{1 + b|x|^p}\mathrm{sign}\,x,\ x = \Delta u/u_c,\ "
+            r"\text{times } 1 - |w| \text{ to the side that } w \text{ is not of}",
+            free=("power", "bend", "side"),
+            in_units=False,
+        ),
     )
 
     delta: Scalar = parameter(
@@ -88,6 +91,8 @@ class CubicStiffness(AbstractSpringEffect):
     power: Scalar = shape_parameter(
         "p", "power of the elongation", neutral=3.0, lower=1.2, upper=12.0, prior={"lognormal": [1.1, 0.5]}
     )
+    bend: Scalar = bend_parameter()
+    side: Scalar = one_side()
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
@@ -95,7 +100,7 @@ class CubicStiffness(AbstractSpringEffect):
         bent = ratio * ratio * ratio
         if not is_number(self.power, 3):
             bent = jnp.sign(ratio) * raised(jnp.abs(ratio), self.power)
-        return {"force": self.delta * point.scales.force * bent}
+        return {"force": self.delta * point.scales.force * sided(saturated(bent, self.bend), self.side)}
 
 
 @register
@@ -109,6 +114,7 @@ class QuadraticStiffness(AbstractSpringEffect):
     forms: ClassVar[tuple[Form, ...]] = (
         Form("quadratic", r"\delta F_c(\Delta u/u_c)^2"),
         Form("power", r"\delta F_c|\Delta u/u_c|^p", free=("power",), in_units=False),
+        Form(FREE, r"\delta F_c\frac{|x|^p}{1 + b|x|^p},\ x = \Delta u/u_c", free=("power", "bend"), in_units=False),
     )
 
     delta: Scalar = parameter(
@@ -122,12 +128,13 @@ class QuadraticStiffness(AbstractSpringEffect):
     power: Scalar = shape_parameter(
         "p", "power of the elongation", neutral=2.0, lower=0.5, upper=8.0, prior={"lognormal": [0.5, 0.5]}
     )
+    bend: Scalar = bend_parameter()
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
         ratio = point.elongation / point.scales.elongation
         bent = ratio * ratio if is_number(self.power, 2) else raised(jnp.abs(ratio), self.power)
-        return {"force": self.delta * point.scales.force * bent}
+        return {"force": self.delta * point.scales.force * saturated(bent, self.bend)}
 
 
 @register

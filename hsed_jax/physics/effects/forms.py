@@ -160,6 +160,16 @@ def sided(value: Scalar, side: Scalar) -> Scalar:
     return value * jnp.minimum(share, 1.0)
 
 
+def bend_parameter() -> Any:
+    """The parameter that says how soon a force saturates."""
+    return shape_parameter("b", "how soon it saturates", neutral=0.0, lower=0.0, upper=50.0, prior={"half_normal": 3.0})
+
+
+def saturated(value: Scalar, bend: Scalar) -> Scalar:
+    r"""A value that grows ever more slowly, $x/(1 + b|x|)$: towards $1/b$."""
+    return value if is_zero(bend) else value / (1 + bend * jnp.abs(value))
+
+
 @cache
 def forms_of(effect: "type[AbstractEffect]") -> dict[str, Form]:
     """The forms of an effect by their labels, the default one first: every shape with every driver."""

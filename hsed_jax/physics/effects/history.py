@@ -8,12 +8,14 @@ import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
 from hsed_jax.physics.effects.driven import AbstractDrivenEffect
-from hsed_jax.physics.effects.forms import FREE, Form, near_no_force
+from hsed_jax.physics.effects.forms import FREE, Form, near_no_force, raised
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_zero
 
 # ∫ exp(−x⁶) dx to one side: a slip as long as the Gaussian one.
 _OF_WINDOW = math.gamma(7 / 6)
+# Creep is activated between these, as arguments of its hyperbolic sine.
+_LINEAR, _FASTEST = 1e-4, 6.0
 
 
 @register
@@ -121,6 +123,22 @@ class Relaxation(AbstractSpringEffect):
     family: ClassVar[str] = "rate"
     reference: ClassVar[str] = "Maxwell 1867"
     needs_time: ClassVar[bool] = True
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("linear"),
+        Form(
+            "power",
+            r"\dot q = \frac{F_c}{u_c}\Delta\dot u - \frac{q}{\tau}\left|\frac{q}{F_c}\right|^{p-1}",
+            "Norton 1929",
+            free=("power",),
+            in_units=False,
+        ),
+        Form(
+            "thermally activated",
+            r"\dot q = \frac{F_c}{u_c}\Delta\dot u - \frac{q}{\tau}\frac{\sinh y}{y},\ y = \min\left(a\frac{|q|}{F_c}, 6\right)",
+            "Eyring 1936",
+            free=("activation",),
+        ),
+    )
     # The element at δ = 1: its force is linear in δ, so that δ = 0 contributes nothing whatever the state is.
     states: ClassVar[tuple[str, ...]] = ("relaxing",)
 
@@ -143,6 +161,23 @@ class Relaxation(AbstractSpringEffect):
         physical=PhysicalForm("tau", "s", lambda scales: scales.elongation / scales.rate),
     )
 
+    power: Scalar = shape_parameter(
+        "p",
+        "power of the force that it creeps with",
+        neutral=1.0,
+        lower=0.3,
+        upper=5.0,
+        prior={"lognormal": [0.4, 0.5]},
+    )
+    activation: Scalar = shape_parameter(
+        "a",
+        "characteristic force over that which activates creep",
+        neutral=0.0,
+        lower=0.0,
+        upper=50.0,
+        prior={"half_normal": 3.0},
+    )
+
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
         return {"force": self.delta * point.memory["relaxing"]}
@@ -151,4 +186,14 @@ class Relaxation(AbstractSpringEffect):
         """The rate of `relaxing` [N/s]."""
         scales = point.scales
         tau = self.time * scales.elongation / scales.rate
-        return {"relaxing": scales.force / scales.elongation * point.rate - point.memory["relaxing"] / tau}
+        share = point.memory["relaxing"] / scales.force
+        creep = raised(share, self.power)
+        if not is_zero(self.activation):
+            creep = creep * _activated(self.activation * jnp.abs(share))
+        return {"relaxing": scales.force * (point.rate / scales.elongation - creep / tau)}
+
+
+def _activated(y: Scalar) -> Scalar:
+    """sinh(y)/y, which ends where explicit steps could not follow."""
+    at = jnp.clip(y, _LINEAR, _FASTEST)
+    return jnp.where(y < _LINEAR, 1.0, jnp.sinh(at) / at)

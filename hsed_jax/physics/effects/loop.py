@@ -8,7 +8,7 @@ from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPo
 from hsed_jax.physics.effects.driven import AbstractDamagedEffect, AbstractDrivenEffect
 from hsed_jax.physics.effects.forms import FREE, Form, raised
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
-from hsed_jax.physics.scales import is_zero
+from hsed_jax.physics.scales import is_number, is_zero
 from hsed_jax.physics.states import LARGEST_ELONGATION, SharedState
 
 
@@ -27,6 +27,10 @@ class YieldSharpness(AbstractSpringEffect):
     name: ClassVar[str] = "yield_sharpness"
     family: ClassVar[str] = "hysteresis"
     reference: ClassVar[str] = "Wen 1976"
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("power"),
+        Form(FREE, r"|z|^n\left[1 - w + w\,(|z|/z_u)^\delta\right]", held={"of_power": 0.0}, free=("of_part",)),
+    )
 
     delta: Scalar = parameter(
         r"\delta_n",
@@ -37,9 +41,18 @@ class YieldSharpness(AbstractSpringEffect):
         prior={"truncated_normal": {"loc": 0.0, "scale": 1.0, "low": -0.5, "high": 6.0}},
     )
 
+    of_power: Scalar = _whether("the power", "w_n")
+    of_part: Scalar = _whether("a part with another power", "w", 1.0)
+
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
-        """An addend to `n`: the power of |z|/z_u."""
-        return {"n": self.delta}
+        """An addend to `n`: the power of |z|/z_u; or a factor on `nu`, of two powers."""
+        if is_number(self.of_power, 1):
+            return {"n": self.delta}
+        # Below this share of the strength nothing yields.
+        over = jnp.maximum(jnp.abs(point.hysteretic) / point.strength, 1e-3)
+        other = (1 - self.of_power) * self.delta
+        found: dict[str, Scalar] = {"nu": 1 + self.of_part * jnp.expm1(other * jnp.log(over))}
+        return found if is_zero(self.of_power) else {**found, "n": self.of_power * self.delta}
 
 
 @register
@@ -50,6 +63,10 @@ class LoopShape(AbstractSpringEffect):
     name: ClassVar[str] = "loop_shape"
     family: ClassVar[str] = "hysteresis"
     reference: ClassVar[str] = "Wen 1976"
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("constant", r"\gamma + \delta\beta"),
+        Form(FREE, r"\gamma + \delta\beta\,|z/z_u|^p", free=("power",)),
+    )
 
     delta: Scalar = parameter(
         r"\delta_\gamma",
@@ -60,9 +77,17 @@ class LoopShape(AbstractSpringEffect):
         prior={"truncated_normal": {"loc": 0.0, "scale": 0.5, "low": -0.95, "high": 4.0}},
     )
 
+    power: Scalar = shape_parameter(
+        "p", "power of the force", neutral=0.0, lower=0.0, upper=6.0, prior={"half_normal": 1.5}
+    )
+
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `gamma`, in units of β."""
-        return {"gamma": self.delta}
+        if is_zero(self.power):
+            return {"gamma": self.delta}
+        # The power of zero is one, at no force as well, where no γ matters.
+        over = jnp.maximum(jnp.abs(point.hysteretic) / point.strength, 1e-9)
+        return {"gamma": self.delta * jnp.exp(self.power * jnp.log(over))}
 
 
 @register

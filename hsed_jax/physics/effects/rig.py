@@ -3,8 +3,9 @@
 from typing import Any, ClassVar, Literal, final
 
 from hsed_jax.physics.effects.base import AbstractSetupEffect, Scalar, Setup, register
-from hsed_jax.physics.parameters import PhysicalForm, parameter
-from hsed_jax.physics.scales import Scales
+from hsed_jax.physics.effects.forms import Form
+from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
+from hsed_jax.physics.scales import Scales, is_zero
 
 # A drift is told by what it adds up to over this many characteristic times.
 _DRIFTING = 100.0
@@ -110,13 +111,17 @@ class ForceOffset(_AbstractRigEffect):
 @register
 @final
 class ForceDrift(_AbstractRigEffect):
-    r"""The zero of the load cell drifts: $r + \delta\,F_c\,\frac{t}{100\,u_c/v_c}$."""
+    r"""The zero of the load cell drifts: $r + \delta\,F_c\,x$, $x = \frac{t}{100\,u_c/v_c}$."""
 
     name: ClassVar[str] = "force_drift"
     family: ClassVar[str] = "test rig"
     reference: ClassVar[str] = "JCGM 100:2008 (GUM)"
     needs_time: ClassVar[bool] = True
     histories_only: ClassVar[bool] = True
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("steady", r"\delta F_c\,x"),
+        Form("late", r"\delta F_c\max(x - x_0, 0)", free=("onset",)),
+    )
 
     delta: Scalar = parameter(
         r"\delta_{\dot 0}",
@@ -126,10 +131,15 @@ class ForceDrift(_AbstractRigEffect):
         prior={"normal": [0.0, 0.1]},
         physical=PhysicalForm("drift", "N/s", lambda scales: scales.force / (_DRIFTING * _time(scales))),
     )
+    onset: Scalar = shape_parameter(
+        "x_0", "when it begins, over 100 characteristic times", neutral=0.0, lower=0.0, prior={"half_normal": 0.3}
+    )
 
     def contribute(self, setup: Setup) -> dict[str, Any]:
-        """An addend to `force_drift`."""
-        return {"force_drift": self.delta * (setup.scales.force / (_DRIFTING * _time(setup.scales)))}
+        """An addend to `force_drift`, and to when that begins."""
+        span = _DRIFTING * _time(setup.scales)
+        found = {"force_drift": self.delta * setup.scales.force / span}
+        return found if is_zero(self.onset) else {**found, "drift_onset": self.onset * span}
 
 
 @register
