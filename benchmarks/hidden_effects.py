@@ -29,6 +29,8 @@ WEAK, MEDIUM, STRONG = 0.03, 0.10, 0.25
 SIZES = {WEAK: "weak", MEDIUM: "medium", STRONG: "strong"}
 NOISES = (0.02, 0.05, 0.10)
 _PAIRS, _CONTROLS = 24, 100
+# What is left with this probability is noise.
+_NOISE = 0.05
 
 
 def plan() -> dict[str, list[Case]]:
@@ -205,6 +207,8 @@ def score(found: dict[str, Any], truth: dict[str, Any]) -> dict[str, Any]:
         "first": bool(named) and named[0] in names,
         "family": bool(named) and families[named[0]] in {EFFECTS[name] for name in names},
         "exact": sorted(named) == sorted(names),
+        # Of a pair one is named, and what the other does a refit absorbs down to the noise.
+        "absorbed": bool(named) and set(named) < set(names) and (found["p_value_after"] or 0.0) >= _NOISE,
         "alike": any(set(names) & set(group) for group in found["look_alikes"]),
         "covered": inside,
         "error": [found["error"]["test"][0], found["error"]["test"][1], found["noise_floor"]],
@@ -227,8 +231,8 @@ def table(rows: Sequence[dict[str, Any]], by: str | None = None) -> str:
         if "skipped" not in row:
             parts.setdefault(row["group"] + (f": {SPLITS[by](row['case'])}" if by else ""), []).append(row)
     for label, own in parts.items():
-        # What a refit of the law absorbs down to the noise is there for nobody to see.
-        seen = [row for row in own if row["verdict"] != "adequate"]
+        # What a refit of the law absorbs down to the noise, all of it or one of two effects, is there for nobody to see.
+        seen = [row for row in own if row["verdict"] != "adequate" and not row.get("absorbed")]
         errors = np.median(np.asarray([row["error"] for row in own]), axis=0)
         shares = [_share([row[key] for row in seen]) for key in ("first", "family", "exact")]
         counts = [sum(row["verdict"] == verdict for row in own) for verdict in ("ambiguous", "unexplained")]
