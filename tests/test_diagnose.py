@@ -129,6 +129,28 @@ def test_a_wrong_first_step_is_taken_back():
     assert search.best == {"effect_0", "effect_1"}
 
 
+def test_two_effects_are_found_though_one_like_neither_takes_nearly_all_of_both():
+    # A 60th of the error is left, no one effect beside effect_7 takes that, and neither of the two is much alone.
+    functions, noise = FUNCTIONS.copy(), 0.1 * SIGMA
+    functions[9] = functions[2] + functions[3] + 0.15 * RANDOM.standard_normal((N, J))
+    theta = np.zeros(2 + K)
+    theta[2:4] = 0.6
+    values = np.einsum("k,knj->nj", theta, functions) + noise * np.random.default_rng(0).standard_normal((N, J))
+
+    def is_explained(fit):
+        return np.std(fit.predicted - values) < 1.1 * noise
+
+    search = found_in(values, functions=functions, declared=noise, is_explained=is_explained)
+    assert search.path == [frozenset(), {"effect_7"}, {"effect_0", "effect_1"}]
+    assert search.best == {"effect_0", "effect_1"}
+    # One effect in another formula than the specimen's leaves as much, and then no pair takes it.
+    theta[2:4] = 0.0
+    theta[9] = 0.6
+    alone = np.einsum("k,knj->nj", theta, functions) + 0.1 * RANDOM.standard_normal((N, J))
+    search = found_in(alone, functions=functions, declared=noise, is_explained=is_explained)
+    assert search.best == {"effect_7"}
+
+
 def test_nothing_is_added_where_the_noise_explains_the_residual(monkeypatch):
     # And where no score test is sure either; what it is sure of is tested below.
     monkeypatch.setattr(Search, "pointed_at", lambda self, chosen: frozenset())

@@ -34,8 +34,8 @@ class Curves(NamedTuple):
     Attributes:
         across: what they are told apart by, in words, with its range.
         places: along it, over the characteristic value, (n,).
-        values: by the name of the form: the sum of what it adds, of what it multiplies by, less one, and of the rates of its
-            states, (n,).
+        values: by the name of the form: the sum of what it adds and of what it multiplies by, less one; of an effect with
+            states of its own, their rates, (n,).
     """
 
     across: str
@@ -80,8 +80,9 @@ def _contributed(
         memory: dict[str, Scalar] = defaultdict(lambda: at["driver"])
         memory |= {"bristle": jnp.clip(4 * at["elongation"], -1.0, 1.0), "bristle_at": at["elongation"]}
         point = SpringPoint(at["elongation"], at["rate"], at["force"], memory, Scales(1.0, 1.0, 1.0, 1.0), 1.0, 1.0)
-        moved = sum(made.flow(point).values())
-        return jnp.asarray(moved + sum(value - (slot in MULTIPLIED) for slot, value in made.contribute(point).items()))
+        if rates := made.flow(point):
+            return jnp.asarray(sum(rates.values()))
+        return jnp.asarray(sum(value - (slot in MULTIPLIED) for slot, value in made.contribute(point).items()))
 
     return np.asarray(jax.vmap(total)(at))
 
