@@ -172,12 +172,13 @@ class Posterior(eqx.Module):
         return jnp.clip(jnp.nan_to_num(u, nan=0.0, posinf=_FAR, neginf=-_FAR), -_FAR, _FAR)
 
     def starts(self, count: int) -> Float[Array, "count p"]:
-        """Well-spread starting points: the middle of the prior, then Sobol' points of its central 80 %."""
+        """Well-spread starting points: the middle of the prior, then as many parts of its central 80 % along every parameter, a
+        point in the middle of each (Latin hypercube; McKay, Beckman & Conover 1979)."""
         from scipy.stats import qmc
 
-        sequence = qmc.Sobol(len(self._priors), scramble=True, rng=0)
-        spread = 0.1 + 0.8 * sequence.random_base2(count.bit_length())[: max(count - 1, 1)]
-        shares = np.vstack([np.full((1, len(self._priors)), 0.5), spread])[:count]
+        # However few they are, no side of a prior is without one: a second mode may lie there.
+        parts = qmc.LatinHypercube(len(self._priors), scramble=False, rng=0).random(max(count - 1, 1))
+        shares = np.vstack([np.full((1, len(self._priors)), 0.5), 0.1 + 0.8 * parts])[:count]
         theta = np.stack(
             [np.asarray(prior.quantile(share)) for prior, share in zip(self._priors, shares.T, strict=True)], axis=1
         )
