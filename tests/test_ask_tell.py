@@ -70,7 +70,9 @@ def requested(folder):
 
 
 @pytest.mark.parametrize(
-    ("call", "steps"), [(here, 1), pytest.param(elsewhere, 5, marks=pytest.mark.slow)], ids=["one process", "many"]
+    ("call", "steps"),
+    [pytest.param(here, 1, marks=pytest.mark.whole), pytest.param(elsewhere, 5, marks=pytest.mark.slow)],
+    ids=["one process", "many"],
 )
 def test_a_campaign_by_the_command_line_alone_ends_as_the_same_events_at_once(call, steps, tmp_path, specimen):
     folder, file = tmp_path / "run", tmp_path / "study.yaml"
@@ -168,6 +170,7 @@ def test_what_is_left_in_the_folder_of_a_request_is_the_answer(tmp_path, recorde
         assert np.abs(kept.channels["ground_acceleration"]).max() > 1.0
 
 
+@pytest.mark.whole
 def test_a_run_waits_for_an_answer_and_goes_on_with_it(tmp_path, recorded):
     study = load_study(WITH_RECORDS, ["design.initial=2", "design.iterations=1", "steps=[design]"])
     folder, resume = tmp_path / "run", False

@@ -44,6 +44,7 @@ def study(tmp_path, *changes):
     return hx.load_study(tmp_path / "study.yaml", changes)
 
 
+@pytest.mark.whole
 def test_they_are_recovered_with_the_law(tmp_path):
     found = hx.calibrate(study(tmp_path)).fit.summary()
     assert list(found) == list(TRUTH)

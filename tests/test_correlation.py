@@ -188,5 +188,6 @@ def test_samples_counted_as_independent_give_intervals_that_do_not_cover():
     assert 0.25 < covered([Error(0.5, correlated=False)], RHO) < 0.60
 
 
+@pytest.mark.whole
 def test_a_memory_is_inferred_with_the_size_where_the_study_says_that_there_is_one():
     assert 0.83 <= covered([Error(Prior("half_normal", 3.0), correlated=True)], RHO) <= 0.96

@@ -134,6 +134,7 @@ def test_a_force_that_stays_bends_the_frame_statically(pushed, tmp_path):
     np.testing.assert_allclose([x[-1] for x in found.values()], exact, rtol=1e-3)
 
 
+@pytest.mark.whole
 def test_a_measured_force_drives_the_model_and_tells_its_stiffness(pushed, tmp_path):
     """The records have a force and a ground motion at once, from SciPy."""
     records, rows = {}, []
@@ -250,6 +251,7 @@ def test_several_experiments_at_once_are_each_by_itself():
         np.testing.assert_allclose(values[1], alone.quantities[name], rtol=1e-12)
 
 
+@pytest.mark.whole
 def test_what_is_measured_at_imposed_cycles_tells_the_law():
     """Of quantities, and of histories through a campaign with its own times, as a later calibration would read it."""
     truth = {"k": 5.0e6, "F_y": 4.0e4}
@@ -269,6 +271,7 @@ def test_what_is_measured_at_imposed_cycles_tells_the_law():
         np.testing.assert_allclose(experiment.record["elongation"][:-1], exact, rtol=0, atol=1e-12)
 
 
+@pytest.mark.whole
 def test_a_request_tells_what_to_impose_and_the_answer_has_the_force(tmp_path):
     """A bench that follows the file it is given; its springs are elastic, k = 3 MN/m."""
     seen = []

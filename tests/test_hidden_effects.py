@@ -35,7 +35,7 @@ def result(tmp_path, kind, effects, noise=0.05, size=0.10, experiments=6, test=4
 @pytest.mark.parametrize(
     "effect",
     [
-        "strength_degradation",
+        pytest.param("strength_degradation", marks=pytest.mark.whole),
         *(pytest.param(name, marks=pytest.mark.slow) for name in ("slip", "quadratic_stiffness", "stribeck_friction")),
     ],
 )

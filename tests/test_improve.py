@@ -17,6 +17,8 @@ from hsed_jax.run import main
 from hsed_jax.study.build import Built
 from hsed_jax.study.candidates import problem_of, with_effects
 
+pytestmark = pytest.mark.whole
+
 HARDENING = 8.0e5  # N/m: 24 kN at the largest elongation
 SMALL = {"starts": 1, "chains": 2, "warmup": 10, "draws": 20}
 

@@ -455,6 +455,7 @@ def test_a_function_from_a_file_or_from_python_performs_a_campaign(study, folder
     assert [(e.status, e.reason) for e in failing] == [("failed", "broken failed with RuntimeError: no pressure")] * 3
 
 
+@pytest.mark.whole
 def test_a_run_with_a_program_that_crashes_at_every_third_experiment_ends_and_learns(study, tmp_path):
     crashing = study(command={"run": "{python} rig.py 3", "quantities": MEASURED, "timeout": 60})
     done = run(crashing.model_copy(update={"steps": ["design"]}), tmp_path / "run", progress=False, figures=False)

@@ -483,6 +483,7 @@ def study(**changes):
     return load_study({**STUDY, **changes})
 
 
+@pytest.mark.whole
 def test_a_calibration_from_yaml_alone_finds_the_parameters(tmp_path):
     (tmp_path / "study.yaml").write_text(dump_yaml(STUDY), encoding="utf-8")
     assert main(["run", str(tmp_path / "study.yaml"), "--output", str(tmp_path / "run")]) == 0

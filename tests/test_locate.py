@@ -376,6 +376,7 @@ def shaken_plain():
     return Plain(study, shaken_campaign())
 
 
+@pytest.mark.whole
 def test_a_perfect_model_fails_nowhere_under_ground_motion(shaken_plain):
     campaign = shaken_campaign()
     assert locate(shaken_plain(campaign), campaign).sentences == []

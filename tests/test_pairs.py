@@ -330,6 +330,7 @@ def run(joint, tmp_path_factory):
     return output
 
 
+@pytest.mark.whole
 def test_the_stiffness_of_a_joint_is_found_in_newton_metres_per_radian(run):
     summary = json.loads((run / "summary.json").read_text())
     # Between samples the path is an interpolant, which costs a part in a thousand; the noise as much.
@@ -341,6 +342,7 @@ def test_the_stiffness_of_a_joint_is_found_in_newton_metres_per_radian(run):
     tree.close()
 
 
+@pytest.mark.whole
 def test_figures_and_report_of_a_joint_speak_of_moment_and_rotation(run):
     overlay = (run / "figures" / "overlay_E01.svg").read_text()
     for text in ("Moment", "[kN·m]", "Rotation", "[mrad]"):
@@ -402,6 +404,7 @@ def test_a_campaign_keeps_its_pair_in_memory_and_is_not_compared_in_another(join
 # --- measured coupons: strain and stress --------------------------------------------------------------------------
 
 
+@pytest.mark.whole
 def test_steel_coupons_are_strain_and_stress(shared):
     source = read_campaign(shared / "data" / "steel_coupons")
     bar = ("A64",)

@@ -49,6 +49,7 @@ def judged(having):
     return over_specimens(found, problem, problem_with, built, campaign, lambda line: None), calibration
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("having", "verdict"), [(range(6), "population"), ((2,), "specimens")])
 def test_an_effect_is_said_to_be_of_those_that_have_it(having, verdict):
     found, calibration = judged(having)

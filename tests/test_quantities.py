@@ -288,6 +288,7 @@ def overrides(*more):
     ]
 
 
+@pytest.mark.whole
 def test_a_study_in_yaml_calibrates_on_new_quantities():
     study = hx.load_study(PAPER, overrides("design.initial=6", "steps=[calibrate]"))
     fit = hx.calibrate(study)
@@ -297,6 +298,7 @@ def test_a_study_in_yaml_calibrates_on_new_quantities():
     assert set(comparison.train.per_output) == set(study.quantities)
 
 
+@pytest.mark.whole
 def test_a_design_asks_for_what_is_within_a_limit_of_a_new_quantity(tmp_path):
     design = "design={initial: 3, iterations: 1, candidates: 64, limits: {acceleration: 40.0, probability: 0.3}}"
     run = hx.run(hx.load_study(PAPER, overrides(design, "steps=[design]")), output=tmp_path / "run", figures=False)

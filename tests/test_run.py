@@ -515,6 +515,7 @@ def test_a_run_stopped_after_any_line_of_its_journal_ends_as_if_it_had_not_been(
         assert [e.quantities for e in campaigns[0]] == [e.quantities for e in campaigns[1]]
 
 
+@pytest.mark.whole
 def test_a_failed_experiment_is_recorded_and_the_run_goes_on(quick, tmp_path, monkeypatch):
     perform = VirtualLaboratory.perform
 
@@ -536,6 +537,7 @@ def test_a_failed_experiment_is_recorded_and_the_run_goes_on(quick, tmp_path, mo
 # --- processes that are stopped and killed ------------------------------------------------------------------------
 
 
+@pytest.mark.whole
 def test_an_interrupted_killed_and_resumed_run_ends_as_if_nothing_had_been(whole, tmp_path, capsys):
     folder = tmp_path / "run"
     # The study as the whole run wrote it: that must repeat it, too.

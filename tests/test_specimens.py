@@ -218,6 +218,7 @@ def calibration(tmp_path_factory):
     return hx.calibrate(study(tmp_path_factory.mktemp("frame"), "experiments.virtual.effects={}"))
 
 
+@pytest.mark.whole
 def test_a_study_calibrates_both_and_says_of_which_each_figure_is(calibration):
     truth = {"A": 6e6, "storey2.k": 3e6}
     found = calibration.fit.summary()
@@ -233,6 +234,7 @@ def test_a_study_calibrates_both_and_says_of_which_each_figure_is(calibration):
     assert all(errors["nrmse"] < 0.03 for errors in outputs.values())
 
 
+@pytest.mark.whole
 def test_a_campaign_on_disk_has_channels_of_each(calibration, tmp_path):
     write_campaign(calibration.campaign, tmp_path / "campaign")
     again = hx.read_campaign(tmp_path / "campaign")

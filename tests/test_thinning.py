@@ -106,6 +106,7 @@ def test_steps_longer_than_the_yield_elongation_are_divided():
     assert imposed_grid([coarse], blind, middle, steepest).every >= 200
 
 
+@pytest.mark.whole
 def test_a_study_fits_and_predicts_the_samples_that_were_kept():
     campaign = campaign_of(long_record(3000))
     study = study_of(measurements={"samples": 300}, calibration={"sampler": "laplace", "starts": 1})
