@@ -40,7 +40,8 @@ QUICK = "JAX_DISABLE_MOST_OPTIMIZATIONS"
 def pytest_configure(config) -> None:
     """Default tests compile without XLA's optimisations, but for those of files marked `optimised`, and so do their processes.
 
-    So do those of `.ci/whole`.  The slow ones run for long and keep them, and so does a run with `JAX_DISABLE_MOST_OPTIMIZATIONS=0`.
+    So do those of `.ci/whole`.  The slow ones run for long and keep them, and so does a run with
+    `JAX_DISABLE_MOST_OPTIMIZATIONS=0`.
     """
     # Tracing makes many objects that live: without this, looking for those that do not is a tenth of all.
     gc.freeze()
