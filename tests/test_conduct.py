@@ -112,6 +112,7 @@ def at_once(built, tmp_path_factory):
     return conduct
 
 
+@pytest.mark.whole
 def test_taken_up_after_every_event_the_design_is_the_same(begin, built, at_once):
     for event in events(built, at_once):
         event(begin())

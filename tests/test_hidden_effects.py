@@ -63,7 +63,11 @@ def test_another_formula_of_the_same_physics_is_named_by_its_family(tmp_path, ef
 
 @pytest.mark.parametrize(
     ("noise", "experiments"),
-    [(0.02, 3), pytest.param(0.05, 6, marks=pytest.mark.slow), pytest.param(0.10, 6, marks=pytest.mark.slow)],
+    [
+        pytest.param(0.02, 3, marks=pytest.mark.whole),
+        pytest.param(0.05, 6, marks=pytest.mark.slow),
+        pytest.param(0.10, 6, marks=pytest.mark.slow),
+    ],
 )
 def test_nothing_is_named_where_nothing_is_missing(tmp_path, noise, experiments):
     found = result(tmp_path, "component", (), noise=noise, experiments=experiments, size=0.0, seed=experiments)

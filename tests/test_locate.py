@@ -382,6 +382,7 @@ def test_a_perfect_model_fails_nowhere_under_ground_motion(shaken_plain):
     assert locate(shaken_plain(campaign), campaign).sentences == []
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("flaw", [{"eta": 1e-4}, {"nu": 1e-4}], ids=["stiffness", "strength"])
 def test_degradation_is_found_late_under_ground_motion(shaken_plain, flaw):
     location = found(shaken_plain, shaken_campaign(**flaw))

@@ -69,6 +69,7 @@ def test_an_effect_is_said_to_be_of_those_that_have_it(having, verdict):
         assert "is of specimen S2 only, 1 of 6" in one.sentence
 
 
+@pytest.mark.whole
 def test_nothing_is_judged_where_nothing_is_missing():
     found, _ = judged(())
     assert found.verdict == "adequate" and not found.specimens and "specimens" not in found.summary()

@@ -179,9 +179,8 @@ class Posterior(eqx.Module):
         # However few they are, no side of a prior is without one: a second mode may lie there.
         parts = qmc.LatinHypercube(len(self._priors), scramble=False, rng=0).random(max(count - 1, 1))
         shares = np.vstack([np.full((1, len(self._priors)), 0.5), 0.1 + 0.8 * parts])[:count]
-        theta = np.stack(
-            [np.asarray(prior.quantile(share)) for prior, share in zip(self._priors, shares.T, strict=True)], axis=1
-        )
+        columns = [np.asarray(prior.quantile(share)) for prior, share in zip(self._priors, shares.T, strict=True)]
+        theta = np.stack(columns, axis=1)
         # Of offsets nobody knows a sign.
         theta = np.pad(theta, ((0, 0), (0, len(self.population.offsets))))
         return jnp.stack([self.unconstrain(row) for row in jnp.asarray(theta)])
