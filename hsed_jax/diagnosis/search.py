@@ -33,8 +33,9 @@ _ODDS = 10.0
 _MATERIAL, _FORMULA = 0.05, 0.1
 # Where what is left is so many times the noise, this share of it is enough: the model is wrong, and prediction decides.
 _WRONG, _PART = 5.0, 0.2
-# Where what is left is so many times the noise, a model that leaves nothing of it is no accident of a formula.
-_CLEAR = 2.0
+# Where what is left is so many times the noise, squared, a model that leaves nothing of it is no accident of a formula; the
+# second where that has no more parameters.
+_CLEAR, _SEEN = 2.0, 1.2
 # A score test opens the gate that the size of the residual keeps shut, at this level for all candidates together.
 _STRICT = 1e-3
 # By this share a further effect may raise the squared error on experiments that nothing is fitted to: they are few.
@@ -198,8 +199,9 @@ class Search:
         needed = (_MATERIAL if not is_last else _FORMULA if self.best else 0.0) * (before**2 - noise**2)
         if not is_last and now > _WRONG * noise:
             needed = min(needed, _PART * (now**2 - noise**2))
-        # Two effects that leave nothing are no more than one that does, and needs as many parameters for it.
-        if is_last and (now**2 > _CLEAR * noise**2 or len(larger.fit.free) <= len(here.fit.free)):
+        # Two effects that leave nothing are no more than one that leaves something, and needs as many parameters for it.
+        clear = _SEEN if len(larger.fit.free) <= len(here.fit.free) else _CLEAR
+        if is_last and now**2 > clear * noise**2:
             needed = 0.0
         if not then < now or now**2 - then**2 < needed:
             return f"with training experiments left out in turn the error goes from {now:.3f} to {then:.3g} only"
