@@ -33,7 +33,7 @@ _ODDS = 10.0
 _MATERIAL, _FORMULA = 0.05, 0.1
 # Where what is left is so many times the noise, this share of it is enough: the model is wrong, and prediction decides.
 _WRONG, _PART = 5.0, 0.2
-# Where what is left is so many times the noise, squared, one that leaves nothing is no accident; the second: of no more parameters.
+# Where what is left is so many times the noise, squared, one that leaves nothing is no accident (second: no more parameters).
 _CLEAR, _SEEN = 2.0, 1.2
 # A score test opens the gate that the size of the residual keeps shut, at this level for all candidates together.
 _STRICT = 1e-3
