@@ -232,7 +232,7 @@ def table(rows: Sequence[dict[str, Any]], by: str | None = None) -> str:
             parts.setdefault(row["group"] + (f": {SPLITS[by](row['case'])}" if by else ""), []).append(row)
     for label, own in parts.items():
         # What a refit of the law absorbs down to the noise, all of it or one of two effects, is there for nobody to see.
-        seen = [row for row in own if row["verdict"] != "adequate" and not row.get("absorbed")]
+        seen = [row for row in own if row["verdict"] != "adequate" and not row["absorbed"]]
         errors = np.median(np.asarray([row["error"] for row in own]), axis=0)
         shares = [_share([row[key] for row in seen]) for key in ("first", "family", "exact")]
         counts = [sum(row["verdict"] == verdict for row in own) for verdict in ("ambiguous", "unexplained")]

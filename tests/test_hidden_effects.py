@@ -219,11 +219,14 @@ def test_a_campaign_with_coarse_records_and_noise_that_remembers_declares_neithe
 def test_the_table_counts_false_alarms_and_errors_that_rise():
     row = {
         "group": "g", "verdict": "missing_effects", "first": True, "family": True, "exact": False, "covered": [],
+        "absorbed": False,
         "case": {"kind": "shaken", "effects": [["gap", "same"]]},
     }  # fmt: skip
     rows = [
         row | {"named": ["gap", "slip"], "error": [0.1, 0.2, 0.05], "seconds": 3.0},
         row | {"named": ["gap"], "exact": True, "error": [0.1, 0.05, 0.05], "seconds": 5.0},
+        # Of two effects one, where the noise is all that is left: there was no more to see.
+        row | {"named": ["gap"], "absorbed": True, "error": [0.1, 0.05, 0.05], "seconds": 4.0},
     ]
     head, _, line = table(rows).splitlines()
     cells = dict(zip(head.split(" | "), line.split(" | "), strict=True))

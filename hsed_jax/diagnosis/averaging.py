@@ -19,7 +19,6 @@ from scipy.optimize import nnls
 
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.diagnosis.fits import Model
-from hsed_jax.diagnosis.held_out import folds_of
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.diagnosis.rivals import predictive
 from hsed_jax.diagnosis.search import Search
@@ -122,7 +121,7 @@ def _weights(problem: Problem, search: Search, models: Sequence[Model]) -> Float
     if models[0].effects not in search.predicted:
         return search.probabilities(models)
     predicted = search.left_out([m.effects for m in models])
-    left_out = folds_of(problem.train.used, problem.train.groups).left_out.any(axis=0)
+    left_out = search.held_out.folds.left_out.any(axis=0)
     sigma = problem.train.sigma(search.errors, problem.train.values)
     return stacking(predicted, problem.train.values, sigma, left_out)
 

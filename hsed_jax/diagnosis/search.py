@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import softmax
 
-from hsed_jax.diagnosis.fits import Choice, Fits, Model, Set, spread
+from hsed_jax.diagnosis.fits import Choice, Fits, Model, Set, names_of, spread
 from hsed_jax.diagnosis.held_out import Gain, HeldOut
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import Descent, NestedModels, Target, Task
@@ -72,6 +72,7 @@ class Search:
         start: the model without further effects as it is known already, (P,): one of the starts of its fit.
 
     Attributes:
+        held_out: what models predict of data that they were not fitted to.
         target: what the last round was judged with; `errors` s and `worth` per output are what it was made of.
         best: the set that is supported.
         path: the sets that were best, from none on.
@@ -92,17 +93,16 @@ class Search:
         start: Float[np.ndarray, " P"] | None = None,
     ):
         self._is_explained = is_explained
-        self._start, self._held_out = start, HeldOut(models, measured, test)
+        self._start, self.held_out = start, HeldOut(models, measured, test)
         self.models, self.measured, self.law, self.effects = models, measured, law, dict(effects)
         self._fits = Fits(models, law, effects)
         self._report = report
-        self._fitted = self._held_out.folds.fitted
         self.errors = np.where(np.isnan(measured.declared), 0.3, measured.declared)
         self.worth = np.ones(len(self.errors))
         self.target = Target(
             measured.values,
             measured.sigma(self.errors, measured.values),
-            self._fitted * 1.0,
+            self.held_out.folds.fitted * 1.0,
             np.zeros(measured.values.shape),
         )
         self.best: Set = frozenset()
@@ -151,20 +151,20 @@ class Search:
 
     def unseen(self, chosen: Sequence[Set]) -> list[float]:
         """Error on the experiments that nothing is fitted to, for several sets; without any, on those left out in turn."""
-        return self._held_out.unseen(self.target, [self._fits.best(effects) for effects in chosen])
+        return self.held_out.unseen(self.target, [self._fits.best(effects) for effects in chosen])
 
     def gains(self, chosen: Sequence[Set], over: Set) -> list[Gain]:
         """By how much sets predict what was left out better than another set: in every part of it, each from the others."""
-        before, *after = map(self._held_out.squares, self.left_out([over, *chosen]))
+        before, *after = map(self.held_out.squares, self.left_out([over, *chosen]))
         return [Gain(before - squares) for squares in after]
 
     def left_out(self, chosen: Sequence[Set]) -> list[np.ndarray | None]:
         """What sets predict of every part that is left out, each from the others; None where a simulation fails."""
-        return self._held_out.left_out(self.target, [self._fits.best(effects) for effects in chosen])
+        return self.held_out.left_out(self.target, [self._fits.best(effects) for effects in chosen])
 
     def harms(self, larger: Set, here: Set = frozenset()) -> bool:
         """Whether a set predicts the experiments that nothing is fitted to worse than another one, or not at all."""
-        if self._held_out.test is None:
+        if self.held_out.test is None:
             return False
         now, then = self.unseen([here, larger])
         return not then**2 <= (1 + _CHANCE) * now**2
@@ -192,7 +192,7 @@ class Search:
             now, then = self.unseen([self.best, larger.effects])
             return f"it takes the error on experiments that were not used from {now:.3f} to {then:.3g}"
         predictions = self.left_out([frozenset(), self.best, larger.effects])
-        before, now, then = map(self._held_out.error, predictions)
+        before, now, then = map(self.held_out.error, predictions)
         is_last = self._is_explained(larger.fit)
         noise = self.measured.noise
         needed = (_MATERIAL if not is_last else _FORMULA if self.best else 0.0) * (before**2 - noise**2)
@@ -204,7 +204,7 @@ class Search:
             needed = 0.0
         if not then < now or now**2 - then**2 < needed:
             return f"with training experiments left out in turn the error goes from {now:.3f} to {then:.3g} only"
-        gain = Gain(self._held_out.squares(predictions[1]) - self._held_out.squares(predictions[2]))
+        gain = Gain(self.held_out.squares(predictions[1]) - self.held_out.squares(predictions[2]))
         if not is_last and not gain.mean > gain.standard_error:
             return (
                 "of training experiments left out in turn it takes away a squared error of "
@@ -264,6 +264,7 @@ class Search:
         self._pairs = []
         if not self.best or len(self.best) == MOST_EFFECTS or self._is_explained(self._fits.best(self.best)):
             return
+        self._report(f"pairs in place of {_text(self.best)}")
         starts: dict[Choice, list[np.ndarray]] = {}
         for base in (self.best - {out} for out in sorted(self.best)):
             others = [e for e in self.effects if e not in self.best]
@@ -275,8 +276,7 @@ class Search:
                 for effect, label, found in sorted(defaults, key=lambda one: -one[2][0].gain)[:_BESIDE]:
                     choice = self._fits.top(single.effects) | {(effect, label)}
                     starts.setdefault(choice, []).extend(p.start for p in found[:_STARTS])
-                    self._pairs.append(single.effects | {effect})
-        self._report(f"pairs in place of {_text(self.best)}")
+        self._pairs = list(dict.fromkeys(names_of(choice) for choice in starts))
         self._fits.fit(self.target, starts, starts)
 
     def _promising(self, base: Set, others: Sequence[str]) -> dict[Choice, list[np.ndarray]]:
@@ -390,7 +390,7 @@ class Search:
         return [*sets, *(s for s in alone if s in self._fits)]
 
     def _judge_by(self, fit: Descent) -> None:
-        self.errors, self.worth, self.target = self.measured.standard(fit.predicted, self._fitted)
+        self.errors, self.worth, self.target = self.measured.standard(fit.predicted, self.held_out.folds.fitted)
 
     def _log_prior(self, size: int) -> float:
         return -(size + 1) * math.log(2) - math.log(math.comb(len(self.effects), size))

@@ -9,6 +9,15 @@ from hsed_jax.physics.effects.forms import FREE, Form, bend_parameter, one_side,
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
 from hsed_jax.physics.scales import is_number
 
+# A spring of any power, which may level off, and act to one side.
+_LEVELLING = Form(
+    FREE,
+    r"\delta F_c\frac{|x|^p}{1 + b|x|^p}\mathrm{sign}\,x,\ x = \Delta u/u_c,\ "
+    r"\text{times } 1 - |w| \text{ to the side that } w \text{ is not of}",
+    free=("power", "bend", "side"),
+    in_units=False,
+)
+
 
 @register
 @final
@@ -30,13 +39,7 @@ class Hardening(AbstractSpringEffect):
             in_units=False,
         ),
         Form("saturating", r"\delta\,\frac{F_c}{u_c}\frac{\Delta u}{1 + b|\Delta u|/u_c}", free=("bend",)),
-        Form(
-            FREE,
-            r"\delta F_c\frac{|x|^p}{1 + b|x|^p}\mathrm{sign}\,x,\ x = \Delta u/u_c,\ "
-            r"\text{times } 1 - |w| \text{ to the side that } w \text{ is not of}",
-            free=("power", "bend", "side"),
-            in_units=False,
-        ),
+        _LEVELLING,
     )
 
     delta: Scalar = parameter(
@@ -71,13 +74,7 @@ class CubicStiffness(AbstractSpringEffect):
     forms: ClassVar[tuple[Form, ...]] = (
         Form("cubic", r"\delta F_c(\Delta u/u_c)^3"),
         Form("power", r"\delta F_c|\Delta u/u_c|^p\,\mathrm{sign}\,\Delta u", free=("power",), in_units=False),
-        Form(
-            FREE,
-            r"\delta F_c\frac{|x|^p}{1 + b|x|^p}\mathrm{sign}\,x,\ x = \Delta u/u_c,\ "
-            r"\text{times } 1 - |w| \text{ to the side that } w \text{ is not of}",
-            free=("power", "bend", "side"),
-            in_units=False,
-        ),
+        _LEVELLING,
     )
 
     delta: Scalar = parameter(
