@@ -11,6 +11,7 @@ import json
 import os
 import platform
 import sys
+import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -56,31 +57,46 @@ def main() -> None:
     if options.guard:
         sys.exit(_guard(options.output, options.rows or ROWS, options.quick))
     if not options.markdown:
-        lines = _lines(options.rows or ROWS, options.quick)
+        lines, failed = _lines(options.rows or ROWS, options.quick)
+        if failed:
+            sys.exit(f"nothing is kept: not measured, for the reason above: {', '.join(failed)}")
         results = {"machine": machine(), "quick": options.quick, "lines": lines}
         options.output.write_text(json.dumps(results, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
     print(table(json.loads(options.output.read_text(encoding="utf-8")), options.brief))
 
 
 def _guard(kept: Path, rows: Sequence[str], quick: bool) -> int:
-    """Say what grew, against the results in a file; 1 if anything did."""
-    before = json.loads(kept.read_text(encoding="utf-8"))["lines"]
-    grown, apart = guarded(before, lambda some: _lines(some, quick), rows)
+    """Say what grew, against the results in a file; 1 if anything did or could not be measured."""
+    before, failed = json.loads(kept.read_text(encoding="utf-8"))["lines"], []
+
+    def measure(some: Sequence[str]) -> list[dict[str, Any]]:
+        lines, missed = _lines(some, quick)
+        failed.extend(missed)
+        return lines
+
+    grown, apart = guarded(before, measure, rows)
+    for row in failed:
+        print(f"not measured, for the reason above: {row}")
     for sentence in apart:
         print(f"not compared: {sentence}")
     for sentence in grown:
         print(f"grown: {sentence}")
     if not grown:
         print("no ratio and no error has grown")
-    return 1 if grown else 0
+    return 1 if grown or failed else 0
 
 
-def _lines(rows: Sequence[str], quick: bool) -> list[dict[str, Any]]:
-    lines = []
+def _lines(rows: Sequence[str], quick: bool) -> tuple[list[dict[str, Any]], list[str]]:
+    """The lines of rows, and the rows that failed: what the others took minutes for is not lost with them."""
+    lines, failed = [], []
     for row in rows:
         print(f"measuring {row} …", file=sys.stderr, flush=True)
-        lines += measured(row, quick)
-    return lines
+        try:
+            lines += measured(row, quick)
+        except Exception:
+            traceback.print_exc()
+            failed.append(row)
+    return lines, failed
 
 
 def measured(row: str, quick: bool) -> list[dict[str, Any]]:

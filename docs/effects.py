@@ -225,9 +225,10 @@ def _forms(effect: type[AbstractEffect]) -> list[str]:
     known, rows = parameters_of(effect), []
     # An effect outside the spring has no state to be drawn over.
     if issubclass(effect, AbstractSpringEffect):
-        name, across = effect.name, re.sub(r"[uvF]_c", r"$\g<0>$", curves_of(effect).across)
+        name, curves = effect.name, curves_of(effect)
+        across = re.sub(r"[uvF]_c", r"$\g<0>$", curves.across)
         rows += [f"![Forms of {name}](images/effects/{name}_forms.png)", ""]
-        rows += [f"What the forms contribute, over {across}, each over its own range.", ""]
+        rows += [f"{curves.what.capitalize()}, over {across}, each over its own range.", ""]
     rows += ["| form | equation | frees | holds | source |", "|---|---|---|---|---|"]
     for form in effect.forms:
         frees = ", ".join(f"`{key}`" for key in form.free) or "–"
@@ -323,7 +324,7 @@ def _forms_picture(name: str) -> Picture:
     """The forms of an effect side by side."""
     effect = EFFECTS[name]
     assert issubclass(effect, AbstractSpringEffect)
-    across, places, curves = curves_of(effect)
+    _, across, places, curves = curves_of(effect)
     figure = style.new_figure(1.3)
     figure.set_size_inches(1.25 * len(curves) + 0.3, 1.3)
     for panel, (label, values) in zip(figure.subplots(1, len(curves), squeeze=False)[0], curves.items(), strict=True):

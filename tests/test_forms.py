@@ -523,24 +523,28 @@ def test_a_power_of_one_is_the_number_itself_traced_or_not():
 
 
 def test_curves_are_the_equations_of_the_forms():
-    across, x, values = curves_of(EFFECTS["stiffness_degradation"])
+    _, across, x, values = curves_of(EFFECTS["stiffness_degradation"])
     assert "driver" in across and (x[0], x[-1]) == (0.0, 1.0)
     np.testing.assert_allclose(values["linear"], 0.5 * x, atol=1e-15)
     np.testing.assert_allclose(values["exponential"], np.exp(0.5 * x) - 1, atol=1e-15)
-    across, u, values = curves_of(EFFECTS["hardening"])
-    assert "elongation, from" in across
+    what, across, u, values = curves_of(EFFECTS["hardening"])
+    assert "adds or multiplies by" in what and "elongation, from" in across
     np.testing.assert_allclose(values["tension only"], 0.5 * np.maximum(u, 0.0), atol=1e-15)
 
 
 @pytest.mark.parametrize("name", SEVERAL)
 def test_forms_are_shown_over_what_tells_them_apart(name):
-    across, x, values = curves_of(EFFECTS[name])
+    what, across, x, values = curves_of(EFFECTS[name])
     assert list(values) == [form.name for form in EFFECTS[name].forms]
     assert all(v.shape == x.shape and np.isfinite(v).all() for v in values.values())
     assert sum(np.ptp(v) > 1e-6 for v in values.values()) >= len(values) / 2
     shown = entry(name, EFFECTS, curves_of)
-    assert across in shown
+    assert across in shown and what in shown
     assert shown.count("█") + shown.count("─") >= len(values)
+
+
+def test_of_an_effect_with_a_state_of_its_own_the_rate_is_shown():
+    assert "how fast its own state changes" in entry("relaxation", EFFECTS, curves_of)
 
 
 @pytest.mark.parametrize("name", EFFECTS)

@@ -568,6 +568,17 @@ def test_a_sweep_stopped_at_random_moments_is_resumed(whole, tmp_path, stop):
     same(tmp_path / "s", expected)
 
 
+@pytest.mark.whole
+def test_a_sweep_runs_on_a_scheduler_by_its_address(tmp_path):
+    from distributed import LocalCluster
+
+    study = hx.load_study(written(tmp_path))
+    with LocalCluster(n_workers=1, threads_per_worker=1, memory_limit=0, dashboard_address="127.0.0.1:0") as cluster:
+        done = sweep(study, {"seed": [0, 1]}, output=tmp_path / "s", scheduler=cluster.scheduler_address)
+    assert done.table["status"].tolist() == ["complete", "complete"]
+    assert done.table["experiments"].tolist() == [4, 4]
+
+
 @pytest.mark.slow
 def test_two_hundred_studies_on_a_cluster_with_a_worker_killed(tmp_path):
     from distributed import LocalCluster

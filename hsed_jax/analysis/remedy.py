@@ -8,6 +8,7 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
+from equinox import filter_jit
 from jaxtyping import Array
 
 from hsed_jax.analysis.calibration import Calibration, calibrate_built, compare
@@ -31,7 +32,7 @@ from hsed_jax.tables import Table, Tabular
 
 # Candidates of a design among which the one that separates rivals best is looked for: a Sobol' set's beginning fills it.
 _DISCRIMINATED = 512
-# Nats by which the model as it is may miss its best fit before it is calibrated again.
+# Nats by which the model as it is may miss its best fit before that is looked into, and for another fit to be taken.
 _APART = 2.0
 
 
@@ -191,9 +192,12 @@ def improve(
     plain = _best(problem, target, models.member(problem.law), [], problem.start)
     notes = []
     if target.misfit(0, before.train_prediction.predicted) - target.misfit(0, plain.predicted) > _APART:
-        calibration = calibrate_built(calibration.built, campaign, start=_parameters(problem, plain), watch=watch)
-        before = compare(calibration)
-        notes.append("the model as it was had not been calibrated to its best fit, and was calibrated again from there")
+        again = calibrate_built(calibration.built, campaign, start=_parameters(problem, plain), watch=watch)
+        # The posterior weighs residuals with a memory in its own way: its best fit may be that which was there.
+        of, stood = again.fit.posterior, calibration.fit.maximum.theta
+        if again.fit.maximum.log_posterior - filter_jit(of.log_posterior)(of.unconstrain(stood), again.fit.data) > _APART:
+            calibration, before = again, compare(again)
+            notes.append("the model as it was had not been calibrated to its best fit, and was calibrated again from there")
     steps, fit = [step_of([], before, calibration.map)], plain
     for count in range(1, len(effects) + 1):
         added = [problem.effects[name][forms[name]] for name in effects[:count]]

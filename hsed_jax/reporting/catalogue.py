@@ -50,7 +50,7 @@ def entry(name: str, effects: Catalogue, curves_of: Callable[[type[AbstractSprin
         lines += ["", "forms (`form: NAME`; the first is meant where none is named):"]
         lines += _forms(effect, curves.values if curves else {})
         if curves:
-            lines += [f"  pictures: what a form adds or multiplies by, over {curves.across}, each over its own range"]
+            lines += [f"  pictures: {curves.what}, over {curves.across}, each over its own range"]
         freed = {key for form in forms_of(effect).values() for key in form.free}
         if freed:
             lines += [

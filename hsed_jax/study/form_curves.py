@@ -32,12 +32,14 @@ class Curves(NamedTuple):
     """What forms of an effect contribute.
 
     Attributes:
+        what: the values are, in words.
         across: what they are told apart by, in words, with its range.
         places: along it, over the characteristic value, (n,).
         values: by the name of the form: the sum of what it adds and of what it multiplies by, less one; of an effect with
             states of its own, their rates, (n,).
     """
 
+    what: str
     across: str
     places: Float[np.ndarray, " n"]
     values: dict[str, Float[np.ndarray, " n"]]
@@ -63,28 +65,34 @@ def curves_of(effect: type[AbstractSpringEffect]) -> Curves:
 def _swept(effect: type[AbstractSpringEffect], across: str) -> Curves:
     places = np.linspace(0.0 if across == "driver" else -1.0, 1.0, _PLACES)
     at = {key: jnp.asarray(places if key == across else np.full(_PLACES, rest)) for key, rest in _RESTING.items()}
-    return Curves(_ACROSS[across], places, {form.name: _contributed(effect, form, at) for form in effect.forms})
+    shown = {form.name: _contributed(effect, form, at) for form in effect.forms}
+    flows = any(is_rate for _, is_rate in shown.values())
+    what = "how fast its own state changes" if flows else "what a form adds or multiplies by"
+    return Curves(what, _ACROSS[across], places, {name: values for name, (values, _) in shown.items()})
 
 
 def _contributed(
     effect: type[AbstractSpringEffect], form: Form, at: dict[str, Float[Array, " n"]]
-) -> Float[np.ndarray, " n"]:
+) -> tuple[Float[np.ndarray, " n"], bool]:
+    """What a form contributes, and whether that is the rate of a state of its own."""
     known = form.parameters(effect)
     first = next(iter(known))
     freed = {key: _away(p) for key, p in known.items() if p.shapes}
     shown = {key: value for key, value in _LIFE.items() if key in known}
     made = effect(**{first: _AMPLITUDE, **shown, **freed, **form.held})
 
-    def total(at: dict[str, Float[Array, ""]]) -> Float[Array, ""]:
+    def point(at: dict[str, Float[Array, ""]]) -> SpringPoint:
         # All that it may have gone through; a bristle slides beyond a quarter of the characteristic elongation.
         memory: dict[str, Scalar] = defaultdict(lambda: at["driver"])
         memory |= {"bristle": jnp.clip(4 * at["elongation"], -1.0, 1.0), "bristle_at": at["elongation"]}
-        point = SpringPoint(at["elongation"], at["rate"], at["force"], memory, Scales(1.0, 1.0, 1.0, 1.0), 1.0, 1.0)
-        if rates := made.flow(point):
-            return jnp.asarray(sum(rates.values()))
-        return jnp.asarray(sum(value - (slot in MULTIPLIED) for slot, value in made.contribute(point).items()))
+        return SpringPoint(at["elongation"], at["rate"], at["force"], memory, Scales(1.0, 1.0, 1.0, 1.0), 1.0, 1.0)
 
-    return np.asarray(jax.vmap(total)(at))
+    def total(at: dict[str, Float[Array, ""]]) -> Float[Array, ""]:
+        if rates := made.flow(point(at)):
+            return jnp.asarray(sum(rates.values()))
+        return jnp.asarray(sum(value - (slot in MULTIPLIED) for slot, value in made.contribute(point(at)).items()))
+
+    return np.asarray(jax.vmap(total)(at)), bool(made.flow(point({key: x[0] for key, x in at.items()})))
 
 
 def _away(known: Parameter) -> float:

@@ -190,7 +190,8 @@ def _run(folder: SweepFolder, pending: list[int], client: "Client", pin: bool, p
             ): number
             for number in pending
         }
-        for future in as_completed(list(futures)):
+        # A client that is there already is nobody's default one.
+        for future in as_completed(list(futures), loop=client.loop):
             number = futures.pop(future)
             if future.status == "error":
                 error = future.exception()
