@@ -6,6 +6,7 @@ import sys
 from importlib.util import find_spec
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 import pytest
 import yaml
@@ -171,6 +172,18 @@ def test_inputs_in_other_units_reach_the_simulator_in_si():
     cube = one.space.initial_design(3)
     for name, values in one.space.si(one.space.declared(cube)).items():
         assert other.space.si(other.space.declared(cube))[name] == pytest.approx(values, rel=1e-12)
+
+
+def test_a_study_of_another_stiffness_is_built_without_compiling_again(caplog):
+    def built(stiffness):
+        tree = changed("structure.springs.0.stiffness", stiffness)
+        del tree["experiments"]["virtual"]["effects"]
+        return Built(load_study(tree)).planned_simulator
+
+    built(3.9e5)
+    with jax.log_compiles():
+        built(4.1e5)
+    assert "ompil" not in caplog.text
 
 
 # --- what is wrong -----------------------------------------------------------------------------------------------

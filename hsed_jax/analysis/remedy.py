@@ -195,9 +195,14 @@ def improve(
         again = calibrate_built(calibration.built, campaign, start=_parameters(problem, plain), watch=watch)
         # The posterior weighs residuals with a memory in its own way: its best fit may be that which was there.
         of, stood = again.fit.posterior, calibration.fit.maximum.theta
-        if again.fit.maximum.log_posterior - filter_jit(of.log_posterior)(of.unconstrain(stood), again.fit.data) > _APART:
+        if (
+            again.fit.maximum.log_posterior - filter_jit(of.log_posterior)(of.unconstrain(stood), again.fit.data)
+            > _APART
+        ):
             calibration, before = again, compare(again)
-            notes.append("the model as it was had not been calibrated to its best fit, and was calibrated again from there")
+            notes.append(
+                "the model as it was had not been calibrated to its best fit, and was calibrated again from there"
+            )
     steps, fit = [step_of([], before, calibration.map)], plain
     for count in range(1, len(effects) + 1):
         added = [problem.effects[name][forms[name]] for name in effects[:count]]
