@@ -12,6 +12,7 @@ from scipy.stats import norm
 
 from hsed_jax.design.acquisition import (
     ACQUISITIONS,
+    PerCost,
     choose,
     expected_improvement,
     log_expected_improvement,
@@ -144,6 +145,22 @@ def test_choice_is_the_best_candidate(name):
     value = {"expected_improvement": sd * (norm.pdf(z) + z * norm.cdf(z)), "max_variance": variance}[name]
     assert choice.index == np.argmax(value)
     np.testing.assert_allclose([choice.value, np.exp(choice.log_value)], value.max(), rtol=1e-9)
+
+
+def test_what_is_to_be_gained_counts_per_cost():
+    model, candidates = surrogate(), sobol_candidates(300, 2, 1)
+    mean, variance = map(np.asarray, model.predict(candidates))
+    sd = np.sqrt(variance)
+    z = (mean - float(model.tested_means().max())) / sd
+    gained, costs = sd * (norm.pdf(z) + z * norm.cdf(z)), 0.01 + np.asarray(candidates)[:, 0]
+    assert np.argmax(gained / costs) != np.argmax(gained)
+    choice = choose(
+        model, candidates, *no_points(), PerCost(ACQUISITIONS["expected_improvement"], jnp.asarray(costs)), KEY
+    )
+    assert choice.index == np.argmax(gained / costs)
+    np.testing.assert_allclose(choice.value, (gained / costs).max(), rtol=1e-9)
+    alike = choose(model, candidates, *no_points(), PerCost(ACQUISITIONS["max_variance"], jnp.full(300, 7.0)), KEY)
+    assert alike.index == np.argmax(variance)
 
 
 @pytest.mark.parametrize("name", ACQUISITIONS)

@@ -207,6 +207,37 @@ def test_a_limit_keeps_the_design_where_the_response_stays_below_it(built, tmp_p
         assert (float(plain[0]) > 0.35) == closed[index]
 
 
+def test_where_experiments_cost_something_a_cheaper_one_is_asked(built, tmp_path):
+    cost = {"fixed": -1.4, "per": {"V_P": 1.0}}
+    with pytest.raises(UserError, match=r"design\.cost\.fixed"):
+        load_study(STUDY | {"design": STUDY["design"] | {"cost": cost}})
+    cost = {"fixed": 0.0, "per": {"V_P": 1.0, "T_P": 4.0}}
+    priced, asked = Built(load_study(STUDY | {"design": STUDY["design"] | {"cost": cost}})), {}
+    priced.check()
+    ordered = STUDY["design"] | {"cost": cost, "acquisition": "sobol"}
+    with pytest.raises(UserError, match=r"design\.cost: sobol takes experiments in an order"):
+        Built(load_study(STUDY | {"design": ordered})).check()
+    np.testing.assert_allclose(priced.design.cost(np.array([[2.0, 0.5]])), [4.0])
+    assert priced.design.cost.bounds == pytest.approx((1.5 + 2.0, 3.0 + 6.0))
+    for name, one in (("free", built), ("priced", priced)):
+        store = RunFolder(tmp_path / name, one.study.written(), resume=False)
+        conduct = Conduct(one, store)
+        for _ in range(3):
+            first = conduct.ask()
+            peak = 1e5 * first.inputs["V_P"]
+            conduct.tell(
+                first.id, Measured({"peak_force": peak, "peak_elongation": 0.2, "dissipated_energy": peak / 5})
+            )
+        conduct.ask()
+        (asked[name],) = conduct.steps
+        store.close()
+    assert asked["priced"]["max_expected_improvement"] == asked["free"]["max_expected_improvement"]
+    (cheap,), (dear,) = (
+        priced.design.cost(priced.space.declared(np.array([asked[name]["cube"]]))) for name in ("priced", "free")
+    )
+    assert cheap < dear
+
+
 def _conditions(si):
     import jax.numpy as jnp
 

@@ -58,6 +58,15 @@ class LimitsEntry(create_model("LimitsEntry", __base__=Section, **_LIMITS)):
     """Of exceeding a limit that is accepted."""
 
 
+class CostEntry(Section):
+    """What an experiment costs, in any unit: what is to be gained from it counts over that."""
+
+    fixed: Annotated[Number, Field(ge=0)] = 1.0
+    """Of every experiment."""
+    per: Annotated[dict[str, Number], Field(min_length=1)]
+    """More for each unit of an input, as it is declared."""
+
+
 class DesignEntry(Section):
     """The sequential design of experiments."""
 
@@ -69,6 +78,7 @@ class DesignEntry(Section):
     )
     stop: StopEntry = StopEntry()
     limits: LimitsEntry | None = None
+    cost: CostEntry | None = None
     variance: Literal["inputs", "inputs_and_parameters"] = "inputs"
     """Over what the variance in Eq. 12 is taken."""
     kriging: KrigingEntry = KrigingEntry()

@@ -129,6 +129,18 @@ class Restricted(eqx.Module):
         return jnp.where(self.closed, -jnp.inf, self.acquisition(kriging, candidates, key))
 
 
+@final
+class PerCost(eqx.Module):
+    """Another acquisition over what each candidate costs: of an improvement, that per unit of cost (Snoek et al. 2012)."""
+
+    acquisition: Acquisition
+    costs: Float[Array, " M"]
+
+    def __call__(self, kriging: Kriging, candidates: Float[Array, "M d"], key: PRNGKeyArray) -> Float[Array, " M"]:
+        """The utilities less the logarithm of the cost."""
+        return self.acquisition(kriging, candidates, key) - jnp.log(self.costs)
+
+
 ACQUISITIONS: dict[str, Acquisition] = {
     "expected_improvement": improvement,
     "max_variance": max_variance,

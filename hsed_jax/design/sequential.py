@@ -19,7 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from hsed_jax.design.acquisition import ACQUISITIONS, Acquisition, Choice, Restricted, choose, sobol_candidates
+from hsed_jax.design.acquisition import ACQUISITIONS, Acquisition, Choice, PerCost, Restricted, choose, sobol_candidates
+from hsed_jax.design.cost import Cost
 from hsed_jax.design.discrepancy import discrepancy, variance_over
 from hsed_jax.design.feasible import near_failures
 from hsed_jax.design.kriging import Kriging, condition, fit_kriging
@@ -89,7 +90,7 @@ class StepInfo(NamedTuple):
         convergence: whether to believe them.
         discrepancy: Eq. 12 at the tested inputs, (count,); NaN where the model diverged or nothing was measured.
         kriging: the surrogate of it.
-        value: the acquisition at the chosen input (expected improvement, if that is the acquisition).
+        value: the acquisition at the chosen input (expected improvement, if that is the acquisition), over what it costs.
         expected_improvement: the largest expected improvement over the candidates (Eq. 14).
         chosen: next input in the unit cube, (d,).
     """
@@ -121,6 +122,7 @@ class SequentialDesign:
         variance_over_parameters: take the variance of Eq. 12 over the posterior of θ, too.
         seed: of the candidate set.
         exceeding: which candidates (M, d) exceed a limit of the specimen, from draws of the posterior (n, p): (M,) bool.
+        cost: of experiments; what is to be gained counts over it.
     """
 
     posterior: Posterior
@@ -135,6 +137,7 @@ class SequentialDesign:
     variance_over_parameters: bool
     seed: int
     exceeding: Callable[[np.ndarray, Array], np.ndarray] | None = None
+    cost: Cost | None = None
 
     def init(self) -> DesignState:
         """No experiment yet."""
@@ -210,9 +213,11 @@ class SequentialDesign:
             return choose(believing, self.candidate_set, *known, by, of_choice)
 
         best = chosen_by(ACQUISITIONS["expected_improvement"])
-        choice = best
-        if acquisition is not None or self.acquisition != "expected_improvement":
-            choice = chosen_by(acquisition or ACQUISITIONS[self.acquisition])
+        choice, by = best, acquisition or ACQUISITIONS[self.acquisition]
+        if self.cost is not None:
+            choice = chosen_by(PerCost(by, jnp.asarray(self.cost(self.space.declared(self.candidate_set)))))
+        elif acquisition is not None or self.acquisition != "expected_improvement":
+            choice = chosen_by(by)
         chosen = np.asarray(self.candidate_set[int(choice.index)])
         info = StepInfo(
             maximum,

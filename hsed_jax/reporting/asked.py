@@ -151,6 +151,8 @@ def _design(study: Mapping[str, Any]) -> str:
         return steps
     design = study["design"]
     by = design["acquisition"].replace("_", " ")
+    if (cost := design.get("cost")) is not None:
+        by += f" per cost, {' + '.join([f'{cost["fixed"]:g}', *(f'{rate:g} {name}' for name, rate in cost['per'].items())])}"
     return f"{steps} The design starts with {design['initial']} experiments and chooses {design['iterations']} more by {by}."
 
 

@@ -207,6 +207,9 @@ class AskTell(Tabular):
         if (limits := self.built.study.design.limits) is not None:
             most = limits.model_dump(exclude_none=True, exclude={"probability"})
             lines.append(f"  limits: {', '.join(f'{name} {value:g}' for name, value in most.items())} (SI)")
+        if (cost := self.built.design.cost) is not None:
+            (here,) = cost(np.asarray([list(asked.inputs.values())]))
+            lines.append(f"  costs {here:.3g}; the dearest would cost {cost.bounds[1]:.3g}")
         assert self.built.excitation is not None
         files = ", ".join(["request.json", *self.built.excitation.constructor.kind.files, "expected.csv"])
         return "\n".join(

@@ -360,7 +360,7 @@ class Built:
             UserError: something is.
         """
         try:
-            check_plan(self.study)
+            check_plan(self.study, self.space)
             self._check_effects()
             self.study.measurements.accepted(self.measured)
             check_scales(self)

@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 from hsed_jax.config.schema import CalibrationEntry
+from hsed_jax.design.cost import Cost
 
 if TYPE_CHECKING:
     # A check of a study samples nothing, and need not wait for what does.
@@ -36,4 +37,5 @@ def design_of(built: "Built") -> "SequentialDesign":
         variance_over_parameters=entry.variance == "inputs_and_parameters",
         seed=built.study.seed,
         exceeding=built.limits,
+        cost=None if entry.cost is None else Cost(entry.cost.fixed, entry.cost.per, built.space),
     )

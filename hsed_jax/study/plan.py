@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from hsed_jax.config.schema import Study
+from hsed_jax.design.cost import Cost
+from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
 from hsed_jax.memory import check_memory
 from hsed_jax.study.specimens import Naming, effects_of
@@ -14,8 +16,12 @@ _EXPERIMENT = 1000
 ORDER = ["design", "calibrate", "compare", "diagnose", "discover", "improve"]
 
 
-def check_plan(study: Study) -> None:
+def check_plan(study: Study, space: InputSpace) -> None:
     """Refuse steps that cannot be done one after the other, and a design that cannot be made.
+
+    Arguments:
+        study: the study.
+        space: of its inputs.
 
     Raises:
         UserError: names the key and what is allowed.
@@ -45,6 +51,13 @@ def check_plan(study: Study) -> None:
     _check_sizes(study)
     if study.experiments.laboratory is not None or "design" in steps:
         _check_design(study)
+    if study.design.cost is not None:
+        if study.design.acquisition in ("sobol", "random"):
+            raise UserError(
+                f"design.cost: {study.design.acquisition} takes experiments in an order that no cost changes; leave it out, or "
+                "choose another acquisition"
+            )
+        Cost(study.design.cost.fixed, study.design.cost.per, space)
 
 
 def _check_sizes(study: Study) -> None:
