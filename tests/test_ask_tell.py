@@ -131,6 +131,21 @@ def test_a_campaign_by_the_command_line_alone_ends_as_the_same_events_at_once(ca
     assert [e.status for e in read_campaign(folder / "campaign")].count("completed") == 2 + steps
 
 
+@pytest.mark.slow
+def test_experiments_that_are_out_at_once_are_chosen_for_what_they_tell_together(tmp_path, recorded):
+    by = STUDY["design"] | {"initial": 3, "iterations": 2, "acquisition": "discriminate"}
+    study = load_study(WITH_RECORDS | {"observe": "histories", "error": {"relative": 0.05}, "design": by})
+    with AskTell(study, tmp_path / "run") as design:
+        for asked in design.ask(3):
+            design.tell(asked.id, record=recorded(**asked.si))
+        one, other = design.ask(2)
+        first, second = design.conduct.steps
+    apart = np.abs(np.asarray(first["cube"]) - second["cube"]).max()
+    # A neighbour of what is out would tell what that will have told already.
+    assert one.inputs != other.inputs and apart > 0.1
+    assert 0 < second["acquisition"] <= first["acquisition"]
+
+
 def test_a_request_tells_all_that_a_laboratory_needs(tmp_path, recorded):
     study = load_study(WITH_RECORDS | {"design": STUDY["design"] | {"limits": {"stroke": 0.6}}})
     with AskTell(study, tmp_path / "run") as design:

@@ -17,7 +17,7 @@ from hsed_jax.diagnosis.lanes import Lanes
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import FormColumns, Problem
-from hsed_jax.diagnosis.rivals import look_alikes_of, separation
+from hsed_jax.diagnosis.rivals import look_alikes_of, predictive, separation
 from hsed_jax.diagnosis.scores import score_p_value
 from hsed_jax.diagnosis.search import Search
 from hsed_jax.inference.likelihood import Error
@@ -461,6 +461,35 @@ def test_what_an_experiment_is_expected_to_tell_is_what_it_tells_on_average():
     outputs, _ = problem.models.predict([(m.fit.x, m.fit.member) for m in (one, other)], N + np.arange(MORE))
     fixed = 0.5 * np.sum((outputs[0] - outputs[1]) ** 2, axis=1) / sigma**2
     assert np.all(promised < fixed)
+
+
+def test_beside_a_pending_experiment_another_one_tells_what_both_tell_less_what_that_does():
+    problem, search = rival_case(0.15)
+    rivals = [search.model({name}) for name in ("effect_0", "effect_2")]
+    sigma = float(search.errors[0])
+
+    def told(experiments):
+        """By the formula of the divergence, of all samples of these candidates as one vector."""
+        predicted = [predictive(problem, m, N + np.asarray(experiments)) for m in rivals]
+        means = [mean.ravel() / sigma for mean, _, _ in predicted]
+        covariances = [
+            np.eye(len(experiments) * J)
+            + spread.reshape(-1, spread.shape[2]) @ spread.reshape(-1, spread.shape[2]).T / sigma**2
+            for _, spread, _ in predicted
+        ]
+
+        def divergence(true, other):
+            apart, solved = means[true] - means[other], np.linalg.solve(covariances[other], covariances[true])
+            squares = apart @ np.linalg.solve(covariances[other], apart)
+            return 0.5 * (np.trace(solved) - len(apart) + squares - np.linalg.slogdet(solved)[1])
+
+        # Prediction chose between them, and they count alike.
+        return 0.5 * (divergence(0, 1) + divergence(1, 0))
+
+    np.testing.assert_allclose(separation(problem, search, rivals), [told([k]) for k in range(MORE)], rtol=1e-6)
+    promised = separation(problem._replace(pending=2), search, rivals)
+    out = [MORE - 2, MORE - 1]
+    np.testing.assert_allclose(promised, [told([k, *out]) - told(out) for k in range(MORE - 2)], rtol=1e-6)
 
 
 @pytest.mark.parametrize(("unlike", "alike"), [(0.1, True), (0.6, False)])

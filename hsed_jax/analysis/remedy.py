@@ -57,14 +57,21 @@ def diagnose(calibration: Calibration, campaign: Campaign | None = None, watch: 
 
 
 def discriminate(built: Built, campaign: Campaign) -> Given:
-    """The acquisition that chooses what tells the explanations apart best: the expected log Bayes factor between rivals.
+    """The acquisition that chooses what tells the explanations apart best: the expected log Bayes factor between rivals, beyond
+    that of the experiments that are pending.
 
     Arguments:
         built: the study, with a design.
         campaign: the experiments so far.
     """
-    cube = np.asarray(built.design.candidate_set[:_DISCRIMINATED])
-    found = diagnosing.diagnose(problem_of(built, campaign, cube=cube))
+    cube, factors = np.asarray(built.design.candidate_set[:_DISCRIMINATED]), built.space.factors
+    out = [
+        built.space.located({name: value / factors[name] for name, value in one.inputs.items()}).cube
+        for one in campaign
+        if one.status == "pending"
+    ]
+    problem = problem_of(built, campaign, cube=np.concatenate([cube, *(one[None] for one in out)]))
+    found = diagnosing.diagnose(problem._replace(pending=len(out)))
     return Given(jnp.log(jnp.asarray(np.maximum(found.separation, 1e-300))))
 
 

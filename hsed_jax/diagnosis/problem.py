@@ -63,6 +63,7 @@ class Problem(NamedTuple):
         experiments: the training experiments.
         outputs: names of the outputs.
         candidates: inputs of experiments that could be made, in declared units; the rows after those measured.
+        pending: how many of these, the last ones, are being performed, and will be known before another one is.
         seed: of random numbers.
         start: the model as it is, as a calibration left it, (P,); None where there was none.
         notes: what a reader should know of the candidates, in sentences.
@@ -83,6 +84,7 @@ class Problem(NamedTuple):
     outputs: tuple[str, ...]
     candidates: Sequence[dict[str, float]]
     seed: int
+    pending: int = 0
     start: np.ndarray | None = None
     notes: Sequence[str] = ()
     pair: Pair = ELONGATION_AND_FORCE

@@ -28,13 +28,16 @@ _WORTHWHILE = 1.0
 def separation(problem: Problem, search: Search, rivals: Sequence[Model]) -> Float[np.ndarray, " c"]:
     r"""Expected log Bayes factor between rivals of each candidate experiment [nats]; zero where a simulation diverges.
 
+    Where experiments are pending, it is what a candidate adds to these: experiments that are out at once tell together.
+
     Each rival predicts an experiment as a Gaussian, $N(f, J C J^\top + \Sigma)$: what its parameters do not know yet they can
     still learn, and a difference that a refit would absorb tells nothing.  Between two Gaussians the expectation is the
     divergence of Kullback & Leibler (1951) from the one that is true (Box & Hill 1967), averaged over the pairs of rivals and
     over which is true by their probabilities.
     """
     rows = problem.rows + np.arange(len(problem.candidates))
-    information = np.zeros(len(rows))
+    count = len(rows) - problem.pending
+    information = np.zeros(count)
     if len(rivals) < 2 or not rows.size:
         return information
     means, spreads, ok = zip(*(predictive(problem, m, rows) for m in rivals), strict=True)
@@ -47,9 +50,10 @@ def separation(problem: Problem, search: Search, rivals: Sequence[Model]) -> Flo
         for j in range(i):
             apart = root * (means[i] - means[j])
             one, other = root[..., None] * spreads[i], root[..., None] * spreads[j]
-            told = shares[i] * _divergence(apart, one, other) + shares[j] * _divergence(apart, other, one)
+            both = (ok[i] > 0) & (ok[j] > 0)
+            told = shares[i] * _told(apart, one, other, both, count) + shares[j] * _told(apart, other, one, both, count)
             told *= shares[i] * shares[j] / (shares[i] + shares[j])
-            information += np.where((ok[i] > 0) & (ok[j] > 0), told, 0.0)
+            information += np.where(both[:count], told, 0.0)
     return information / max(float(1 - shares @ shares) / 2, 1e-12)
 
 
@@ -74,10 +78,26 @@ def predictive(problem: Problem, model: Model, rows: np.ndarray) -> tuple[np.nda
     return outputs[0], np.einsum("pcj,pq->cjq", slopes, factor), ok[0]
 
 
-def _divergence(apart: np.ndarray, true: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """From N(δ, I + T Tᵀ) to N(0, I + O Oᵀ) [nats], (c,): they differ in the few directions of δ (c, J), T and O (c, J, p)."""
-    directions = np.linalg.qr(np.concatenate([true, other, apart[..., None]], axis=2), mode="r")
-    t, o, delta = np.split(directions, [true.shape[2], true.shape[2] + other.shape[2]], axis=2)
+def _told(apart: np.ndarray, true: np.ndarray, other: np.ndarray, ok: np.ndarray, count: int) -> np.ndarray:
+    """What the first experiments tell [nats], (count,), each beside all further ones, which are pending.
+
+    The one prediction is N(δ, I + T Tᵀ), the other N(0, I + O Oᵀ): δ (c, J), T and O (c, J, p).
+    """
+    directions = np.concatenate([true, other, apart[..., None]], axis=2)
+    sizes = [true.shape[2], true.shape[2] + other.shape[2]]
+    known = np.where(ok[count:, None, None], directions[count:], 0.0).reshape(-1, directions.shape[2])
+    if not len(known):
+        return _divergence(directions, sizes)
+    # Only products of the columns matter, and a triangle has those of all pending samples.
+    triangle = np.linalg.qr(known, mode="r")
+    beside = np.broadcast_to(triangle, (count, *triangle.shape))
+    return _divergence(np.concatenate([directions[:count], beside], axis=1), sizes) - _divergence(triangle[None], sizes)
+
+
+def _divergence(columns: np.ndarray, sizes: Sequence[int]) -> np.ndarray:
+    """From N(δ, I + T Tᵀ) to N(0, I + O Oᵀ) [nats], (c,): they differ in few directions, the columns T, O and δ (c, J, ·)."""
+    directions = np.linalg.qr(columns, mode="r")
+    t, o, delta = np.split(directions, sizes, axis=2)
     size = directions.shape[1]
     of_true, of_other = (np.eye(size) + part @ np.swapaxes(part, 1, 2) for part in (t, o))
     solved = np.linalg.solve(of_other, np.concatenate([of_true, delta], axis=2))
