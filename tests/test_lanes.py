@@ -42,14 +42,14 @@ def case(request):
     return built, names, conditions, parts, thetas[mixed], np.tile(np.arange(3), len(sets))[mixed]
 
 
-@pytest.mark.parametrize("worthwhile", [0, 10**9], ids=["programs of unions", "the whole model for unions"])
+@pytest.mark.parametrize("worthwhile", [0, 10**9], ids=["programs of their own", "the programs there are"])
 def test_lanes_give_what_the_whole_model_gives(case, monkeypatch, worthwhile):
     built, names, conditions, parts, thetas, experiments = case
     monkeypatch.setattr(module, "_WORTHWHILE", worthwhile)
     whole, ok = Lanes(built.simulator, built.observation, names, conditions)(thetas, experiments)
     lanes = Lanes(built.simulator, built.observation, names, conditions, parts)
-    kinds = lanes._by_groups(thetas)
-    assert len(kinds) == (6 if worthwhile == 0 else 5)
+    kinds = lanes._by_program(thetas)
+    assert len(kinds) == (7 if worthwhile == 0 else 5)
     found, converged = lanes(thetas, experiments)
     np.testing.assert_array_equal(converged, ok)
     assert ok.all()
@@ -59,3 +59,20 @@ def test_lanes_give_what_the_whole_model_gives(case, monkeypatch, worthwhile):
     at = jax.tree.map(lambda leaf: leaf[experiments[4]], conditions)
     exact, _ = built.simulator.quantities(theta, at, tuple(built.study.quantities))
     np.testing.assert_allclose(found[4], exact, rtol=1e-9)
+
+
+def test_what_is_tried_beside_one_effect_gets_a_program_and_what_is_asked_on_and_on_gets_another(case, monkeypatch):
+    sizes = {"found": (0, 5), "one": (1, 2), "other": (1, 2), "large": (2, 50)}
+    parts = [Part(name, group, np.arange(size), np.zeros(size)) for name, (group, size) in sizes.items()]
+    built, names, conditions, *_ = case
+    lanes = Lanes(built.simulator, built.observation, names, conditions, parts)
+    monkeypatch.setattr(module, "_WORTHWHILE", 1000)
+    pairs = [frozenset({"found", "one"}), frozenset({"found", "other"})]
+    # A lane saves 50 in a program of both pairs, and 52 in one of its own, which sees half of the lanes.
+    served = [lanes._serving(pairs[k % 2], 1) for k in range(30)]
+    assert served[:20] == [frozenset(sizes)] * 20
+    assert served[20:] == [frozenset({"found", "one", "other"})] * 10
+    # Beyond that one a lane saves two more.
+    assert [len(lanes._serving(pairs[0], 100)) for _ in range(8)] == [3] * 4 + [2] * 4
+    assert lanes._serving(frozenset({"one"}), 1) == {"one", "other"}
+    assert lanes._serving(frozenset(), 10**6) == frozenset()

@@ -129,7 +129,7 @@ class _Beside:
         """What was found."""
         search, problem = self._search, self.problem
         best, gains = search.fitted[0], np.asarray([one.log_evidence for one in search.fitted]) - search.log_evidence
-        shares = np.asarray(softmax(gains))
+        shares = np.asarray(softmax([one.log_posterior for one in search.fitted]))
         ranking = [
             Tried(one.place, float(gain), float(share), problem.train.error(one.fit.predicted))
             for one, gain, share in zip(search.fitted, gains, shares, strict=True)

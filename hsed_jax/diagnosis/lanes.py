@@ -26,8 +26,12 @@ from hsed_jax.programs import program
 # Chunks go to threads; their tiles are small, since most rounds ask for a few lanes of each program.
 _CHUNK, _TILE = 64, 16
 _FAR = 1e100
-# A program of several groups is compiled once so many lanes asked for it: before, the whole model costs less.
-_WORTHWHILE = 2000
+# A lane takes as long as its program has parameters, those of the law about this many.  A further program is made once it would
+# have saved so many lanes of one parameter: that is what it costs to compile.
+_LAW, _WORTHWHILE = 3, 300_000
+
+
+_Effects = frozenset[str]
 
 
 class Part(NamedTuple):
@@ -35,7 +39,7 @@ class Part(NamedTuple):
 
     Attributes:
         effect: its name.
-        group: those of one group share a program.
+        group: those of one group share a program from the start.
         columns: of its parameters, (q,).
         neutral: what these are where it is absent, (q,).
     """
@@ -85,8 +89,8 @@ class LanesApart(NamedTuple):
 class Lanes:
     """Outputs of a model over lanes, each a parameter vector and the number of an experiment.
 
-    An effect that is neutral does exactly nothing, and costs as much as any other: a lane runs the program of the groups of
-    effects that it has.
+    An effect that is neutral does exactly nothing, and costs as much as any other: a lane runs the cheapest program that has its
+    effects.  There are those of single groups and that of all; what a search comes back to gets programs of its own.
 
     Arguments:
         model: the computational model.
@@ -105,9 +109,12 @@ class Lanes:
         parts: Sequence[Part] = (),
     ):
         self._model, self._observation, self._names, self._conditions = model, observation, names, conditions
-        self._parts, self._groups = parts, tuple(dict.fromkeys(part.group for part in parts))
-        self._asked: Counter[tuple[int, ...]] = Counter()
-        self._programs: dict[tuple[int, ...], tuple[Outputs, np.ndarray]] = {}
+        self._parts = {part.effect: part for part in parts}
+        groups = {part.group: frozenset(p.effect for p in parts if p.group == part.group) for part in parts}
+        self._group = {part.effect: groups[part.group] for part in parts}
+        self._available = list(dict.fromkeys([frozenset(), *groups.values(), frozenset(self._parts)]))
+        self._saved: Counter[_Effects] = Counter()
+        self._programs: dict[_Effects, tuple[Outputs, np.ndarray]] = {}
         self._threads = ThreadPoolExecutor(cores())
 
     def __call__(
@@ -115,8 +122,8 @@ class Lanes:
     ) -> tuple[Float[np.ndarray, "L J"], Float[np.ndarray, " L"]]:
         """Outputs (L, J) and whether each lane converged (L,); outputs of a lane that diverged are zero."""
         chunks = [
-            (*self._program(groups), lanes[start : start + _CHUNK])
-            for groups, lanes in self._by_groups(thetas).items()
+            (*self._program(effects), lanes[start : start + _CHUNK])
+            for effects, lanes in self._by_program(thetas).items()
             for start in range(0, len(lanes), _CHUNK)
         ]
 
@@ -136,34 +143,50 @@ class Lanes:
         order = np.argsort(np.concatenate([lanes for *_, lanes in chunks]))
         return np.concatenate([d[0] for d in done])[order], np.concatenate([d[1] for d in done])[order]
 
-    def _by_groups(self, thetas: Float[np.ndarray, "L P"]) -> dict[tuple[int, ...], Int[np.ndarray, " l"]]:
-        """Lanes by the groups of effects that they have, as far as these have a program of their own."""
-        has = np.zeros((len(thetas), len(self._groups)), dtype=bool)
-        for part in self._parts:
-            has[:, self._groups.index(part.group)] |= np.any(thetas[:, part.columns] != part.neutral, axis=1)
-        found: dict[tuple[int, ...], list[np.ndarray]] = {}
-        kinds, kind_of = np.unique(has, axis=0, return_inverse=True)
+    def _by_program(self, thetas: Float[np.ndarray, "L P"]) -> dict[_Effects, Int[np.ndarray, " l"]]:
+        """Lanes by the effects of the program that they run."""
+        has = [np.any(thetas[:, part.columns] != part.neutral, axis=1) for part in self._parts.values()]
+        found: dict[_Effects, list[np.ndarray]] = {}
+        kinds, kind_of = np.unique(np.reshape(has, (len(has), len(thetas))).T, axis=0, return_inverse=True)
         for number, kind in enumerate(kinds):
-            groups = tuple(g for g, one in zip(self._groups, kind, strict=True) if one)
+            effects = frozenset(effect for effect, one in zip(self._parts, kind, strict=True) if one)
             lanes = np.flatnonzero(kind_of.ravel() == number)
-            self._asked[groups] += len(lanes)
-            is_own = len(groups) < 2 or self._asked[groups] > _WORTHWHILE
-            found.setdefault(groups if is_own else self._groups, []).append(lanes)
-        return {groups: np.concatenate(lanes) for groups, lanes in found.items()}
+            found.setdefault(self._serving(effects, len(lanes)), []).append(lanes)
+        return {effects: np.concatenate(lanes) for effects, lanes in found.items()}
 
-    def _program(self, groups: tuple[int, ...]) -> tuple[Outputs, Int[np.ndarray, " p"]]:
-        """The model with effects of these groups only, and the columns of its parameters; made once."""
-        if groups in self._programs:
-            return self._programs[groups]
-        left_out = {part.effect for part in self._parts if part.group not in groups}
+    def _serving(self, effects: _Effects, lanes: int) -> _Effects:
+        """The effects of the program for lanes that have these: of the cheapest one there is, or of one that has become worth it.
+
+        It may have them alone, or in place of one of them its group: around the best model of a search, that serves all that is
+        tried beside it.
+        """
+        serving = min((one for one in self._available if effects <= one), key=self._cost)
+        others = dict.fromkeys([effects, *(effects - {one} | self._group[one] for one in sorted(effects))])
+        for other in others:
+            self._saved[other] += lanes * max(self._cost(serving) - self._cost(other), 0)
+        best = max(others, key=self._saved.__getitem__)
+        if self._saved[best] <= _WORTHWHILE:
+            return serving
+        self._available.append(best)
+        self._saved.clear()
+        return best
+
+    def _cost(self, effects: _Effects) -> int:
+        return _LAW + sum(len(self._parts[effect].columns) for effect in effects)
+
+    def _program(self, effects: _Effects) -> tuple[Outputs, Int[np.ndarray, " p"]]:
+        """The model with these effects only, and the columns of its parameters; made once."""
+        if effects in self._programs:
+            return self._programs[effects]
+        left_out = set(self._parts) - effects
         columns = [k for k, name in enumerate(self._names) if owner_of(name) not in left_out]
         model = self._model
         if left_out:
             assert isinstance(model, Simulator)
             model = replace(model, effects=model.effects.only(e for e in model.effects if e not in left_out))
         outputs = Outputs(model, self._observation, tuple(self._names[k] for k in columns))
-        self._programs[groups] = outputs, np.asarray(columns)
-        return self._programs[groups]
+        self._programs[effects] = outputs, np.asarray(columns)
+        return self._programs[effects]
 
 
 @program

@@ -23,6 +23,8 @@ from hsed_jax.inference.priors import Prior
 
 # So many places of one and of two coordinates are fitted, and each so often with the size and length that its last fit asks for.
 _FITTED, _ROUNDS = {1: 5, 2: 4}, 3
+# Nats that a second coordinate has to be worth: two fit whatever one does, and Laplace's evidence is good to a few.
+_SECOND = 10.0
 # No coefficient is held tighter than this.
 _LEAST = 1e-6
 # Of a normal distribution, half of what lies between its 16 % and 84 % quantiles: the unit of a coordinate.
@@ -53,6 +55,11 @@ class Fitted:
     columns: np.ndarray
     deviations: np.ndarray
     log_evidence: float = -np.inf
+
+    @property
+    def log_posterior(self) -> float:
+        """The evidence and the prior of the place, up to a constant."""
+        return self.log_evidence - _SECOND * (len(self.place.of) - 1)
 
     @property
     def coefficients(self) -> np.ndarray:
@@ -153,7 +160,7 @@ class PlaceSearch:
                 self._fits(f.promised, f.place, f.deviations, [f.coefficients], f.fit.x) for f in self.fitted
             ]
         self.base = self.models.fit(self.target, [Task(self.base.member, self.base.x)])[0]
-        self.fitted.sort(key=lambda f: -f.log_evidence)
+        self.fitted.sort(key=lambda f: -f.log_posterior)
 
     @property
     def log_evidence(self) -> float:
