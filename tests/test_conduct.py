@@ -119,6 +119,7 @@ def test_taken_up_after_every_event_the_design_is_the_same(begin, built, at_once
     same(begin().state, at_once.state)
 
 
+@pytest.mark.whole
 def test_what_became_of_each_experiment_is_in_the_campaign(at_once):
     found = {e.id: e.status for e in at_once.campaign}
     assert list(found.values()).count("completed") == 7

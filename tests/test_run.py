@@ -121,6 +121,7 @@ def whole(study, tmp_path_factory):
 # --- what a run leaves -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.whole
 def test_a_run_leaves_the_files_of_its_contract(whole):
     for name in ("study.yaml", "provenance.json", "journal.jsonl", "results.nc", "summary.json", "report.html"):
         assert (whole / name).is_file(), name
@@ -133,6 +134,7 @@ def test_a_run_leaves_the_files_of_its_contract(whole):
     assert not list(whole.rglob("*.part")) and not list(whole.rglob("*.tmp"))
 
 
+@pytest.mark.whole
 def test_the_summary_has_the_keys_of_its_contract_and_only_finite_numbers(whole):
     def refuse(word):
         raise AssertionError(word)
@@ -151,6 +153,7 @@ def test_the_summary_has_the_keys_of_its_contract_and_only_finite_numbers(whole)
     assert summary["design"]["stop_reason"] == "iterations"
 
 
+@pytest.mark.whole
 def test_the_journal_tells_the_campaign_in_order(whole):
     events = [(event["event"], event.get("experiment", event.get("number"))) for event in journal(whole)]
     initial = [(kind, f"E{i:02d}") for i in (1, 2, 3) for kind in ("asked", "performed")]
@@ -160,6 +163,7 @@ def test_the_journal_tells_the_campaign_in_order(whole):
     assert events == initial + steps
 
 
+@pytest.mark.whole
 def test_the_campaign_is_read_back_as_the_journal_has_it(whole):
     campaign = read_campaign(whole / "campaign")
     performed = {event["experiment"]: event for event in journal(whole) if event["event"] == "performed"}
@@ -174,6 +178,7 @@ def test_the_campaign_is_read_back_as_the_journal_has_it(whole):
     assert campaign.quantities["peak_force"].noise.relative == 0.01
 
 
+@pytest.mark.whole
 def test_results_open_as_a_tree_with_units(whole):
     with xr.open_datatree(whole / "results.nc", engine="h5netcdf") as tree:
         assert tree["posterior"].dataset.sizes == {"chain": 2, "draw": 40}
@@ -188,6 +193,7 @@ def test_results_open_as_a_tree_with_units(whole):
         assert float(tree["posterior"]["A"].mean()) == pytest.approx(summary["calibration"]["posterior"]["A"]["mean"])
 
 
+@pytest.mark.whole
 def test_what_the_figures_show_is_in_the_results(whole):
     with xr.open_datatree(whole / "results.nc", engine="h5netcdf") as tree:
         shown = tree["illustrations"]
@@ -215,6 +221,7 @@ def test_what_the_figures_show_is_in_the_results(whole):
     np.testing.assert_allclose(1e3 * predicted.get_ydata(), model["force"][1])
 
 
+@pytest.mark.whole
 def test_arviz_opens_the_results(whole):
     import arviz as az
 
@@ -222,6 +229,7 @@ def test_arviz_opens_the_results(whole):
         assert "A" in tree["posterior"]
 
 
+@pytest.mark.whole
 def test_provenance_says_with_what_and_when(whole):
     provenance = json.loads((whole / "provenance.json").read_text())
     assert (
@@ -249,6 +257,7 @@ def refusal(arguments, capsys) -> str:
     return line
 
 
+@pytest.mark.whole
 def test_an_existing_run_is_neither_overwritten_nor_mixed_into(study, whole, capsys):
     before = {path: path.stat().st_mtime_ns for path in whole.rglob("*")}
     line = refusal([study, "--output", whole], capsys)
@@ -256,6 +265,7 @@ def test_an_existing_run_is_neither_overwritten_nor_mixed_into(study, whole, cap
     assert {path: path.stat().st_mtime_ns for path in whole.rglob("*")} == before
 
 
+@pytest.mark.whole
 def test_another_study_is_not_resumed_and_the_key_that_differs_is_named(study, whole, capsys):
     before = (whole / "journal.jsonl").read_bytes()
     line = refusal([study, "--output", whole, "--resume", "model.parameters.gamma=0.1"], capsys)
