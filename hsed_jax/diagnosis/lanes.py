@@ -28,7 +28,7 @@ _CHUNK, _TILE = 64, 16
 _FAR = 1e100
 # A lane takes as long as its program has parameters, those of the law about this many.  A further program is made once it would
 # have saved so many lanes of one parameter: that is what it costs to compile.
-_LAW, _WORTHWHILE = 3, 300_000
+_LAW, _WORTHWHILE = 3, 200_000
 
 
 _Effects = frozenset[str]
@@ -157,18 +157,19 @@ class Lanes:
     def _serving(self, effects: _Effects, lanes: int) -> _Effects:
         """The effects of the program for lanes that have these: of the cheapest one there is, or of one that has become worth it.
 
-        It may have them alone, or in place of one of them its group: around the best model of a search, that serves all that is
-        tried beside it.
+        It may have them alone; in place of one of them its group, which serves all that is tried beside the others; or all their
+        groups.
         """
         serving = min((one for one in self._available if effects <= one), key=self._cost)
-        others = dict.fromkeys([effects, *(effects - {one} | self._group[one] for one in sorted(effects))])
+        beside = [effects - {one} | self._group[one] for one in sorted(effects)]
+        others = dict.fromkeys([effects, *beside, frozenset().union(*beside)])
         for other in others:
             self._saved[other] += lanes * max(self._cost(serving) - self._cost(other), 0)
         best = max(others, key=self._saved.__getitem__)
         if self._saved[best] <= _WORTHWHILE:
             return serving
         self._available.append(best)
-        self._saved.clear()
+        self._saved = Counter({other: saved for other, saved in self._saved.items() if not other <= best})
         return best
 
     def _cost(self, effects: _Effects) -> int:
