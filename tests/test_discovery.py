@@ -12,15 +12,17 @@ import pandas as pd
 import pytest
 from numpy.polynomial import chebyshev
 from scipy.stats import multivariate_normal
-from test_diagnose import spring_campaign, spring_study
+from test_diagnose import FUNCTIONS, SIGMA, N, measured_of, rivals_problem, spring_campaign, spring_study
 
 import hsed_jax as hx
 from hsed_jax.analysis.calibration import Calibration
 from hsed_jax.analysis.discovery import _Beside, discover
 from hsed_jax.config.load import load_study
 from hsed_jax.diagnosis.findings import Diagnosis
+from hsed_jax.diagnosis.search import Search
 from hsed_jax.discovery.places import FADES, Motion, Place, Reaches, places, values
 from hsed_jax.discovery.screen import evidence, learned, process
+from hsed_jax.discovery.search import judged
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
 from hsed_jax.physics.effects import EFFECTS, Catalogue
@@ -356,3 +358,38 @@ def test_what_was_learned_before_keeps_its_name(taken, name):
     known = [type(one, (FreeForce,), {"name": one}) for one in taken]
     beside = SimpleNamespace(_built=SimpleNamespace(catalogue=EFFECTS.joined(known)))
     assert _Beside._name.fget(beside) == name
+
+
+# --- what was not used -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("held_out", [0, 1, 3])
+def test_what_was_held_out_is_the_judge_and_else_what_is_left_out_in_turn(held_out):
+    random = np.random.default_rng(3)
+    functions = np.concatenate([FUNCTIONS, random.standard_normal((len(FUNCTIONS), 3, FUNCTIONS.shape[2]))], axis=1)
+    theta = np.zeros(len(FUNCTIONS))
+    theta[:3] = 1.5, -0.7, 0.4
+    values = np.einsum("k,knj->nj", theta, functions) + SIGMA * random.standard_normal(functions.shape[1:])
+    problem = rivals_problem(functions, values[:N])
+    search = Search(problem.models, problem.train, problem.law, problem.effects, lambda fit: False)
+    search.start()
+    search.run()
+    assert search.best == {"effect_0"}
+    if held_out:
+        problem = problem._replace(test=measured_of(values[N : N + held_out]))
+    now, before = ((problem.models, search.model(effects).fit) for effects in (search.best, ()))
+    found = judged(problem, search.target, now, before)
+
+    def residuals(fit):
+        return values[N:] - np.einsum("k,knj->nj", problem.models.theta(fit.x, fit.member), functions[:, N:])
+
+    if held_out:
+        tested = values[N : N + held_out]
+        error = np.sqrt(np.mean(residuals(now[1])[:held_out] ** 2)) / np.std(tested)
+        assert found.error == pytest.approx(error)
+    if held_out == 3:
+        taken = np.mean(residuals(before[1]) ** 2 - residuals(now[1]) ** 2, axis=1) / np.mean(tested**2)
+        np.testing.assert_allclose(found.gain.parts, taken, rtol=1e-9)
+    else:
+        assert len(found.gain.parts) == N
+    assert found.gain.mean > found.gain.standard_error > 0

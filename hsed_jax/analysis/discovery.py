@@ -169,7 +169,7 @@ class _Beside:
         if not now.gain.mean > now.gain.standard_error:
             return (
                 f"{words} takes a squared error of {now.gain.mean:.2g} ± {now.gain.standard_error:.2g} only away from "
-                "predictions of experiments left out in turn"
+                "predictions of experiments that were not used"
             )
         return ""
 

@@ -101,7 +101,7 @@ class Judged(NamedTuple):
 
     Attributes:
         error: normalised error on the test experiments, or on those left out in turn.
-        gain: squared errors taken away from predictions of what was left out in turn.
+        gain: squared errors taken away from predictions of these experiments, of a single one from those left out in turn.
     """
 
     error: float
@@ -237,20 +237,32 @@ def flat(problem: Problem, priors: Mapping[str, Prior]) -> Box:
 def judged(
     problem: Problem, target: Target, now: tuple[NestedModels, Descent], before: tuple[NestedModels, Descent]
 ) -> Judged:
-    """What a model predicts of what was not used, beside the model as it is."""
+    """What a model predicts of what was not used, beside the model as it is.
+
+    That is what was held out; where nothing was, what is left out in turn, which a function sees beyond its reach.  A single
+    experiment has no standard error, and the gain is that of what is left out in turn.
+    """
     folds = folds_of(problem.train.used, problem.train.groups)
-    parts = folds.left_out[1:]
 
     def left_out(models: NestedModels, fit: Descent) -> tuple[np.ndarray, float]:
+        parts = folds.left_out[1:]
         (predicted,) = left_out_predictions(models, target, folds, [fit])
         if predicted is None:
             return np.full(len(parts), np.inf), np.inf
         return problem.train.squares(predicted, parts), problem.train.error(predicted, folds.left_out.any(axis=0))
 
-    (squares, error), (squares_before, _) = left_out(*now), left_out(*before)
-    if problem.test is not None:
-        models, fit = now
-        rows = len(problem.train.values) + np.arange(len(problem.test.values))
+    def held_out(models: NestedModels, fit: Descent) -> tuple[np.ndarray, float]:
+        assert problem.test is not None
+        rows = np.arange(len(problem.train.values), problem.rows)
         outputs, ok = models.predict([(fit.x, fit.member)], rows)
-        error = problem.test.error(outputs[0]) if ok.all() else np.inf
+        if not ok.all():
+            return np.full(len(rows), np.inf), np.inf
+        each = np.eye(len(rows), dtype=bool)[..., None] & np.ones(problem.test.values.shape, dtype=bool)
+        return problem.test.squares(outputs[0], each), problem.test.error(outputs[0])
+
+    tested = 0 if problem.test is None else len(problem.test.values)
+    squares, error = (left_out if tested == 0 else held_out)(*now)
+    if tested == 1:
+        squares, _ = left_out(*now)
+    squares_before, _ = (held_out if tested > 1 else left_out)(*before)
     return Judged(float(error), Gain(squares_before - squares))
