@@ -26,6 +26,8 @@ from hsed_jax.physics.simulator import Conditions
 from hsed_jax.reporting.band_figures import band_parts, nested
 from hsed_jax.study.build import Built
 
+pytestmark = pytest.mark.whole
+
 # --- the process, by dense matrices ----------------------------------------------------------------------------------
 
 

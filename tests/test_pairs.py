@@ -256,6 +256,7 @@ def test_what_a_laboratory_declares_is_asked_in_its_pair():
             space=SimpleNamespace(units={}),
             study=study,
             pair=built.pair,
+            design=SimpleNamespace(cost=None),
             excitation=SimpleNamespace(constructor=CyclicElongation),
         ),
         path="here",

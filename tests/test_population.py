@@ -21,6 +21,8 @@ from hsed_jax.inference.priors import Prior
 from hsed_jax.run import main
 from hsed_jax.study.build import Built
 
+pytestmark = pytest.mark.whole
+
 FUNCTIONS = '''
 def level(parameters, inputs):
     """As strong as it is, and a slope that all share."""
@@ -215,7 +217,6 @@ def test_offsets_are_centred_where_measurements_tell_them(folder, calibration):
     assert hardly.fit.summary()["bar.a.spread"]["mean"] == pytest.approx(SPREAD * np.sqrt(2 / np.pi), rel=0.1)
 
 
-@pytest.mark.whole
 def test_a_run_writes_its_levels_and_goes_on_where_it_was(folder, tmp_path, calibration):
     study_of(folder, calibration={"warmup": 200, "draws": 200, "chains": 2})
     out = tmp_path / "run"
