@@ -65,34 +65,30 @@ def curves_of(effect: type[AbstractSpringEffect]) -> Curves:
 def _swept(effect: type[AbstractSpringEffect], across: str) -> Curves:
     places = np.linspace(0.0 if across == "driver" else -1.0, 1.0, _PLACES)
     at = {key: jnp.asarray(places if key == across else np.full(_PLACES, rest)) for key, rest in _RESTING.items()}
-    shown = {form.name: _contributed(effect, form, at) for form in effect.forms}
-    flows = any(is_rate for _, is_rate in shown.values())
+    flows = effect.flow is not AbstractSpringEffect.flow
     what = "how fast its own state changes" if flows else "what a form adds or multiplies by"
-    return Curves(what, _ACROSS[across], places, {name: values for name, (values, _) in shown.items()})
+    return Curves(what, _ACROSS[across], places, {form.name: _contributed(effect, form, at) for form in effect.forms})
 
 
 def _contributed(
     effect: type[AbstractSpringEffect], form: Form, at: dict[str, Float[Array, " n"]]
-) -> tuple[Float[np.ndarray, " n"], bool]:
-    """What a form contributes, and whether that is the rate of a state of its own."""
+) -> Float[np.ndarray, " n"]:
     known = form.parameters(effect)
     first = next(iter(known))
     freed = {key: _away(p) for key, p in known.items() if p.shapes}
     shown = {key: value for key, value in _LIFE.items() if key in known}
     made = effect(**{first: _AMPLITUDE, **shown, **freed, **form.held})
 
-    def point(at: dict[str, Float[Array, ""]]) -> SpringPoint:
+    def total(at: dict[str, Float[Array, ""]]) -> Float[Array, ""]:
         # All that it may have gone through; a bristle slides beyond a quarter of the characteristic elongation.
         memory: dict[str, Scalar] = defaultdict(lambda: at["driver"])
         memory |= {"bristle": jnp.clip(4 * at["elongation"], -1.0, 1.0), "bristle_at": at["elongation"]}
-        return SpringPoint(at["elongation"], at["rate"], at["force"], memory, Scales(1.0, 1.0, 1.0, 1.0), 1.0, 1.0)
-
-    def total(at: dict[str, Float[Array, ""]]) -> Float[Array, ""]:
-        if rates := made.flow(point(at)):
+        point = SpringPoint(at["elongation"], at["rate"], at["force"], memory, Scales(1.0, 1.0, 1.0, 1.0), 1.0, 1.0)
+        if rates := made.flow(point):
             return jnp.asarray(sum(rates.values()))
-        return jnp.asarray(sum(value - (slot in MULTIPLIED) for slot, value in made.contribute(point(at)).items()))
+        return jnp.asarray(sum(value - (slot in MULTIPLIED) for slot, value in made.contribute(point).items()))
 
-    return np.asarray(jax.vmap(total)(at)), bool(made.flow(point({key: x[0] for key, x in at.items()})))
+    return np.asarray(jax.vmap(total)(at))
 
 
 def _away(known: Parameter) -> float:
