@@ -51,6 +51,7 @@ def state(count: int = 60) -> dict:
     found |= {"plastic": draw.normal(scale=0.5 * U, size=count)}
     found |= {"bristle_at": draw.normal(scale=0.6 * U, size=count)}
     found |= {"relaxing": draw.normal(scale=F, size=count)}
+    found |= {"fatigue": draw.exponential(U * E / F, count)}
     found |= {"reversals": draw.integers(0, 30, count).astype(float)}
     return {name: np.concatenate([[0.0], values[1:]]) for name, values in found.items()}
 
@@ -176,6 +177,7 @@ EQUATIONS = {
             "compliance",
             lambda p, x, s: p.delta * U / F * p.power * np.maximum(np.abs(s.z / F), 0.02) ** (p.power - 1),
         ),
+        "loosening": ("compliance", lambda p, x, s: p.delta * U / F * lasting(p, s.energy / E)),
         "free": (
             "compliance",
             lambda p, x, s: (
@@ -184,7 +186,7 @@ EQUATIONS = {
                 / F
                 * (
                     p.power * np.maximum(np.abs(s.z / F), 0.02) ** (p.power - 1)
-                    + p.bedding * np.exp(-np.abs(s.z) / (p.bedded * F))
+                    + p.bedding * np.exp(-((np.abs(s.z) / (p.bedded * F)) ** p.abruptness))
                 )
             ),
         ),
@@ -234,7 +236,14 @@ EQUATIONS = {
     },
     "loop_shape": {
         "constant": ("gamma", lambda p, x, s: p.delta + 0 * s.z),
-        "free": ("gamma", lambda p, x, s: p.delta * np.maximum(np.abs(s.z) / STRENGTH, 1e-9) ** p.power),
+        "free": (
+            "gamma",
+            lambda p, x, s: (
+                p.delta
+                * (1 - np.exp(-((np.maximum(np.abs(s.z) / STRENGTH, 1e-9) / p.width) ** p.power)))
+                / (1 - np.exp(-((1 / p.width) ** p.power)))
+            ),
+        ),
     },
     "relaxation": dict.fromkeys(
         ("linear", "power", "thermally activated"), ("force", lambda p, x, s: p.delta * s.relaxing)
@@ -303,7 +312,7 @@ EQUATIONS = {
             "compliance",
             lambda p, x, s: (
                 p.delta
-                * x
+                * np.maximum(x - p.onset, 0)
                 * U
                 / (w := p.width * STRENGTH)
                 * (
@@ -387,6 +396,7 @@ DRIVEN = {
     "largest_elongation": lambda s: s.largest_elongation / U,
     "hysteretic_energy": lambda s: (s.energy - s.z**2 / (2 * STIFFNESS)) / E,
     "reversals": lambda s: s.reversals / 10,
+    "fatigue": lambda s: s.fatigue * F / (E * U),
 }
 
 
@@ -461,7 +471,9 @@ def test_the_length_of_slip_is_what_its_name_says(label):
     form = forms_of(effect)[label]
     at = {name: np.full(force.size, values[3]) for name, values in state().items()} | {"z": force}
     compliance = jax.vmap(effect(delta=0.4, width=0.1, **form.held).contribute)(point(at))["compliance"]
-    driver = at["energy"][0] / E * U if form.driver else at["largest_elongation"][0]
+    driver = at["energy"][0] / E * U if form.driver == "energy" else at["largest_elongation"][0]
+    if form.driver == "damage_index":
+        driver = 0.5 * (driver + at["energy"][0] / E * U)
     assert np.trapezoid(compliance, force) == pytest.approx(2 * 0.4 * driver)
 
 

@@ -65,7 +65,7 @@ class Specimen(eqx.Module):
         force, point = self._force(point, slots, step)
         rates = {name: jnp.zeros_like(value) for name, value in memory.items()}
         rates |= {**flow, "energy": force * rate}
-        rates |= {state.name: state.rate(rate) for state in self._shared if state.rate is not None}
+        rates |= {state.name: state.rate(elongation, rate) for state in self._shared if state.rate is not None}
         for effect in self.effects:
             rates |= effect.flow(point)
         return force, rates

@@ -17,7 +17,7 @@ class SharedState:
         name: in the memory of the spring.
         unit: SI.
         meaning: one line.
-        rate: its time derivative, from that of the elongation [m/s]; None: it changes at the ends of steps only.
+        rate: its time derivative, from the elongation [m] and its rate [m/s]; None: it changes at the ends of steps only.
         settled: its value after a step, from the value before it, the elongation [m] reached, and whether that turned on the way,
             when it is the one at the turn; None: as it was integrated.
     """
@@ -25,7 +25,7 @@ class SharedState:
     name: str
     unit: str
     meaning: str
-    rate: Callable[[Scalar], Scalar] | None = None
+    rate: Callable[[Scalar, Scalar], Scalar] | None = None
     settled: Callable[[Scalar, Scalar, Bool[Array, ""]], Scalar] | None = None
 
 
@@ -37,9 +37,16 @@ LARGEST_ELONGATION = SharedState(
     settled=lambda value, elongation, turned: jnp.maximum(value, jnp.abs(elongation)),
 )
 
-TRAVEL = SharedState("travel", "m", "length of the path of the elongation", rate=jnp.abs)
+TRAVEL = SharedState("travel", "m", "length of the path of the elongation", rate=lambda elongation, rate: jnp.abs(rate))
 
-TIME = SharedState("time", "s", "time since the start", rate=jnp.ones_like)
+TIME = SharedState("time", "s", "time since the start", rate=lambda elongation, rate: jnp.ones_like(rate))
+
+FATIGUE = SharedState(
+    "fatigue",
+    "m^2",
+    "length of the path of the elongation, each part times the elongation there",
+    rate=lambda elongation, rate: jnp.abs(elongation * rate),
+)
 
 LAST_REVERSAL = SharedState(
     "last_reversal",

@@ -5,7 +5,8 @@ from typing import ClassVar, Literal, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
-from hsed_jax.physics.effects.forms import FREE, Form, near_no_force
+from hsed_jax.physics.effects.driven import WEAR, AbstractWornEffect
+from hsed_jax.physics.effects.forms import FREE, Form, near_no_force, raised
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_number, is_zero
 from hsed_jax.physics.states import LARGEST_ELONGATION, SharedState
@@ -75,7 +76,8 @@ class Gap(AbstractSpringEffect):
         "force that closes it, over strength",
         neutral=0.05,
         lower=0.01,
-        upper=1.0,
+        # One that takes more force to close is no play, but a support that has yet to bed.
+        upper=0.2,
         prior={"lognormal": [-3.0, 0.7]},
     )
 
@@ -104,7 +106,7 @@ class Gap(AbstractSpringEffect):
 
 @register
 @final
-class SupportFlexibility(AbstractSpringEffect):
+class SupportFlexibility(AbstractWornEffect):
     r"""A linear spring in series with the specimen: compliance $\delta u_c/F_c$."""
 
     name: ClassVar[str] = "support_flexibility"
@@ -121,9 +123,16 @@ class SupportFlexibility(AbstractSpringEffect):
             in_units=False,
         ),
         Form(
+            "loosening",
+            rf"u = \delta u_c\,F/F_c\,{WEAR},\ x = e/E_c",
+            "Ibrahim & Pettit 2005 (joints that loosen)",
+            held={"heats": 1.0},
+            free=("worn", "wears"),
+        ),
+        Form(
             FREE,
-            r"\frac{du}{dF} = \delta\frac{u_c}{F_c}\left(p|F/F_c|^{p-1} + b\,e^{-|F|/wF_c}\right)",
-            free=("power", "bedding", "bedded"),
+            r"\frac{du}{dF} = \delta\frac{u_c}{F_c}\left(p|F/F_c|^{p-1} + b\,e^{-|F/wF_c|^m}\right)",
+            free=("power", "bedding", "bedded", "abruptness"),
             in_units=False,
         ),
     )
@@ -150,6 +159,9 @@ class SupportFlexibility(AbstractSpringEffect):
         lower=0.02,
         prior={"lognormal": [-1.6, 0.7]},
     )
+    abruptness: Scalar = shape_parameter(
+        "m", "how abruptly it is bedded", neutral=1.0, lower=1.0, upper=6.0, prior={"uniform": [1.0, 6.0]}
+    )
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `compliance`."""
@@ -158,5 +170,6 @@ class SupportFlexibility(AbstractSpringEffect):
             # A support that gives way at no force at all would hold the element there: the slope ends where the force is small.
             slope = self.power * jnp.maximum(force, _SMALL) ** (self.power - 1)
         if not is_zero(self.bedding):
-            slope = slope + self.bedding * jnp.exp(-force / self.bedded)
-        return {"compliance": self.delta * (point.scales.elongation / point.scales.force) * slope}
+            slope = slope + self.bedding * jnp.exp(-raised(force / self.bedded, self.abruptness))
+        flexibility = self.delta * (point.scales.elongation / point.scales.force)
+        return {"compliance": flexibility * slope * self.lasting(point)}

@@ -5,7 +5,7 @@ from typing import Any, ClassVar, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
-from hsed_jax.physics.effects.driven import AbstractWornForce, heating, wearing
+from hsed_jax.physics.effects.driven import AbstractWornEffect, heating, wearing
 from hsed_jax.physics.effects.forms import FREE, Form, bend_parameter, one_side, raised, saturated, sided
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_zero
@@ -24,7 +24,7 @@ def _sticking() -> Any:
 
 @register
 @final
-class ViscousDamping(AbstractWornForce):
+class ViscousDamping(AbstractWornEffect):
     r"""A linear dashpot in parallel: $\delta\,F_c\,\Delta\dot u/v_c$."""
 
     name: ClassVar[str] = "viscous_damping"
@@ -105,7 +105,7 @@ class QuadraticDamping(AbstractSpringEffect):
 
 @register
 @final
-class PowerDamping(AbstractWornForce):
+class PowerDamping(AbstractWornEffect):
     r"""A fluid damper in parallel: $\delta\,F_c\,|\Delta\dot u/v_c|^\alpha\,\mathrm{sign}\,\Delta\dot u$."""
 
     name: ClassVar[str] = "power_damping"
@@ -144,7 +144,7 @@ class PowerDamping(AbstractWornForce):
 
 @register
 @final
-class CoulombFriction(AbstractWornForce):
+class CoulombFriction(AbstractWornEffect):
     r"""Dry friction in parallel: $\delta\,F_c\,\tanh(\Delta\dot u/v_s)$, $v_s = 0.02\,v_c$.
 
     As the force of a bristle it is $\delta F_c q$, $dq/d\Delta u = (1 - q\,\mathrm{sign}\,\Delta\dot u)/b u_c$: a spring of that

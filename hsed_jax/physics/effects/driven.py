@@ -1,6 +1,6 @@
 """Effects that come with what a specimen has gone through: absorbed energy, length of path, largest elongation."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 
@@ -9,6 +9,11 @@ from hsed_jax.physics.effects.forms import DRIVERS, Form, chosen
 from hsed_jax.physics.parameters import shape_parameter, share_parameter
 from hsed_jax.physics.scales import Scalar, is_number, is_zero
 from hsed_jax.physics.states import TRAVEL, SharedState
+
+
+def index_share() -> Any:
+    """The parameter that says what a damage index is made of."""
+    return share_parameter("w_d", "share of the largest elongation in the damage index", neutral=0.5)
 
 
 class AbstractDrivenEffect(AbstractSpringEffect):
@@ -72,11 +77,11 @@ class AbstractDamagedEffect(AbstractDrivenEffect):
     driver_3: Scalar = share_parameter("w_3", "share of another driver")
     driver_4: Scalar = share_parameter("w_4", "share of another driver")
     driver_5: Scalar = share_parameter("w_5", "share of another driver")
-    driver_share: Scalar = share_parameter("w_d", "share of the largest elongation in the damage index", neutral=0.5)
+    driver_share: Scalar = index_share()
 
 
-class AbstractWornForce(AbstractSpringEffect):
-    r"""A force that a test changes: times $1 + \rho(1 - e^{-x/x_w})$, x the path for wear, the absorbed energy for heat.
+class AbstractWornEffect(AbstractSpringEffect):
+    r"""An effect that a test changes: times $1 + \rho(1 - e^{-x/x_w})$, x the path for wear, the absorbed energy for heat.
 
     Attributes:
         worn: how much is gained in the end, or lost.
@@ -108,14 +113,15 @@ class AbstractWornForce(AbstractSpringEffect):
         return 1 - self.worn * jnp.expm1(-jnp.maximum(x, 0.0) / self.wears)
 
 
-_FACTOR = r"\left[1 + \rho(1 - e^{-x/x_w})\right]"
+WEAR = r"\left[1 + \rho(1 - e^{-x/x_w})\right]"
+"""The factor of what a test changes, LaTeX."""
 
 
 def wearing(equation: str, reference: str) -> Form:
     """The form of a force that changes along the path."""
-    return Form("wearing", rf"{equation}{_FACTOR},\ x = sF_c/E_c", reference, free=("worn", "wears"))
+    return Form("wearing", rf"{equation}{WEAR},\ x = sF_c/E_c", reference, free=("worn", "wears"))
 
 
 def heating(equation: str, reference: str) -> Form:
     """The form of a force that changes with the energy that was absorbed."""
-    return Form("heating", rf"{equation}{_FACTOR},\ x = e/E_c", reference, held={"heats": 1.0}, free=("worn", "wears"))
+    return Form("heating", rf"{equation}{WEAR},\ x = e/E_c", reference, held={"heats": 1.0}, free=("worn", "wears"))

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from hsed_jax.physics.parameters import Parameter, parameters_of, shape_parameter
 from hsed_jax.physics.scales import Scalar, is_number, is_zero
-from hsed_jax.physics.states import LARGEST_ELONGATION, REVERSALS, TRAVEL, SharedState
+from hsed_jax.physics.states import FATIGUE, LARGEST_ELONGATION, REVERSALS, TRAVEL, SharedState
 
 if TYPE_CHECKING:
     from hsed_jax.physics.effects.base import AbstractEffect, SpringPoint
@@ -107,6 +107,10 @@ def _damage(point: "SpringPoint", share: Scalar) -> Scalar:
     return energy + share * (_largest(point, share) - energy)
 
 
+def _fatigue(point: "SpringPoint", share: Scalar) -> Scalar:
+    return point.memory["fatigue"] * (point.scales.force / (point.scales.energy * point.scales.elongation))
+
+
 def _reversals(point: "SpringPoint", share: Scalar) -> Scalar:
     return point.memory["reversals"] / _REVERSALS
 
@@ -121,6 +125,12 @@ DRIVERS = {
         "absorbed energy less what the virgin element would give back", r"(e - z^2/2k_0)/E_c", _dissipated
     ),
     "reversals": Driver("number of reversals", rf"N/{_REVERSALS:.0f}", _reversals, (REVERSALS,)),
+    "fatigue": Driver(
+        "sum of the squares of what was gone through (Coffin 1954; Miner 1945, with an exponent of two)",
+        r"\int|\Delta u|\,|d\Delta u|\,F_c/E_c u_c",
+        _fatigue,
+        (FATIGUE,),
+    ),
     "damage_index": Driver(
         "largest elongation and absorbed energy together (Park & Ang 1985)",
         r"(1-w_d)\,e/E_c + w_d\max|\Delta u|/u_c",

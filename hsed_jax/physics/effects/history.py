@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
-from hsed_jax.physics.effects.driven import AbstractDrivenEffect
+from hsed_jax.physics.effects.driven import AbstractDrivenEffect, index_share
 from hsed_jax.physics.effects.forms import FREE, Form, near_no_force, raised
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_zero
@@ -30,12 +30,13 @@ class Slip(AbstractDrivenEffect):
     name: ClassVar[str] = "slip"
     family: ClassVar[str] = "pinching"
     reference: ClassVar[str] = "Baber & Noori 1985; Madan, Reinhorn, Mander & Valles 1997"
-    drivers: ClassVar[tuple[str, ...]] = ("largest_elongation", "energy")
+    drivers: ClassVar[tuple[str, ...]] = ("largest_elongation", "energy", "damage_index")
     forms: ClassVar[tuple[Form, ...]] = (
         Form("gaussian"),
         Form("window", r"c(z) = \frac{\delta\max|\Delta u|}{0.928\,\sigma}e^{-(z/\sigma)^6}",
              "Sivaselvan & Reinhorn 2000", held={"flat": 1.0}),
-        Form(FREE, r"c(z) = (1 - w_f)c_\mathrm{gaussian} + w_f c_\mathrm{window}", free=("flat",)),
+        Form(FREE, r"c(z) = (1 - w_f)c_\mathrm{gaussian} + w_f c_\mathrm{window},\ \text{with } \max(x - x_0, 0) \text{ for } x",
+             free=("flat", "onset")),
     )  # fmt: skip
 
     delta: Scalar = parameter(
@@ -52,6 +53,10 @@ class Slip(AbstractDrivenEffect):
     )
 
     flat: Scalar = share_parameter("w_f", "whether the force that locks has a sharp limit")
+    onset: Scalar = shape_parameter(
+        "x_0", "driver at which it begins", neutral=0.0, lower=0.0, prior={"half_normal": 0.2}
+    )
+    driver_share: Scalar = index_share()
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `compliance`."""
@@ -60,7 +65,7 @@ class Slip(AbstractDrivenEffect):
         if not is_zero(self.flat):
             place = (point.hysteretic / sigma) ** 2
             shape = shape + self.flat * (jnp.exp(-place * place * place) / (_OF_WINDOW * sigma) - shape)
-        length = jnp.maximum(self.driven(point), 0.0) * point.scales.elongation
+        length = jnp.maximum(self.driven(point) - self.onset, 0.0) * point.scales.elongation
         return {"compliance": self.delta * length * shape}
 
 
@@ -75,7 +80,7 @@ class Fracture(AbstractDrivenEffect):
     name: ClassVar[str] = "fracture"
     family: ClassVar[str] = "strength"
     reference: ClassVar[str] = "Manson 1953; Coffin 1954; Miner 1945 (exponent one)"
-    drivers: ClassVar[tuple[str, ...]] = ("path", "energy", "largest_elongation")
+    drivers: ClassVar[tuple[str, ...]] = ("path", "energy", "largest_elongation", "fatigue")
     forms: ClassVar[tuple[Form, ...]] = (
         Form("sudden"),
         Form("gradual", r"-\delta z\,\mathrm{logistic}((x - x_c)/w x_c)", free=("width",)),
@@ -99,6 +104,7 @@ class Fracture(AbstractDrivenEffect):
         prior={"lognormal": [2.3, 1.0]},
         physical=PhysicalForm("path", "m", lambda scales: scales.elongation),
     )
+    driver_3: Scalar = share_parameter("w_3", "share of another driver")
     width: Scalar = shape_parameter(
         "w", "share of the life that the loss takes", neutral=0.02, lower=0.005, prior={"lognormal": [-2.0, 0.8]}
     )

@@ -65,7 +65,7 @@ class LoopShape(AbstractSpringEffect):
     reference: ClassVar[str] = "Wen 1976"
     forms: ClassVar[tuple[Form, ...]] = (
         Form("constant", r"\gamma + \delta\beta"),
-        Form(FREE, r"\gamma + \delta\beta\,|z/z_u|^p", free=("power",)),
+        Form(FREE, r"\gamma + \delta\beta\,\frac{1 - e^{-(|z|/w z_u)^p}}{1 - e^{-w^{-p}}}", free=("power", "width")),
     )
 
     delta: Scalar = parameter(
@@ -80,6 +80,9 @@ class LoopShape(AbstractSpringEffect):
     power: Scalar = shape_parameter(
         "p", "power of the force", neutral=0.0, lower=0.0, upper=6.0, prior={"half_normal": 1.5}
     )
+    width: Scalar = shape_parameter(
+        "w", "force by which most of it has come, over strength", neutral=1.0, lower=0.05, prior={"lognormal": [0.0, 1.0]}
+    )
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `gamma`, in units of β."""
@@ -87,7 +90,8 @@ class LoopShape(AbstractSpringEffect):
             return {"gamma": self.delta}
         # The power of zero is one, at no force as well, where no γ matters.
         over = jnp.maximum(jnp.abs(point.hysteretic) / point.strength, 1e-9)
-        return {"gamma": self.delta * jnp.exp(self.power * jnp.log(over))}
+        here, at_strength = (jnp.expm1(-jnp.exp(self.power * jnp.log(x / self.width))) for x in (over, 1.0))
+        return {"gamma": self.delta * here / at_strength}
 
 
 @register
