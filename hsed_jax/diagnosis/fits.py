@@ -21,6 +21,8 @@ from hsed_jax.diagnosis.problem import FormColumns, Forms
 _CAUGHT = 0.1
 # An amplitude this close to its neutral value, in coordinates of order one, is none.
 _ABSENT = 1e-3
+# Forms no more nats below the best one of their set than this are about as probable.
+_ALIKE = 4.0
 # Forms this many nats below the best one of their set are given up.
 _HOPELESS = 8.0
 
@@ -81,6 +83,12 @@ class Fits:
     def top(self, effects: Set) -> Choice:
         """The most probable forms of a set that was fitted."""
         return max(self.of(effects), key=self._worth)
+
+    def leading(self, effects: Set, most: int) -> list[Choice]:
+        """The most probable forms of a set that was fitted, at most so many, as far as they are about as probable."""
+        worths = {choice: self._worth(choice) for choice in self.of(effects)}
+        ranked = sorted(worths, key=lambda choice: -worths[choice])[:most]
+        return [choice for choice in ranked if worths[choice] >= worths[ranked[0]] - _ALIKE]
 
     def best(self, effects: Set) -> Descent:
         """The fit of the most probable forms of a set."""

@@ -54,6 +54,8 @@ _OTHERS, _BESIDE = 4, 2
 # All forms are fitted of so many sets (of twice as many of one effect), if they are no more nats below the most probable one
 # than this, or gain half as much as it.
 _DEEP, _NEAR = 4, 10.0
+# With so many drivers the shapes of a form are fitted, where these are about as probable.
+_DRIVERS = 3
 
 
 class Search:
@@ -325,14 +327,12 @@ class Search:
         top = ranked[0].log_posterior
         enough = min(top - _NEAR, 0.5 * (top + self.model(self.best).log_posterior))
         near = [m for m in ranked[: _DEEP if self.best else 2 * _DEEP] if m.log_posterior >= enough]
-        for others in (of_other_drivers, of_other_shapes):
+        for others, several in ((of_other_drivers, 1), (of_other_shapes, _DRIVERS)):
             self._report(f"forms of {_text(near[0].effects)}")
             choices = []
-            for model in map(self.model, [m.effects for m in near]):
-                own = frozenset(model.forms.items())
+            for own in (own for m in near for own in self._fits.leading(m.effects, several)):
                 for effect, label in own:
-                    further = others(self.effects[effect], label)
-                    choices += [(own - {(effect, label)}) | {(effect, other)} for other in further]
+                    choices += [own - {(effect, label)} | {(effect, o)} for o in others(self.effects[effect], label)]
             self._fits.fit(self.target, dict.fromkeys(choices))
 
     def _judge(self) -> None:

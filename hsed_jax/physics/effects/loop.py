@@ -81,7 +81,11 @@ class LoopShape(AbstractSpringEffect):
         "p", "power of the force", neutral=0.0, lower=0.0, upper=6.0, prior={"half_normal": 1.5}
     )
     width: Scalar = shape_parameter(
-        "w", "force by which most of it has come, over strength", neutral=1.0, lower=0.05, prior={"lognormal": [0.0, 1.0]}
+        "w",
+        "force by which most of it has come, over strength",
+        neutral=1.0,
+        lower=0.05,
+        prior={"lognormal": [0.0, 1.0]},
     )
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
