@@ -1,7 +1,7 @@
 """What is learned from measured specimens that lie in a folder?  `python benchmarks/published.py [--data FOLDER]`
 
 Every campaign with a held-out part is taken as a stranger would take it: `hsed init` writes the study, `hsed run` calibrates the
-plain law, names what it lacks and adds it; nothing is told by hand, and no case by its name.  Beside the error on the held-out
+plain law, names what it lacks, learns what no name is for and adds it; nothing is told by hand, and no case by its name.  Beside the error on the held-out
 part stand those of generic tools on the same samples: the same law by SciPy's least squares, and two black boxes that know the
 history of the elongation (`peers/generic.py`).  Errors are root mean squares in units of what was measured, about its mean.
 """
@@ -25,7 +25,7 @@ import hsed_jax as hx
 RESULTS = Path(__file__).with_suffix(".json")
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 # The draws of the posterior, minutes each, enter no error.
-_OVERRIDES = ("steps=[calibrate, compare, diagnose, improve]", "calibration.sampler=laplace")
+_OVERRIDES = ("steps=[calibrate, compare, diagnose, discover, improve]", "calibration.sampler=laplace")
 
 
 def main() -> None:
@@ -80,7 +80,7 @@ def row_of(folder: Path, campaign: hx.Campaign, pictures: Path | None) -> dict[s
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of scikit-learn, about its own bounds
         generic = {"least squares": least_squares_error(train, test), **black_box_errors(train, test)}
-    found = summary["diagnosis"]
+    found, learned = summary["diagnosis"], summary["discovery"]
     return {
         "case": folder.name,
         "noise": found["noise_floor"],
@@ -89,9 +89,15 @@ def row_of(folder: Path, campaign: hx.Campaign, pictures: Path | None) -> dict[s
         "verdict": found["verdict"],
         "effects": found["effects"],
         "forms": {c["effect"]: c["form"] for c in found["ranking"] if c["effect"] in found["effects"] and "form" in c},
+        "learned": learned["error_test"] if learned["found"] else None,
+        "learning": f"{_place(learned['place'])}: {learned['formula']}" if learned["found"] else learned["reason"],
         "generic": generic,
         "seconds": seconds,
     }
+
+
+def _place(place: Mapping[str, Any]) -> str:
+    return f"{place['slot']} of {' × '.join(place['of'])}"
 
 
 def _cyclic(experiment: hx.Experiment) -> Cyclic:
@@ -103,13 +109,14 @@ def _cyclic(experiment: hx.Experiment) -> Cyclic:
 def markdown(rows: Sequence[Mapping[str, Any]]) -> str:
     """The table of the results."""
     generic = list(dict.fromkeys(name for row in rows for name in row["generic"]))
-    heads = ["specimen", "noise", "plain law", *generic, "with what is named", "named", "verdict", "s"]
+    heads = ["specimen", "noise", "plain law", *generic, "with what is named", "named", "verdict", "with what is learned", "s"]
     lines = [heads, ["---"] * len(heads)]
     for row in rows:
         named = ", ".join(f"`{e}`" + (f" ({row['forms'][e]})" if e in row["forms"] else "") for e in row["effects"])
         others = [f"{row['generic'][name]:.3f}" if name in row["generic"] else "–" for name in generic]
         errors = [f"{row['plain']:.3f}", *others, f"**{row['named']:.3f}**"]
-        about = [named or "–", f"`{row['verdict']}`", f"{row['seconds']:.0f}"]
+        learned = "–" if row["learned"] is None else f"{row['learned']:.3f}"
+        about = [named or "–", f"`{row['verdict']}`", learned, f"{row['seconds']:.0f}"]
         lines.append([row["case"].replace("_", " "), f"{row['noise']:.3f}", *errors, *about])
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 

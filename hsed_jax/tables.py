@@ -84,3 +84,8 @@ class Tabular:
 def cell(value: float | None, look: str = ".3f") -> str:
     """A number as a cell, in a format of Python; a dash where there is none."""
     return "–" if value is None or not math.isfinite(value) else format(value, look)
+
+
+def odds(nats: float) -> str:
+    """What a log Bayes factor makes of even odds, such as `20 to 1`."""
+    return f"{math.exp(nats):.2g} to 1" if nats < math.log(1e6) else "more than a million to 1"

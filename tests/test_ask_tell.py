@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import subprocess
 import sys
 
@@ -14,12 +15,14 @@ from test_conduct import STUDY as PERFORMED
 
 from hsed_jax import AskTell, campaign_of
 from hsed_jax.config.load import load_study
+from hsed_jax.design.teaching import lesson
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import read_at2, read_campaign
 from hsed_jax.run import main
 from hsed_jax.runs.folder import RunFolder
 from hsed_jax.runs.workflow import Waiting, run
 from hsed_jax.study.build import Built
+from hsed_jax.tables import odds
 
 INPUTS = {"V_P": {"uniform": [150, 300], "unit": "cm/s"}, "T_P": {"uniform": [0.5, 1.5], "unit": "s"}}
 DESIGN = PERFORMED["design"] | {"iterations": 4}
@@ -108,6 +111,8 @@ def test_a_campaign_by_the_command_line_alone_ends_as_the_same_events_at_once(ca
     with AskTell(load_study(study), at_once) as one:
         for number in range(3 + steps):
             (asked,) = one.ask()
+            # Only a step of the design knows what it expects.
+            assert ("expected to teach whether the model is wrong by more" in one.told(asked)) == (number >= 3)
             if number == 1:
                 one.failed(asked.id, "the pump stopped")
                 asked = one.ask_again(asked.id)
@@ -144,6 +149,13 @@ def test_experiments_that_are_out_at_once_are_chosen_for_what_they_tell_together
     # A neighbour of what is out would tell what that will have told already.
     assert one.inputs != other.inputs and apart > 0.1
     assert 0 < second["acquisition"] <= first["acquisition"]
+
+
+def test_what_an_experiment_is_expected_to_teach_is_said_in_words():
+    assert lesson("expected_improvement", 0.03, [0.1, None, math.nan, 0.3]).endswith("by 10 % of that, on average")
+    assert lesson("expected_improvement", 0.03, [None]) == lesson("sobol", 1.0, [0.3]) == ""
+    assert lesson("discriminate", math.log(20), []).endswith("odds of 20 to 1")
+    assert odds(40.0) == "more than a million to 1"
 
 
 def test_a_request_tells_all_that_a_laboratory_needs(tmp_path, recorded):

@@ -10,7 +10,7 @@ import numpy as np
 from hsed_jax.criticism.compare import is_noise
 from hsed_jax.criticism.prediction import Prediction, error_cell
 from hsed_jax.physics.scales import Scales
-from hsed_jax.tables import Table, Tabular, cell
+from hsed_jax.tables import Table, Tabular, cell, odds
 
 if TYPE_CHECKING:
     # A report reads findings and fits nothing.
@@ -253,5 +253,7 @@ class Diagnosis(Tabular):
         notes = self._notes
         if self.next_experiment is not None:
             inputs = ", ".join(f"{name} = {value:.4g}" for name, value in self.next_experiment.items())
-            notes.append(f"the experiment that tells them apart best: {inputs}")
+            assert self.expected_log_bayes_factor is not None
+            apart = f"odds of {odds(self.expected_log_bayes_factor)} are expected from it"
+            notes.append(f"the experiment that tells them apart best: {inputs}; {apart}")
         return Table(f"{self.verdict}: {self.sentence}", heads, rows, notes)

@@ -14,6 +14,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from hsed_jax.backend import cache_folder
 from hsed_jax.drafts import write_whole
 from hsed_jax.reporting.page_tables import unit_words
+from hsed_jax.tables import odds
 
 GENERATOR = '<meta name="generator" content="hsed_jax">'
 """By which a page of ours is known."""
@@ -33,7 +34,7 @@ def render(template: str, **content: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"number": number, "embedded": _embedded, "unit": unit_words}
+    environment.filters |= {"number": number, "odds": odds, "embedded": _embedded, "unit": unit_words}
     here = Path(__file__).parent / "templates"
     files = {name: (here / f"page.{name}").read_text(encoding="utf-8") for name in ("css", "js")}
     return environment.get_template(template).render(generator=GENERATOR, files=files, library=_library(), **content)

@@ -7,12 +7,13 @@ from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from shlex import quote
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 
 from hsed_jax.config.load import load_study
 from hsed_jax.config.schema import Study
+from hsed_jax.design.teaching import lesson
 from hsed_jax.errors import UserError
 from hsed_jax.laboratories.base import ExperimentFailed
 from hsed_jax.measurements import Campaign, Experiment, parse_unit
@@ -207,14 +208,25 @@ class AskTell(Tabular):
         if (limits := self.built.study.design.limits) is not None:
             most = limits.model_dump(exclude_none=True, exclude={"probability"})
             lines.append(f"  limits: {', '.join(f'{name} {value:g}' for name, value in most.items())} (SI)")
+        here = 1.0
         if (cost := self.built.design.cost) is not None:
             (here,) = cost(np.asarray([list(asked.inputs.values())]))
             lines.append(f"  costs {here:.3g}; the dearest would cost {cost.bounds[1]:.3g}")
+        if (step := self._step_of(asked)) is not None:
+            # A step knows the value over the cost.
+            value, of = here * step["acquisition"], self.built.study.design.acquisition
+            if teaches := lesson(of, value, step["discrepancy"]):
+                lines.append(f"  expected to teach {teaches}")
         assert self.built.excitation is not None
         files = ", ".join(["request.json", *self.built.excitation.constructor.kind.files, "expected.csv"])
         return "\n".join(
             [*lines, f"  request in {folder}: {files}", f"  then: hsed tell {quote(str(self.path))} {quote(asked.id)}"]
         )
+
+    def _step_of(self, asked: Asked) -> Mapping[str, Any] | None:
+        """The step of the design that chose an experiment; None where none did."""
+        of = self.built.space.point
+        return next((s for s in reversed(self.conduct.steps) if of(np.asarray(s["cube"])).si == asked.si), None)
 
     def expected(self, asked: Asked) -> Expected:
         """What the model expects of an experiment, as its parameters are known now."""
