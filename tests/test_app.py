@@ -534,6 +534,7 @@ def part(page, name):
     page.get_by_role("tab", name=name).or_(page.locator(".bk-tab", has_text=name)).first.click()
 
 
+@pytest.mark.whole
 def test_files_are_looked_at_while_choosing_and_tabs_know_nothing_of_each_other(server, opened):
     from playwright.sync_api import expect
 

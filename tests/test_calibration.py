@@ -403,6 +403,7 @@ def test_posterior_of_an_unknown_error_is_the_closed_form(sampler):
     np.testing.assert_allclose(found.theta, [best, joint], rtol=2e-3)
 
 
+@pytest.mark.whole
 def test_an_unknown_relative_error_is_recovered(paper):
     built, data, _ = paper
     # The model's own predictions at known parameters with 10 % noise, many times over.

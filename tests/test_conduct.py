@@ -130,6 +130,7 @@ def test_what_became_of_each_experiment_is_in_the_campaign(at_once):
     assert at_once.pending == []
 
 
+@pytest.mark.whole
 def test_inputs_as_tested_are_what_the_design_learns_from(at_once):
     third = at_once.campaign["E03"]
     asked = at_once.design.space.declared(at_once.design.space.initial_design(3))[2]
@@ -137,6 +138,7 @@ def test_inputs_as_tested_are_what_the_design_learns_from(at_once):
     assert at_once.state.trials[2].point.si["V_P"] == pytest.approx(1.01 * asked[0])
 
 
+@pytest.mark.whole
 def test_two_that_are_out_at_once_are_not_the_same_experiment(at_once):
     measured = at_once.state.cube
     distances = np.linalg.norm(measured[:, None] - measured[None], axis=-1) + 10 * np.eye(len(measured))
@@ -176,6 +178,7 @@ def test_what_does_not_fit_is_refused_and_nothing_is_written(begin, tell, said):
     assert told == []
 
 
+@pytest.mark.whole
 def test_more_experiments_than_planned_find_room(begin, built):
     conduct = begin()
     planned = conduct.design.size

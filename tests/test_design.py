@@ -214,6 +214,7 @@ def test_tell_leaves_the_old_state_alone(toy):
     same_state(before, begun(design))
 
 
+@pytest.mark.whole
 def test_a_full_design_makes_room_for_as_many_more(toy):
     design = toy(size=4)
     assert len(design.data(begun(design)).values) == 4

@@ -42,7 +42,11 @@ def case(request):
     return built, names, conditions, parts, thetas[mixed], np.tile(np.arange(3), len(sets))[mixed]
 
 
-@pytest.mark.parametrize("worthwhile", [0, 10**9], ids=["programs of their own", "the programs there are"])
+@pytest.mark.parametrize(
+    "worthwhile",
+    [pytest.param(0, marks=pytest.mark.whole), 10**9],
+    ids=["programs of their own", "the programs there are"],
+)
 def test_lanes_give_what_the_whole_model_gives(case, monkeypatch, worthwhile):
     built, names, conditions, parts, thetas, experiments = case
     monkeypatch.setattr(module, "_WORTHWHILE", worthwhile)

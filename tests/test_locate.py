@@ -153,6 +153,7 @@ def says_strong(place, side):
     return place.bias > 0 if place.part == side else place.bias < 0
 
 
+@pytest.mark.whole
 def test_a_perfect_model_fails_nowhere(plain):
     campaign = component_campaign({})
     location = locate(plain(campaign), campaign)

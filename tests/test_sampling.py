@@ -40,6 +40,7 @@ def straight(chains, bend):
     return np.stack([a, b + bend * a**2], axis=-1)
 
 
+@pytest.mark.whole
 def test_nuts_is_exact_with_an_emulator_that_is_wrong():
     posterior, data, maximum = ridge(0.3)
     emulator = emulate(posterior, data, maximum, jax.random.key(0))
