@@ -134,7 +134,8 @@ class Fits:
                 else:
                     self._hopeless.add(choice)
                     del self._known[choice]
-        self._known |= self._go_on(target, {choice: self._known[choice].x for choice in kept})
+        tasks = [Task(self.member(choice), self._known[choice].x, known=self._known[choice]) for choice in kept]
+        self._known |= dict(zip(kept, self.models.fit(target, tasks), strict=True))
         self._reconcile(target, kept)
 
     def member(self, choice: Choice) -> Member:

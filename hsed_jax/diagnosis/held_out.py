@@ -121,7 +121,7 @@ def left_out_predictions(
         fits: of the models to all the data, where those to the folds start.
     """
     count = len(folds.fitted) - 1
-    tasks = [Task(fit.member, fit.x, use) for fit in fits for use in range(1, count + 1)]
+    tasks = [Task(fit.member, fit.x, use, known=fit) for fit in fits for use in range(1, count + 1)]
     ends = models.fit(target, tasks)
     outputs, ok = models.predict([(f.x, f.member) for f in ends], np.arange(len(target.values)))
     found: list[np.ndarray | None] = []

@@ -2,7 +2,9 @@ r"""Fits of many nested models at once: bounded Levenberg–Marquardt whose simu
 
 All models are the same large one, with all but a few parameters held at their neutral values.  Hence one compiled program
 serves every candidate, every start and every subset of the experiments; derivatives are differences between lanes, which cost
-one simulation each and also see an effect that has no derivative at its neutral value (a gap, a stop).
+one simulation each and also see an effect that has no derivative at its neutral value (a gap, a stop).  As long as steps gain
+what was expected of them, each mends the derivatives along itself instead (Broyden 1965), which costs none; nor does a fit that
+goes on, with other errors or without some of the experiments, from where another one ended.
 
 $$\varphi(x) = \tfrac12\sum_{ij} w_{ij}\Big(\frac{y_{ij}-f_{ij}(\theta(x))}{\sigma_{ij}}\Big)^2 - \sum_k\log p(x_k),
   \qquad x_k\in[l_k,u_k]$$
@@ -31,8 +33,10 @@ _RACE = {3: 2, 7: 1}
 _BEHIND, _AS_MANY = 20.0, 50
 # Curvature of a coordinate that neither data nor prior hold: its box does.
 _FLAT = 1e-6
-# Outputs that are held at once.
-_NUMBERS = 2**24
+# Outputs that are held at once, and derivatives of one fit that are kept.
+_NUMBERS, _KEPT = 2**24, 2**17
+# So many steps in a row mend the derivatives, if each gains this share of what was expected of it.
+_MENDED, _EXPECTED = 3, 0.3
 
 
 Predictions = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -98,12 +102,14 @@ class Task(NamedTuple):
         start: where to start.
         use: which of the target's weights to fit.
         rivals: tasks of one number, if not negative, are starts of one fit: those that fall behind are given up.
+        known: a fit of the same model that ended at the start; its use has weights for these experiments, too.
     """
 
     member: Member
     start: Float[np.ndarray, " P"]
     use: int = 0
     rivals: int = -1
+    known: "Descent | None" = None
 
 
 @dataclass
@@ -116,6 +122,9 @@ class Descent:
         cost: φ there; infinite where the simulation diverged.
         predicted: outputs of all experiments of the target, SI, (n, J); zero where the use has no weight.
         gradient, hessian: of φ in the free coordinates (Gauss–Newton), (p,) and (p, p).
+        slopes: derivatives of what is predicted, in the same coordinates, (p, n, J); nothing where they are too many to be kept.
+        fresh: derivatives are differences around where it is.
+        mended: so many steps were made since they were, each of which mended them; −1 if they are of no use any more.
         races: it is one of several starts, and given up where it cannot catch up with other fits.
     """
 
@@ -126,9 +135,11 @@ class Descent:
     predicted: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     gradient: np.ndarray = field(default_factory=lambda: np.zeros(0))
     hessian: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    slopes: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0)))
     damping: float = 1e-2
     done: bool = False
     fresh: bool = False
+    mended: int = -1
     races: bool = False
 
     @property
@@ -214,7 +225,9 @@ class NestedModels:
         fits = [
             Descent(t.member, np.clip(t.start, self.box.low, self.box.high), t.use, races=t.rivals >= 0) for t in tasks
         ]
-        for one, cost, predicted in zip(fits, *self._costs(target, [(f, f.x) for f in fits]), strict=True):
+        known = [self._taken_over(target, one, task.known) for one, task in zip(fits, tasks, strict=True)]
+        unknown = [one for one, is_known in zip(fits, known, strict=True) if not is_known]
+        for one, cost, predicted in zip(unknown, *self._costs(target, [(f, f.x) for f in unknown]), strict=True):
             one.cost, one.predicted = cost, predicted
             one.done = not np.isfinite(cost)
         for number in range(_MOST_STEPS):
@@ -225,12 +238,24 @@ class NestedModels:
             self._watch.count(len(fits) - len(active), len(fits))
             if not active:
                 break
-            self._linearise(target, active)
+            self._linearise(target, [f for f in active if f.mended < 0])
             lead = {use: min(f.cost for f in fits if f.use == use) for use in {f.use for f in active}}
             self._advance(target, active, lead)
         _give_up(fits, tasks, 1)
         self._linearise(target, [f for f in fits if np.isfinite(f.cost) and not f.fresh])
         return fits
+
+    def _taken_over(self, target: Target, fit: Descent, known: Descent | None) -> bool:
+        """Start a fit from what is known where it starts; whether anything is."""
+        if known is None or not known.slopes.size or not np.array_equal(known.x, fit.x):
+            return False
+        fit.predicted, fit.slopes = np.zeros_like(target.values), known.slopes
+        rows = target.rows(fit.use)
+        fit.predicted[rows] = known.predicted[rows]
+        fit.cost = self._cost(target, fit, fit.x, fit.predicted[rows])
+        fit.fresh, fit.mended = known.fresh, 0
+        self._derive(target, fit)
+        return True
 
     def standardised(self, target: Target, fit: Descent) -> Float[np.ndarray, "n J"]:
         """√w (f − y)/σ of a fit."""
@@ -243,12 +268,15 @@ class NestedModels:
             trials = [(f, self._step(f)) for f in pending]
             rest = []
             for (one, x), cost, predicted in zip(trials, *self._costs(target, trials), strict=True):
-                gain = one.cost - cost
+                gain, was_mended = one.cost - cost, one.mended > 0
                 if gain > 0:
-                    one.x, one.cost, one.predicted, one.fresh = x, cost, predicted, False
+                    self._move(target, one, x, cost, predicted)
                     one.damping = max(one.damping / 5, 1e-9)
                     behind = cost - lead[one.use]
-                    one.done = gain < _GAIN or (one.races and behind > _BEHIND and gain * _AS_MANY < behind)
+                    is_settled = gain < _GAIN and not was_mended
+                    one.done = is_settled or (one.races and behind > _BEHIND and gain * _AS_MANY < behind)
+                elif was_mended:
+                    one.mended = -1
                 else:
                     one.damping = max(one.damping * 8, 1e-3)
                     # Not even the model of the cost expects more than this.
@@ -259,6 +287,26 @@ class NestedModels:
                 return
         for one in pending:
             one.done = True
+
+    def _move(self, target: Target, fit: Descent, x: np.ndarray, cost: float, predicted: np.ndarray) -> None:
+        """Go to a better point, with derivatives that are right along the step that led there, if that is worth it."""
+        step, gain, change = (x - fit.x)[fit.free], fit.cost - cost, predicted - fit.predicted
+        expected = -(fit.gradient @ step + 0.5 * step @ fit.hessian @ step)
+        fit.x, fit.cost, fit.predicted, fit.fresh = x, cost, predicted, False
+        is_as_expected = gain > max(_GAIN, _EXPECTED * expected)
+        fit.mended = fit.mended + 1 if fit.slopes.size and is_as_expected and fit.mended < _MENDED else -1
+        if fit.mended > 0:
+            change = change - np.tensordot(step, fit.slopes, 1)
+            fit.slopes = fit.slopes + (step / (step @ step))[:, None, None] * change
+            self._derive(target, fit)
+
+    def _derive(self, target: Target, fit: Descent) -> None:
+        """Gradient and Gauss–Newton Hessian of φ from the derivatives of what is predicted."""
+        rows = target.rows(fit.use)
+        jacobian = target.standardised(fit.use, rows, fit.slopes[:, rows]).reshape(len(fit.free), -1)
+        terms = self.box.terms(fit.x, fit.free)
+        fit.gradient = jacobian @ self.standardised(target, fit)[rows].ravel() - terms.slope
+        fit.hessian = jacobian @ jacobian.T + np.diag(terms.curvature)
 
     def _step(self, fit: Descent) -> Float[np.ndarray, " P"]:
         """The damped Gauss–Newton step, held by the bounds it would leave through."""
@@ -293,44 +341,44 @@ class NestedModels:
         for (one, x), rows_outputs, rows_ok in zip(trials, outputs, ok, strict=True):
             predicted = np.zeros_like(target.values)
             predicted[target.rows(one.use)] = rows_outputs
-            misfit = float(target.misfit(one.use, rows_outputs))
-            prior = float(self.box.log_density(x[None], one.free).sum())
-            cost = misfit - prior if rows_ok.all() else np.inf
-            costs.append(cost if np.isfinite(cost) else np.inf)
+            costs.append(self._cost(target, one, x, rows_outputs) if rows_ok.all() else np.inf)
             tables.append(predicted)
         return costs, tables
 
+    def _cost(self, target: Target, fit: Descent, x: np.ndarray, outputs: Float[np.ndarray, "r J"]) -> float:
+        """φ of a fit at a point, where its outputs are these; infinite where it is no number."""
+        cost = float(target.misfit(fit.use, outputs) - self.box.log_density(x[None], fit.free).sum())
+        return cost if np.isfinite(cost) else np.inf
+
     def _linearise(self, target: Target, fits: list[Descent]) -> None:
-        """Gradients and Hessians of fits, some at a time: memory is that of a batch and not of all of them."""
+        """Derivatives of fits, some at a time: memory is that of a batch and not of all of them."""
         batch = max(1, _NUMBERS // (target.values.size * max((len(f.free) for f in fits), default=1)))
         for start in range(0, len(fits), batch):
             self._linearise_batch(target, fits[start : start + batch])
 
     def _linearise_batch(self, target: Target, fits: list[Descent]) -> None:
-        """Gradient and Gauss–Newton Hessian by forward differences, away from the nearer bound."""
+        """Derivatives by forward differences, away from the nearer bound."""
         requests, sizes = [], []
         for one in fits:
-            rows = target.rows(one.use)
             signs = np.where(one.x[one.free] + _DIFFERENCE > self.box.high[one.free], -1.0, 1.0) * _DIFFERENCE
             sizes.append(signs)
             for k, size in zip(one.free, signs, strict=True):
                 x = one.x.copy()
                 x[k] += size
-                requests.append((x, one.member, rows))
+                requests.append((x, one.member, target.rows(one.use)))
         outputs, ok = self._run(requests)
         place = 0
         for one, steps in zip(fits, sizes, strict=True):
             rows = target.rows(one.use)
-            residual = self.standardised(target, one)[rows].ravel()
-            jacobian = np.empty((len(one.free), residual.size))
-            for i, size in enumerate(steps):
-                difference = np.where(ok[place][:, None] > 0, outputs[place] - one.predicted[rows], 0.0)
-                jacobian[i] = target.standardised(one.use, rows, difference).ravel() / size
+            one.slopes = np.zeros((len(steps), *target.values.shape))
+            for slope, size in zip(one.slopes, steps, strict=True):
+                difference = outputs[place] - one.predicted[rows]
+                slope[rows] = np.where(ok[place][:, None] > 0, difference, 0.0) / size
                 place += 1
-            terms = self.box.terms(one.x, one.free)
-            one.gradient = jacobian @ residual - terms.slope
-            one.hessian = jacobian @ jacobian.T + np.diag(terms.curvature)
-            one.fresh = True
+            self._derive(target, one)
+            one.fresh, one.mended = True, 0
+            if one.slopes.size > _KEPT:
+                one.slopes = one.slopes[:, :0]
 
     def _run(self, requests: Sequence[tuple[np.ndarray, Member, np.ndarray]]) -> tuple[list, list]:
         """Outputs (r, J) and flags (r,) of each request: a point, its model, and rows."""
