@@ -1,9 +1,10 @@
 """What is learned from measured specimens that lie in a folder?  `python benchmarks/published.py [--data FOLDER]`
 
-Every campaign with a held-out part is taken as a stranger would take it: `hsed init` writes the study, `hsed run` calibrates the
-plain law, names what it lacks, learns what no name is for and adds it; nothing is told by hand, and no case by its name.  Beside the error on the held-out
-part stand those of generic tools on the same samples: the same law by SciPy's least squares, and two black boxes that know the
-history of the elongation (`peers/generic.py`).  Errors are root mean squares in units of what was measured, about its mean.
+Every campaign with a held-out part is taken as a stranger would take it: `hsed init` writes the study, `hsed run` calibrates
+the plain law, names what it lacks, learns what no name is for and adds it; nothing is told by hand, and no case by its name.
+Beside the error on the held-out part stand those of generic tools on the same samples: the same law by SciPy's least squares,
+and two black boxes that know the history of the elongation (`peers/generic.py`). Errors are root mean squares in units of
+what was measured, about its mean.
 """
 
 import argparse
@@ -109,7 +110,17 @@ def _cyclic(experiment: hx.Experiment) -> Cyclic:
 def markdown(rows: Sequence[Mapping[str, Any]]) -> str:
     """The table of the results."""
     generic = list(dict.fromkeys(name for row in rows for name in row["generic"]))
-    heads = ["specimen", "noise", "plain law", *generic, "with what is named", "named", "verdict", "with what is learned", "s"]
+    heads = [
+        "specimen",
+        "noise",
+        "plain law",
+        *generic,
+        "with what is named",
+        "named",
+        "verdict",
+        "with what is learned",
+        "s",
+    ]
     lines = [heads, ["---"] * len(heads)]
     for row in rows:
         named = ", ".join(f"`{e}`" + (f" ({row['forms'][e]})" if e in row["forms"] else "") for e in row["effects"])

@@ -119,6 +119,15 @@ def test_columns_are_chosen_by_index_and_do_not_mix():
         )
 
 
+def test_what_is_possible_bounds_a_prior_that_reaches_further():
+    priors = {"k": Prior("lognormal", [0.0, 0.7]), "c": Prior("normal", [0.0, 1.0])}
+    box = Box(priors, limits={"k": (0.0, 2.0), "c": (-0.5, float("inf"))})
+    np.testing.assert_allclose(box.theta(box.high)[0], 2.0)
+    np.testing.assert_allclose(box.theta(box.low)[1], -0.5)
+    # Zero has no logarithm, and is beyond every value of one anyway.
+    assert np.isneginf(box.low[0]) and np.isposinf(box.high[1])
+
+
 # --- fits ------------------------------------------------------------------------------------------------------------
 
 
@@ -255,6 +264,28 @@ def test_fits_made_side_by_side_are_those_made_alone(decays):
         (alone,) = models.fit(target, [task])
         assert alone.cost == fit.cost
         np.testing.assert_array_equal(alone.x, fit.x)
+
+
+def test_a_fit_that_goes_on_with_other_errors_begins_with_what_is_known(decays):
+    def ends(is_known):
+        models = models_of(decay, DECAY, [1.0, 1.0])
+        member = models.member(np.arange(2))
+        (fit,) = models.fit(target_of(decays), [Task(member, models.neutral)])
+        models.lanes.asked.clear()
+        weights = np.ones((2, *decays.shape))
+        weights[1, 2] = 0.0
+        other = target_of(decays, weights, sigma=3 * SIGMA)
+        tasks = [Task(member, fit.x, use, known=fit if is_known else None) for use in (0, 1)]
+        return models.fit(other, tasks), sum(len(thetas) for thetas, _ in models.lanes.asked)
+
+    (known, little), (anew, work) = ends(True), ends(False)
+    # Once at the start and two differences, of three experiments and of two.
+    assert little <= work - 3 * (3 + 2)
+    for one, other in zip(known, anew, strict=True):
+        assert one.cost == pytest.approx(other.cost, abs=1e-9)
+        np.testing.assert_allclose(one.x, other.x, atol=1e-9)
+        np.testing.assert_allclose(one.hessian, other.hessian, rtol=1e-9)
+        assert not one.predicted[2].any() or one.use == 0
 
 
 def test_fits_that_were_kept_are_not_made_again_and_are_the_same_to_the_last_bit(decays):

@@ -81,23 +81,39 @@ class Box:
     Arguments:
         priors: of the parameters, by name.
         flat: names of those whose prior gives bounds and scale alone, and counts as equally dense everywhere.
+        limits: least and largest value of θ that is possible, by name, where a prior reaches further.
 
     Attributes:
-        priors: of the parameters, by name.
+        priors, limits: of the parameters, by name.
         names: of the parameters, P of them.
         low, high: bounds of x, (P,); infinite where there is none.
     """
 
-    def __init__(self, priors: Mapping[str, Prior], flat: Collection[str] = ()):
-        self.names, self.priors = tuple(priors), dict(priors)
+    def __init__(
+        self,
+        priors: Mapping[str, Prior],
+        flat: Collection[str] = (),
+        limits: Mapping[str, tuple[float, float]] | None = None,
+    ):
+        self.names, self.priors, self.limits = tuple(priors), dict(priors), dict(limits or {})
         self._priors = tuple(priors.values())
         coordinates = [_coordinate(prior) for prior in self._priors]
         self._is_log = np.asarray([c.is_log for c in coordinates], dtype=bool)
         self._middle, self._spread, self.low, self.high = (
             np.asarray([(c.middle, c.spread, c.low, c.high) for c in coordinates]).reshape(-1, 4).T
         )
+        for name, (lower, upper) in self.limits.items():
+            k = self.names.index(name)
+            if np.isfinite(lower) and not (self._is_log[k] and lower <= 0):
+                self.low[k] = max(self.low[k], self._at(k, lower))
+            if np.isfinite(upper):
+                self.high[k] = min(self.high[k], self._at(k, upper))
         self._densities = [_level() if n in flat else c.density for n, c in zip(priors, coordinates, strict=True)]
         self._quantiles: dict[tuple[int, tuple[float, ...]], np.ndarray] = {}
+
+    def _at(self, k: int, theta: float) -> float:
+        plain = np.log(theta) if self._is_log[k] else theta
+        return float((plain - self._middle[k]) / self._spread[k])
 
     def theta(self, x: np.ndarray) -> np.ndarray:
         """θ(x), SI, last axis P."""

@@ -25,8 +25,7 @@ from hsed_jax.inference.watch import Watch, fingerprint
 _DIFFERENCE = 1e-4
 # A fit ends when a step gains less than this many nats, or after so many steps.
 _GAIN = 0.02
-_MOST_STEPS = 30
-_MOST_TRIALS = 6
+_MOST_STEPS, _MOST_TRIALS = 30, 6
 # Of several starts so many go on after so many steps.
 _RACE = {3: 2, 7: 1}
 # A start is given up that is so many nats behind the best fit of its use, and at its last step's pace needs more steps than this.

@@ -231,7 +231,8 @@ class PlaceSearch:
 def flat(problem: Problem, priors: Mapping[str, Prior]) -> Box:
     """The coordinates of a problem with these priors of some parameters, and flat ones of the law."""
     law = [problem.names[k] for k in problem.law]
-    return Box({**problem.models.box.priors, **priors}, flat=law)
+    box = problem.models.box
+    return Box({**box.priors, **priors}, flat=law, limits=box.limits)
 
 
 def judged(

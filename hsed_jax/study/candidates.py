@@ -1,6 +1,6 @@
 """From a study and a campaign to the large model that a diagnosis works on: the study's model with every candidate in it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -132,7 +132,7 @@ def problem_of(
     lanes = Lanes(large.simulator, large.observation, order, conditions, parts)
     size = jax.tree.leaves(conditions)[0].shape[0]
     predictions = lanes if apart is None else LanesApart(lanes, apart.across(order, size))
-    models = NestedModels(predictions, Box(free), neutral, watch)
+    models = NestedModels(predictions, Box(free, limits=_limits(free, catalogue)), neutral, watch)
     start = None if known is None else models.point({name: known[name] for name in free if name in known})
     of_effects = {k for k, name in enumerate(order) if owner_of(name) in catalogue}
     size = len(train)
@@ -198,6 +198,14 @@ def _neutral(free: dict[str, Prior], effects: Catalogue) -> np.ndarray:
         else:
             values.append(float(prior.quantile(0.5)))
     return np.asarray(values)
+
+
+def _limits(free: Iterable[str], effects: Catalogue) -> dict[str, tuple[float, float]]:
+    """What is possible of the parameters of effects: a prior may reach further, and another effect is what lies there."""
+    declared = {
+        name: parameters_of(effects[effect])[own_name(name)] for name in free if (effect := owner_of(name)) in effects
+    }
+    return {name: (known.lower, known.upper) for name, known in declared.items()}
 
 
 def _measured(large: Built, data: Data, experiments: Sequence[Experiment], rows: slice) -> Measured:
