@@ -260,6 +260,7 @@ def test_what_a_laboratory_declares_is_asked_in_its_pair():
             excitation=SimpleNamespace(constructor=CyclicElongation),
         ),
         path="here",
+        conduct=SimpleNamespace(steps=[]),
         _requests=SimpleNamespace(folder=lambda id: Path("there"), expected=lambda asked: expected),
     )
     assert "peak_force expected 2000 N*m (1000 to 3000)" in asks.told(asked)

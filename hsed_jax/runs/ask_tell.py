@@ -225,8 +225,10 @@ class AskTell(Tabular):
 
     def _step_of(self, asked: Asked) -> Mapping[str, Any] | None:
         """The step of the design that chose an experiment; None where none did."""
-        of = self.built.space.point
-        return next((s for s in reversed(self.conduct.steps) if of(np.asarray(s["cube"])).si == asked.si), None)
+        for step in reversed(self.conduct.steps):
+            if self.built.space.point(np.asarray(step["cube"])).si == asked.si:
+                return step
+        return None
 
     def expected(self, asked: Asked) -> Expected:
         """What the model expects of an experiment, as its parameters are known now."""
