@@ -88,4 +88,5 @@ def cell(value: float | None, look: str = ".3f") -> str:
 
 def odds(nats: float) -> str:
     """What a log Bayes factor makes of even odds, such as `20 to 1`."""
-    return f"{math.exp(nats):.2g} to 1" if nats < math.log(1e6) else "more than a million to 1"
+    # Two digits, and no power of ten.
+    return f"{float(f'{math.exp(nats):.2g}'):.7g} to 1" if nats < math.log(1e6) else "more than a million to 1"

@@ -7,6 +7,7 @@ import pytest
 from scipy import stats
 from scipy.optimize import least_squares
 
+from hsed_jax.diagnosis import nested
 from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.lanes import Lanes
 from hsed_jax.diagnosis.nested import NestedModels, Target, Task
@@ -286,6 +287,17 @@ def test_a_fit_that_goes_on_with_other_errors_begins_with_what_is_known(decays):
         np.testing.assert_allclose(one.x, other.x, atol=1e-9)
         np.testing.assert_allclose(one.hessian, other.hessian, rtol=1e-9)
         assert not one.predicted[2].any() or one.use == 0
+
+
+def test_derivatives_that_are_too_many_are_let_go(decays, monkeypatch):
+    models, target = models_of(decay, DECAY, [1.0, 1.0]), target_of(decays)
+    task = Task(models.member(np.arange(2)), models.neutral)
+    (kept,) = models.fit(target, [task])
+    monkeypatch.setattr(nested, "_KEPT", 0)
+    (without,) = models.fit(target, [task])
+    # Not even a view holds them.
+    assert kept.slopes.size and not without.slopes.size and without.slopes.base is None
+    assert without.cost == pytest.approx(kept.cost, abs=0.03)
 
 
 def test_fits_that_were_kept_are_not_made_again_and_are_the_same_to_the_last_bit(decays):

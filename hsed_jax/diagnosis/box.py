@@ -102,18 +102,13 @@ class Box:
         self._middle, self._spread, self.low, self.high = (
             np.asarray([(c.middle, c.spread, c.low, c.high) for c in coordinates]).reshape(-1, 4).T
         )
-        for name, (lower, upper) in self.limits.items():
-            k = self.names.index(name)
-            if np.isfinite(lower) and not (self._is_log[k] and lower <= 0):
-                self.low[k] = max(self.low[k], self._at(k, lower))
-            if np.isfinite(upper):
-                self.high[k] = min(self.high[k], self._at(k, upper))
+        possible = np.asarray([self.limits.get(name, (-np.inf, np.inf)) for name in self.names]).reshape(-1, 2).T
+        # Zero and what is less have no logarithm.
+        with np.errstate(divide="ignore"):
+            lower, upper = self.x(np.where(self._is_log, np.maximum(possible, 0.0), possible))
+        self.low, self.high = np.maximum(self.low, lower), np.minimum(self.high, upper)
         self._densities = [_level() if n in flat else c.density for n, c in zip(priors, coordinates, strict=True)]
         self._quantiles: dict[tuple[int, tuple[float, ...]], np.ndarray] = {}
-
-    def _at(self, k: int, theta: float) -> float:
-        plain = np.log(theta) if self._is_log[k] else theta
-        return float((plain - self._middle[k]) / self._spread[k])
 
     def theta(self, x: np.ndarray) -> np.ndarray:
         """θ(x), SI, last axis P."""

@@ -134,8 +134,7 @@ class Fits:
                 else:
                     self._hopeless.add(choice)
                     del self._known[choice]
-        tasks = [Task(self.member(choice), self._known[choice].x, known=self._known[choice]) for choice in kept]
-        self._known |= dict(zip(kept, self.models.fit(target, tasks), strict=True))
+        self._known |= self._go_on(target, {choice: self._known[choice].x for choice in kept})
         self._reconcile(target, kept)
 
     def member(self, choice: Choice) -> Member:
@@ -149,7 +148,7 @@ class Fits:
         return self.effects[effect][label]
 
     def _go_on(self, target: Target, starts: Mapping[Choice, np.ndarray]) -> dict[Choice, Descent]:
-        tasks = [Task(self.member(choice), start) for choice, start in starts.items()]
+        tasks = [Task(self.member(choice), start, known=self._known[choice]) for choice, start in starts.items()]
         return dict(zip(starts, self.models.fit(target, tasks), strict=True))
 
     def _reconcile(self, target: Target, choices: Sequence[Choice]) -> None:

@@ -122,8 +122,7 @@ class Descent:
         predicted: outputs of all experiments of the target, SI, (n, J); zero where the use has no weight.
         gradient, hessian: of φ in the free coordinates (Gauss–Newton), (p,) and (p, p).
         slopes: derivatives of what is predicted, in the same coordinates, (p, n, J); nothing where they are too many to be kept.
-        fresh: derivatives are differences around where it is.
-        mended: so many steps were made since they were, each of which mended them; −1 if they are of no use any more.
+        mended: so many steps were made since derivatives were differences, each of which mended them; −1: they are of no use.
         races: it is one of several starts, and given up where it cannot catch up with other fits.
     """
 
@@ -137,7 +136,6 @@ class Descent:
     slopes: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0)))
     damping: float = 1e-2
     done: bool = False
-    fresh: bool = False
     mended: int = -1
     races: bool = False
 
@@ -241,7 +239,7 @@ class NestedModels:
             lead = {use: min(f.cost for f in fits if f.use == use) for use in {f.use for f in active}}
             self._advance(target, active, lead)
         _give_up(fits, tasks, 1)
-        self._linearise(target, [f for f in fits if np.isfinite(f.cost) and not f.fresh])
+        self._linearise(target, [f for f in fits if np.isfinite(f.cost) and f.mended])
         return fits
 
     def _taken_over(self, target: Target, fit: Descent, known: Descent | None) -> bool:
@@ -252,7 +250,7 @@ class NestedModels:
         rows = target.rows(fit.use)
         fit.predicted[rows] = known.predicted[rows]
         fit.cost = self._cost(target, fit, fit.x, fit.predicted[rows])
-        fit.fresh, fit.mended = known.fresh, 0
+        fit.mended = known.mended
         self._derive(target, fit)
         return True
 
@@ -291,7 +289,7 @@ class NestedModels:
         """Go to a better point, with derivatives that are right along the step that led there, if that is worth it."""
         step, gain, change = (x - fit.x)[fit.free], fit.cost - cost, predicted - fit.predicted
         expected = -(fit.gradient @ step + 0.5 * step @ fit.hessian @ step)
-        fit.x, fit.cost, fit.predicted, fit.fresh = x, cost, predicted, False
+        fit.x, fit.cost, fit.predicted = x, cost, predicted
         is_as_expected = gain > max(_GAIN, _EXPECTED * expected)
         fit.mended = fit.mended + 1 if fit.slopes.size and is_as_expected and fit.mended < _MENDED else -1
         if fit.mended > 0:
@@ -375,9 +373,9 @@ class NestedModels:
                 slope[rows] = np.where(ok[place][:, None] > 0, difference, 0.0) / size
                 place += 1
             self._derive(target, one)
-            one.fresh, one.mended = True, 0
+            one.mended = 0
             if one.slopes.size > _KEPT:
-                one.slopes = one.slopes[:, :0]
+                one.slopes = np.zeros((0, 0, 0))
 
     def _run(self, requests: Sequence[tuple[np.ndarray, Member, np.ndarray]]) -> tuple[list, list]:
         """Outputs (r, J) and flags (r,) of each request: a point, its model, and rows."""

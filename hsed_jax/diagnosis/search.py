@@ -330,9 +330,9 @@ class Search:
         for others, several in ((of_other_drivers, 1), (of_other_shapes, _DRIVERS)):
             self._report(f"forms of {_text(near[0].effects)}")
             choices = []
-            for own in (own for m in near for own in self._fits.leading(m.effects, several)):
-                for effect, label in own:
-                    choices += [own - {(effect, label)} | {(effect, o)} for o in others(self.effects[effect], label)]
+            leading = [choice for m in near for choice in self._fits.leading(m.effects, several)]
+            for own, (effect, label) in ((choice, form) for choice in leading for form in choice):
+                choices += [own - {(effect, label)} | {(effect, o)} for o in others(self.effects[effect], label)]
             self._fits.fit(self.target, dict.fromkeys(choices))
 
     def _judge(self) -> None:

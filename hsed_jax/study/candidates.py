@@ -25,7 +25,7 @@ from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.effects.forms import default_form
 from hsed_jax.physics.excitations import AbstractExcitation
 from hsed_jax.physics.outputs import is_driver, own_name, owner_of
-from hsed_jax.physics.parameters import parameters_of
+from hsed_jax.physics.parameters import Parameter, parameters_of
 from hsed_jax.physics.simulator import Conditions
 from hsed_jax.physics.timeline import Timeline, times
 from hsed_jax.study.build import Built
@@ -124,7 +124,8 @@ def problem_of(
     parts = [data.conditions, *([] if further is None else [further])]
     conditions = _padded(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts))
     catalogue, order = built.catalogue.only(names), tuple(free)
-    neutral = _neutral(free, catalogue)
+    declared = _declared(free, catalogue)
+    neutral = _neutral(free, declared)
     own = {name: _forms(large, name, order, (forms or {}).get(name)) for name in names}
     groups = _groups(catalogue)
     columns = {n: np.asarray([k for k, one in enumerate(order) if owner_of(one) == n], dtype=int) for n in names}
@@ -132,7 +133,9 @@ def problem_of(
     lanes = Lanes(large.simulator, large.observation, order, conditions, parts)
     size = jax.tree.leaves(conditions)[0].shape[0]
     predictions = lanes if apart is None else LanesApart(lanes, apart.across(order, size))
-    models = NestedModels(predictions, Box(free, limits=_limits(free, catalogue)), neutral, watch)
+    # A prior may reach beyond what is possible, and another effect is what lies there.
+    box = Box(free, limits={name: (known.lower, known.upper) for name, known in declared.items()})
+    models = NestedModels(predictions, box, neutral, watch)
     start = None if known is None else models.point({name: known[name] for name in free if name in known})
     of_effects = {k for k, name in enumerate(order) if owner_of(name) in catalogue}
     size = len(train)
@@ -188,24 +191,23 @@ def _groups(catalogue: Catalogue) -> dict[str, int]:
     return found
 
 
-def _neutral(free: dict[str, Prior], effects: Catalogue) -> np.ndarray:
+def _declared(free: Iterable[str], effects: Catalogue) -> dict[str, Parameter]:
+    """The parameters of effects, by their names in the model."""
+    return {
+        name: parameters_of(effects[effect])[own_name(name)] for name in free if (effect := owner_of(name)) in effects
+    }
+
+
+def _neutral(free: Mapping[str, Prior], declared: Mapping[str, Parameter]) -> np.ndarray:
     values = []
     for name, prior in free.items():
-        if (effect := owner_of(name)) in effects:
-            neutral = parameters_of(effects[effect])[own_name(name)].neutral
+        if name in declared:
+            neutral = declared[name].neutral
             assert neutral is not None
             values.append(neutral)
         else:
             values.append(float(prior.quantile(0.5)))
     return np.asarray(values)
-
-
-def _limits(free: Iterable[str], effects: Catalogue) -> dict[str, tuple[float, float]]:
-    """What is possible of the parameters of effects: a prior may reach further, and another effect is what lies there."""
-    declared = {
-        name: parameters_of(effects[effect])[own_name(name)] for name in free if (effect := owner_of(name)) in effects
-    }
-    return {name: (known.lower, known.upper) for name, known in declared.items()}
 
 
 def _measured(large: Built, data: Data, experiments: Sequence[Experiment], rows: slice) -> Measured:

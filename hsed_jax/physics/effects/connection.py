@@ -5,7 +5,7 @@ from typing import ClassVar, Literal, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
-from hsed_jax.physics.effects.driven import WEAR, AbstractWornEffect
+from hsed_jax.physics.effects.driven import AbstractWornEffect, heating
 from hsed_jax.physics.effects.forms import FREE, Form, near_no_force, raised
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_number, is_zero
@@ -122,13 +122,7 @@ class SupportFlexibility(AbstractWornEffect):
             free=("power",),
             in_units=False,
         ),
-        Form(
-            "loosening",
-            rf"u = \delta u_c\,F/F_c\,{WEAR},\ x = e/E_c",
-            "Ibrahim & Pettit 2005 (joints that loosen)",
-            held={"heats": 1.0},
-            free=("worn", "wears"),
-        ),
+        heating(r"u = \delta u_c\,F/F_c\,", "Ibrahim & Pettit 2005 (joints that loosen)", "loosening"),
         Form(
             FREE,
             r"\frac{du}{dF} = \delta\frac{u_c}{F_c}\left(p|F/F_c|^{p-1} + b\,e^{-|F/wF_c|^m}\right)",

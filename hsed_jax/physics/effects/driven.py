@@ -113,15 +113,14 @@ class AbstractWornEffect(AbstractSpringEffect):
         return 1 - self.worn * jnp.expm1(-jnp.maximum(x, 0.0) / self.wears)
 
 
-WEAR = r"\left[1 + \rho(1 - e^{-x/x_w})\right]"
-"""The factor of what a test changes, LaTeX."""
+_FACTOR = r"\left[1 + \rho(1 - e^{-x/x_w})\right]"
 
 
 def wearing(equation: str, reference: str) -> Form:
     """The form of a force that changes along the path."""
-    return Form("wearing", rf"{equation}{WEAR},\ x = sF_c/E_c", reference, free=("worn", "wears"))
+    return Form("wearing", rf"{equation}{_FACTOR},\ x = sF_c/E_c", reference, free=("worn", "wears"))
 
 
-def heating(equation: str, reference: str) -> Form:
-    """The form of a force that changes with the energy that was absorbed."""
-    return Form("heating", rf"{equation}{WEAR},\ x = e/E_c", reference, held={"heats": 1.0}, free=("worn", "wears"))
+def heating(equation: str, reference: str, name: str = "heating") -> Form:
+    """The form of what changes with the energy that was absorbed."""
+    return Form(name, rf"{equation}{_FACTOR},\ x = e/E_c", reference, held={"heats": 1.0}, free=("worn", "wears"))
