@@ -16,7 +16,7 @@ import hsed_jax as hx
 from hsed_jax.analysis.calibration import calibrate_built
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
-from hsed_jax.inference.population import Level, Population, Varying
+from hsed_jax.inference.population import Level, Population, Varying, spread_support
 from hsed_jax.inference.priors import Prior
 from hsed_jax.run import main
 from hsed_jax.study.build import Built
@@ -86,8 +86,8 @@ def calibration(folder):
     return hx.calibrate(study_of(folder, ["calibration.sampler=nuts"]))
 
 
-def exact() -> tuple[dict[str, tuple[float, float]], dict[str, tuple[float, float]], tuple[float, float]]:
-    """Mean and sd of a, b and the spread; of every fitted bar; of one that nobody knows: by quadrature over the spread."""
+def quadrature():
+    """Names of the fitted bars; spreads on a grid and their probabilities; given each, mean and covariance of a, b and bars."""
     fitted = [row for row in rows() if row[3] != "B3"]
     bars = list(dict.fromkeys(row[3] for row in fitted))
     x, y = (np.asarray([row[k] for row in fitted]) for k in (1, 2))
@@ -105,7 +105,12 @@ def exact() -> tuple[dict[str, tuple[float, float]], dict[str, tuple[float, floa
         size = np.linalg.slogdet(marginal)[1]
         heights.append(-0.5 * y @ np.linalg.solve(marginal, y) - 0.5 * size - 0.5 * (spread / SPREAD) ** 2)
     weights = np.exp(heights - np.max(heights))
-    weights /= weights.sum()
+    return bars, spreads, weights / weights.sum(), means, covariances
+
+
+def exact() -> tuple[dict[str, tuple[float, float]], dict[str, tuple[float, float]], tuple[float, float]]:
+    """Mean and sd of a, b and the spread; of every fitted bar; of one that nobody knows: by quadrature over the spread."""
+    bars, spreads, weights, means, covariances = quadrature()
     own = np.zeros((3 + len(bars), 2 + len(bars)))
     own[0, 0] = own[1, 1] = own[-1, 0] = 1.0
     own[2:-1, 0], own[2:-1, 2:] = 1.0, np.eye(len(bars))
@@ -155,11 +160,10 @@ def test_the_map_and_its_coordinates_are_what_finite_differences_say(folder):
     data = built.data(campaign, campaign.train.experiments)
     plain, random = built.posterior, np.random.default_rng(0)
     posterior = eqx.tree_at(
-        lambda p: (p.population.centring, p.population.reference),
+        lambda p: p.population.told,
         plain,
-        tuple(tuple(jnp.asarray(random.uniform(0, 1, x.shape)) for x in xs)
-              for xs in (plain.population.centring, plain.population.reference)),
-    )  # fmt: skip
+        tuple(jnp.asarray(random.uniform(0, 1, x.shape)) for x in plain.population.told),
+    )
     u = jnp.asarray(0.5 * random.standard_normal(len(posterior.names)))
 
     def difference(function, step=1e-5):
@@ -205,13 +209,23 @@ def test_a_positive_parameter_varies_by_its_logarithm_and_stays_within_what_its_
     np.testing.assert_allclose(own, [[2 * np.exp(-0.5), 7.0], [3.0, 7.0], [2 * np.exp(0.25), 7.0]])
 
 
+def test_the_map_is_where_the_spread_alone_is_most_probable(calibration):
+    _, spreads, weights, *_ = quadrature()
+    u = np.asarray(spread_support(Prior("half_normal", SPREAD)).inv(jnp.asarray(spreads)))
+    most = spreads[np.argmax(weights * np.gradient(spreads, u))]
+    assert calibration.map["bar.a.spread"] == pytest.approx(most, rel=0.05)
+    # The joint density of spread and offsets has no such place.
+    assert calibration.map["bar.a.spread"] > 0.5
+
+
 def test_offsets_are_centred_where_measurements_tell_them(folder, calibration):
-    posterior = calibration.fit.posterior
-    assert np.asarray(posterior.population.centring[0]).min() == 1
+    told = np.asarray(calibration.fit.posterior.population.told[0])
+    # Given the spread; what the centre leaves open is open of all of them.
+    assert told.max() < 0.6 * calibration.map["bar.a.spread"]
     few = study_of(folder, ["error={absolute: 30.0}"])
     built = Built(few)
     hardly = calibrate_built(built, built.measured, start=jnp.asarray([5.0, 2.0]))
-    assert np.asarray(hardly.fit.posterior.population.centring[0]).max() == 0
+    assert np.asarray(hardly.fit.posterior.population.told[0]).min() > hardly.map["bar.a.spread"]
     assert hardly.fit.warning is None
     # Nothing was learned: the spread is as its prior has it.
     assert hardly.fit.summary()["bar.a.spread"]["mean"] == pytest.approx(SPREAD * np.sqrt(2 / np.pi), rel=0.1)

@@ -1,82 +1,133 @@
-r"""The predictions as polynomials of the parameters near the mode: a gradient for NUTS that costs no simulation.
+r"""The predictions as polynomials of the parameters around a frame: a posterior for NUTS that costs no simulation.
 
-The predictions of every experiment are fitted by $f(\theta) \approx \sum_{|\alpha|\le2} c_\alpha x^\alpha$, x the standardised θ:
-in θ they are smooth, also where u runs into the bound of a prior.
-Only gradients are taken from it.  The density itself is always that of the simulator, so that the chain is exact whatever the
-emulator's error: leapfrog with another force is still reversible and keeps volumes, and what the force misses is paid for by
-acceptance (Neal 2011, section 5.5).  The error says whether it is worth while.
+The predictions of every experiment are fitted by $f(\theta) \approx \sum_k \phi_k \sum_{|\alpha|\le d} c_{k\alpha} x^\alpha$, x
+the standardised θ and $\phi_k$ the principal components of what was simulated, in standard deviations of the error.  In θ
+predictions are smooth, also where u runs into the bound of a prior.
+
+How wrong the log density is then is told by leaving out each simulation in turn, which costs a regression nothing.
+What is drawn by an emulator is weighed by the simulator (`hsed_jax.inference.chains`).
 """
 
-from typing import final
+import math
+from itertools import combinations_with_replacement
+from typing import NamedTuple, final
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+import numpy as np
+from jaxtyping import Array, Float
 
 from hsed_jax.inference.likelihood import Data
-from hsed_jax.inference.maximum import Maximum
 from hsed_jax.inference.posterior import Posterior
-from hsed_jax.physics.batch import TILE
 from hsed_jax.programs import program
 
-# Draws per coefficient, the least number of them, and how far they spread beyond the Gaussian at the mode.
-_DRAWS, _LEAST, _SPREAD = 4, 32, 1.3
+# Simulations per coefficient, the least number of them, and the principal components that are kept.
+_EACH, _LEAST, _COMPONENTS = 3, 32, 40
+# A polynomial of the third degree may have so many coefficients.
+_MOST = 300
+
+
+class Design(NamedTuple):
+    """Simulations that an emulator learns from.
+
+    Attributes:
+        u: where, (N, p).
+        outputs, ok: of all experiments, and whether they converged, (N, n, J) and (N, n).
+        shares: of the posterior, by which its error is told; zero for what only teaches, (N,).
+    """
+
+    u: Float[Array | np.ndarray, "N p"]
+    outputs: Float[Array | np.ndarray, "N n J"]
+    ok: Float[Array | np.ndarray, "N n"]
+    shares: Float[Array | np.ndarray, " N"]
 
 
 @final
 class Emulator(eqx.Module):
-    """Predictions of all experiments, quadratic in the parameters of the model.
+    """Predictions of all experiments, polynomials of the parameters of the model.
 
     Attributes:
         center, spread: of the parameters, for x = (θ − center)/spread, (m, p), m being 1, or n where each experiment has its own.
-        coefficients: (m, q, n/m, J), q = (p + 1)(p + 2)/2.
+        coefficients: of the principal components, (m, q, n/m, K).
+        middle, components: predictions are middle + amounts · components, (n, J) and (n, K, J).
         error: sd over the posterior of the log density's error [nats].
     """
 
     center: Float[Array, "m p"]
     spread: Float[Array, "m p"]
-    coefficients: Float[Array, "m q k J"]
+    coefficients: Float[Array, "m q k K"]
+    middle: Float[Array, "n J"]
+    components: Float[Array, "n K J"]
     error: Float[Array, ""]
 
     def __call__(self, theta: Float[Array, "m p"]) -> Float[Array, "n J"]:
         """Outputs at parameters of the model, SI, for all experiments or of each its own (`Posterior.by_experiment`)."""
-        terms = jax.vmap(_terms)((theta - self.center) / self.spread)
-        found = jnp.einsum("mq,mqkj->mkj", terms, self.coefficients)
-        return found.reshape(-1, found.shape[-1])
+        number, count = theta.shape[1], self.coefficients.shape[1]
+        powers = _exponents(number, _degree_of(number, count))
+        terms = jax.vmap(lambda x: _terms(x, powers))((theta - self.center) / self.spread)
+        amounts = jnp.einsum("mq,mqkc->mkc", terms, self.coefficients).reshape(len(self.middle), -1)
+        return self.middle + jnp.einsum("nc,ncj->nj", amounts, self.components)
+
+
+def simulations(parameters: int, degree: int) -> int:
+    """How many simulations an emulator of this degree is learned from."""
+    return max(_LEAST, _EACH * math.comb(parameters + degree, degree))
+
+
+def degree_for(parameters: int) -> int:
+    """The highest degree that so many parameters leave affordable."""
+    return 3 if math.comb(parameters + 3, 3) <= _MOST else 2
 
 
 @program
-def emulate(posterior: Posterior, data: Data, maximum: Maximum, key: PRNGKeyArray) -> Emulator:
-    """Fit the predictions around the mode, at draws somewhat wider than the Gaussian there."""
-    p = len(posterior.model_names)
-    count = max(_LEAST, _DRAWS * (p + 1) * (p + 2) // 2)
-    w = _SPREAD * jax.random.normal(key, (count, maximum.start.size))
-    u = maximum.start + w @ maximum.whitening.T
+def emulate(posterior: Posterior, data: Data, design: Design, degree: int) -> Emulator:
+    """Fit the predictions at the simulations of a design."""
+    u, outputs, ok, shares = map(jnp.asarray, design)
     theta = jax.vmap(lambda x: posterior.by_experiment(posterior.constrain(x), data))(u)
     center, spread = jnp.mean(theta, axis=0), jnp.std(theta, axis=0)
     spread = jnp.where(spread > 0, spread, 1.0)
-    outputs, ok = jax.lax.map(lambda x: posterior.predictions(x, data), u, batch_size=TILE)
-    terms = jax.vmap(jax.vmap(_terms), out_axes=1)((theta - center) / spread)
-    size, (n, J) = theta.shape[1], outputs.shape[1:]
-    tables = jnp.swapaxes(outputs.reshape(count, size, -1), 0, 1)
-    coefficients = jax.vmap(lambda a, b: jnp.linalg.lstsq(a, b)[0])(terms, tables)
-    emulated = jnp.swapaxes(terms @ coefficients, 0, 1).reshape(count, n, J)
+    powers = _exponents(theta.shape[2], degree)
+    terms = jax.vmap(jax.vmap(lambda x: _terms(x, powers)), in_axes=1)((theta - center) / spread)
+    count, n, size = len(u), outputs.shape[1], theta.shape[1]
+    # Components that matter are those that differ by standard deviations of the error, of all outputs alike.
+    middle = jnp.mean(outputs, axis=0)
+    sigma = posterior.sigma(jnp.mean(jax.vmap(posterior.constrain)(u), axis=0), middle, jnp.ones(n), data)
+    tables = jnp.swapaxes((outputs - middle) / sigma, 0, 1) * (data.weights > 0)[:, None]
+    along = jnp.linalg.svd(tables, full_matrices=False)[2][:, :_COMPONENTS]
+    amounts = jnp.einsum("nsj,ncj->nsc", tables, along)
+    by_set = jnp.moveaxis(amounts.reshape(size, n // size, count, -1), 1, 2).reshape(size, count, -1)
+    basis, triangle = jax.vmap(jnp.linalg.qr)(terms)
+    fitted = basis @ (jnp.swapaxes(basis, 1, 2) @ by_set)
+    coefficients = jax.vmap(lambda a, b: jnp.linalg.lstsq(a, b)[0])(triangle, jnp.swapaxes(basis, 1, 2) @ by_set)
+    # What a simulation would be predicted as, had it been left out.
+    leverage = jnp.minimum(jnp.sum(basis**2, axis=2), 0.99)[..., None]
+    left_out = by_set - (by_set - fitted) / (1 - leverage)
+    left_out = jnp.moveaxis(left_out.reshape(size, count, n // size, -1), 1, 2).reshape(n, count, -1)
+    emulated = middle + sigma * jnp.swapaxes(jnp.einsum("nsc,ncj->nsj", left_out, along), 0, 1)
 
     def both(u, outputs, emulated, ok):
         certain = jnp.ones_like(ok)
         return posterior.log_density_of(u, outputs, ok, data), posterior.log_density_of(u, emulated, certain, data)
 
     exact, approximate = jax.vmap(both)(u, outputs, emulated, ok)
-    log_weight = exact + 0.5 * jnp.sum((w / _SPREAD) ** 2, axis=1)
-    share = jax.nn.softmax(jnp.where(jnp.isfinite(log_weight), log_weight, -jnp.inf))
-    gap = jnp.where(share > 0, exact - approximate, 0.0)
-    error = jnp.sqrt(share @ (gap - share @ gap) ** 2)
-    # As many coefficients as were fitted are missing from the draws' own error.
-    coefficients = coefficients.reshape(size, -1, n // size, J)
-    return Emulator(center, spread, coefficients, error * jnp.sqrt(count / (count - terms.shape[2])))
+    gap = jnp.where(shares > 0, exact - approximate, 0.0)
+    error = jnp.sqrt(shares @ (gap - shares @ gap) ** 2)
+    of_experiments = coefficients.reshape(size, -1, n // size, coefficients.shape[-1] // (n // size))
+    return Emulator(center, spread, of_experiments, middle, along * sigma[:, None], error)
 
 
-def _terms(x: Float[Array, " p"]) -> Float[Array, " q"]:
-    rows, columns = jnp.triu_indices(x.size)
-    return jnp.concatenate([jnp.ones(1), x, x[rows] * x[columns]])
+def _degree_of(parameters: int, coefficients: int) -> int:
+    return next(degree for degree in (2, 3) if math.comb(parameters + degree, degree) == coefficients)
+
+
+def _exponents(parameters: int, degree: int) -> tuple[np.ndarray, ...]:
+    """Which parameters the terms of each degree are products of, (·, degree)."""
+    return tuple(
+        np.asarray(list(combinations_with_replacement(range(parameters), d)), dtype=int).reshape(-1, d)
+        for d in range(1, degree + 1)
+    )
+
+
+def _terms(x: Float[Array, " p"], factors: tuple[np.ndarray, ...]) -> Float[Array, " q"]:
+    return jnp.concatenate([jnp.ones(1), *(jnp.prod(x[of], axis=1) for of in factors)])

@@ -24,8 +24,10 @@ _MOST_ROUNDS = 5
 _GOOD = 0.5
 # Beyond this Pareto shape the weights have no mean that can be relied on; of less worth than this share, a chain is better.
 _SHAPE, _WORTHY = 0.7, 0.1
+# Draws worth nearly their number have weights so alike that they have no tail to speak of.
+_ALIKE = 0.95
 # Fewer weights than this have no tail to take a shape from.
-_TELLING = 25
+TELLING = 25
 
 Points = Float[np.ndarray, "S p"]
 Heights = Float[np.ndarray, " S"]
@@ -56,11 +58,7 @@ class Proposal(NamedTuple):
     def learnt(self, points: Points, log_weight: Heights) -> "Proposal":
         """The proposal that a round's draws call for, their weights flattened as far as it takes for enough of them to count."""
         size = self.center.size
-        enough = min(4 * size + 20, 0.5 * len(points))
-        power, share = 1.0, _shares(log_weight)
-        while _worth(share) < enough and power > 1e-6:
-            power *= 0.7
-            share = _shares(power * log_weight)
+        share = flattened(log_weight, size)
         middle = share @ points
         apart = np.linalg.solve(self.frame, (np.sqrt(share)[:, None] * (points - middle)).T)
         factor = np.linalg.cholesky(apart @ apart.T + 1e-6 * np.eye(size))
@@ -102,6 +100,8 @@ class Weighted(NamedTuple):
     @property
     def reliable(self) -> bool:
         """Whether moments of these draws may be believed."""
+        if len(self.points) >= TELLING and self.worth > _ALIKE * len(self.points):
+            return True
         if not np.isfinite(self.shape):
             return False
         # What a few draws say of their tail is uncertain (Vehtari et al. 2024, section 3.2.4).
@@ -126,12 +126,16 @@ def weigh(
         if not np.isfinite(log_weight).any() or _worth(_shares(log_weight)) > _GOOD * learning:
             break
         proposal = proposal.learnt(points, log_weight)
-    points, height, log_weight = _round(log_density, proposal, draws, random)
+    return weighted(*_round(log_density, proposal, draws, random))
+
+
+def weighted(points: Points, log_density: Heights, log_weight: Heights) -> Weighted:
+    """Draws with the logarithms of their weights, in any scale; the evidence is that of the density over the scale's."""
     total = float(np.asarray(logsumexp(log_weight)))
     if not np.isfinite(total):
-        return Weighted(points, height, np.full(draws, 1 / draws), -np.inf, np.inf)
-    weights = np.exp(log_weight - total)
-    return Weighted(points, height, weights / weights.sum(), total - float(np.log(draws)), _pareto_shape(log_weight))
+        return Weighted(points, log_density, np.full(len(points), 1 / len(points)), -np.inf, np.inf)
+    weights, evidence = np.exp(log_weight - total), total - float(np.log(len(points)))
+    return Weighted(points, log_density, weights / weights.sum(), evidence, _pareto_shape(log_weight))
 
 
 def _round(
@@ -157,7 +161,7 @@ def _pareto_shape(log_weight: Heights) -> float:
     from arviz_stats.base.array import array_stats
 
     finite = log_weight[np.isfinite(log_weight)]
-    if len(finite) < _TELLING:
+    if len(finite) < TELLING:
         return np.inf
     # ArviZ takes what is to be weighed down: the negative logarithm of the weights.
     return float(array_stats.psislw(finite.max() - finite)[1])
@@ -165,7 +169,21 @@ def _pareto_shape(log_weight: Heights) -> float:
 
 def resampled(weighted: Weighted, count: int, random: np.random.Generator) -> tuple[Points, Heights]:
     """Equally weighted draws (count, p) and their log density, by systematic resampling, in random order."""
-    places = (np.arange(count) + random.uniform()) / count
-    chosen = np.minimum(np.searchsorted(np.cumsum(weighted.weights), places), len(weighted.weights) - 1)
-    chosen = random.permutation(chosen)
+    chosen = random.permutation(systematic(weighted.weights, count, random))
     return weighted.points[chosen], weighted.log_density[chosen]
+
+
+def flattened(log_weight: Heights, size: int) -> Heights:
+    """Weights raised to a power as far below one as it takes for enough draws of `size` dimensions to count."""
+    enough = min(4 * size + 20, 0.5 * len(log_weight))
+    power, share = 1.0, _shares(log_weight)
+    while _worth(share) < enough and power > 1e-6:
+        power *= 0.7
+        share = _shares(power * log_weight)
+    return share
+
+
+def systematic(weights: Heights, count: int, random: np.random.Generator) -> np.ndarray:
+    """Which draws are taken, and how often, for `count` of equal weight; in their order."""
+    places = (np.arange(count) + random.uniform()) / count
+    return np.minimum(np.searchsorted(np.cumsum(weights), places), len(weights) - 1)

@@ -6,7 +6,7 @@ normal, so no mass matrix has to be learnt: only the step size is adapted, from 
 One program serves blocks of any length, between which it can be seen how far the chains are, and they can be stopped.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -38,13 +38,14 @@ class Chains(NamedTuple):
 
     Attributes:
         theta: draws, SI, shape (chains, draws, p).
-        log_density: log density in u, shape (chains, draws).
+        log_density: log density in u, by the simulator, shape (chains, draws).
         diverging: divergent transitions, shape (chains, draws).
         steps: leapfrog steps per draw, shape (chains, draws); none where the draws are independent.
         step_size: the adapted step size of each chain, shape (chains,).
         sampler: that drew them: `nuts`, `importance` or `laplace` (of the Gaussian around the mode, not of the posterior).
         worth: number of independent draws that they are worth at most.
-        emulator_error: of the log density of the emulator that gave NUTS its gradients [nats]; None where the simulator did.
+        emulator_error: of the log density of the emulator that NUTS drew by, before the draws were weighed [nats]; None where it
+            drew by the simulator.
         doubt: why they are less than what was asked for, in a sentence; None where they are not.
     """
 
@@ -118,27 +119,20 @@ def advance(
         data: measured outputs.
         maximum: the mode and the whitening.
         settings: sizes.
-        emulator: takes the place of the simulator in gradients; the draws are exact with any, and with a poor one few.
+        emulator: takes the place of the simulator; None for the simulator itself.
         course: the chains.
         most: leapfrog steps after which no iteration is begun.
     """
     place, frame = maximum.start, maximum.whitening
 
     def potential_of(data):
-        def exact(w):
-            return -posterior.log_density(place + frame @ w, data)
-
-        if emulator is None:
-            return exact
-        emulate = emulator
-
-        def emulated(w):
+        def potential(w):
             u = place + frame @ w
-            predicted = emulate(posterior.by_experiment(posterior.constrain(u), data))
+            if emulator is None:
+                return -posterior.log_density(u, data)
+            predicted = emulator(posterior.by_experiment(posterior.constrain(u), data))
             return -posterior.log_density_of(u, predicted, jnp.ones(predicted.shape[0]), data)
 
-        potential = jax.custom_jvp(exact)
-        potential.defjvp(lambda at, along: (exact(*at), jax.jvp(emulated, at, along)[1]))
         return potential
 
     def entered(state):
@@ -182,13 +176,13 @@ def _started(start, at: ParamInfo, settings: Settings, step_size: Float[Array, "
 
 
 @eqx.filter_jit
-def arrived(posterior: Posterior, maximum: Maximum, course: Course, settings: Settings) -> Chains:
-    """The draws of chains, adaptation left out; those that were not made yet mean nothing."""
-    w, potential, diverging, steps = (x[settings.warmup :] for x in course.kept)
+def arrived(posterior: Posterior, maximum: Maximum, course: Course, settings: Settings) -> tuple[Any, Array, Array]:
+    """What chains came to, adaptation left out: θ, log density in u, divergence and leapfrog steps of every draw; its u; and the
+    step sizes.  Those that were not made yet mean nothing."""
+    w, potential, diverging, steps = (jnp.swapaxes(x[settings.warmup :], 0, 1) for x in course.kept)
     u = maximum.start + w @ maximum.whitening.T
     theta = jax.vmap(jax.vmap(posterior.constrain))(u)
-    theta, potential, diverging, steps = (jnp.swapaxes(x, 0, 1) for x in (theta, potential, diverging, steps))
-    return Chains(theta, -potential, diverging, steps, course.state.adapt_state.step_size)
+    return (theta, -potential, diverging, steps), u, course.state.adapt_state.step_size
 
 
 class Convergence(NamedTuple):

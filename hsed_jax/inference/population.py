@@ -8,7 +8,9 @@ may lie within each other (bars of a mill): their offsets add up.  So a populati
 parameters are spreads and standardised offsets, and each experiment is simulated with the parameters of its own members.
 
 A sampler finds z unhandy where measurements tell $d_m$ better than the population does: every change of τ then has to change all
-z.  There it moves the offset itself, $c_m = z_m\tau/\tau_0$; where they tell less, z (Papaspiliopoulos, Roberts & Sköld 2007).
+z.  It moves $c_m = z_m\sqrt{1 + (\tau/s_m)^2}$, where $s_m$ is what measurements leave of $d_m$: the offset itself where τ is
+larger, z where it is smaller, and of unit variance with every τ (after Papaspiliopoulos, Roberts & Sköld 2007).  So its density
+has its mode where that of τ alone has it, by Laplace's method.
 
 Source: Gelman & Hill 2007.
 """
@@ -28,8 +30,6 @@ from numpyro.distributions.transforms import AffineTransform, ComposeTransform, 
 from hsed_jax.inference.likelihood import LOG_2PI
 from hsed_jax.inference.priors import Prior
 
-# Offsets are told by measurements that have so many times the information on z that the population has.
-_TOLD = 3.0
 # A search does not begin below this share of the median of a spread's prior.
 _LEAST = 0.2
 
@@ -94,19 +94,16 @@ class Population(eqx.Module):
         first: how many parameters stand before those of the population.
 
     Attributes:
-        centring: one for an offset that a sampler moves as it is, zero for one that it moves standardised, (K, M) a level.
-        reference: τ₀ of every spread, one array (K,) a level.
+        told: s of each offset, of the scale of its spread; infinite where nothing is told, (K, M) a level.
     """
 
     levels: tuple[Level, ...] = eqx.field(static=True)
     first: int = eqx.field(static=True)
-    centring: tuple[Float[Array, "_ _"], ...]
-    reference: tuple[Float[Array, " _"], ...]
+    told: tuple[Float[Array, "_ _"], ...]
 
     def __init__(self, levels: Sequence[Level] = (), first: int = 0):
         self.levels, self.first = tuple(levels), first
-        self.centring = tuple(jnp.zeros(level.shape) for level in self.levels)
-        self.reference = tuple(jnp.ones(level.shape[0]) for level in self.levels)
+        self.told = tuple(jnp.full(level.shape, jnp.inf) for level in self.levels)
 
     @property
     def spreads(self) -> dict[str, Prior]:
@@ -228,7 +225,7 @@ class Population(eqx.Module):
 
     def _log_factor(self, theta: Float[Array, " p"], number: int) -> Float[Array, "K M"]:
         spreads, _ = self.of(theta, number)
-        return self.centring[number] * jnp.log(spreads / self.reference[number])[:, None]
+        return 0.5 * jnp.log1p((spreads[:, None] / self.told[number]) ** 2)
 
     def log_jacobian(self, theta: Float[Array, " p"]) -> Float[Array, ""]:
         """Log of how much `released` changes volumes."""
@@ -245,27 +242,25 @@ class Population(eqx.Module):
             theta = theta.at[spreads].set(new).at[offsets].set((z * (old / new)[:, None]).ravel())
         return theta
 
-    def centred(self, theta: np.ndarray, information: np.ndarray) -> "Population":
-        """The same with every offset as it is where the measurements tell it, and standardised where the population does.
+    def centred(self, theta: np.ndarray, curvature: np.ndarray) -> "Population":
+        """The same in coordinates that suit what the measurements tell of its offsets.
 
         Arguments:
             theta: where, (p,).
-            information: that the measurements have there on θ, (p, p).
+            curvature: of minus the log density there, in coordinates of which standardised offsets are some, (p, p).
         """
-        centring, reference = [], []
+        is_free = np.ones(len(curvature), dtype=bool)
+        for spreads, _ in self.places:
+            is_free[spreads] = False
+        # Given the spreads.
+        variances = np.full(len(curvature), np.nan)
+        variances[is_free] = np.diag(np.linalg.inv(curvature[np.ix_(is_free, is_free)]))
+        told = []
         for number, (level, (_, place)) in enumerate(zip(self.levels, self.places, strict=True)):
-            spreads, offsets = (np.asarray(x) for x in self.of(jnp.asarray(theta), number))
-            told = np.zeros(level.shape)
-            positions = np.arange(place.start, place.stop).reshape(level.shape)
-            for member, own in enumerate(positions.T):
-                # A parameter that others of its member stand in for is not told.
-                block = information[np.ix_(own, own)] + 1e-9 * np.eye(len(own))
-                told[:, member] = 1 / np.diag(np.linalg.inv(block)) - 1e-9
-            # Of offsets that do not differ, the density would be highest where their spread vanishes.
-            is_told = np.median(told, axis=1) * np.mean(np.asarray(offsets) ** 2, axis=1) > _TOLD
-            centring.append(jnp.asarray(np.broadcast_to(is_told[:, None], level.shape), float))
-            reference.append(jnp.asarray(spreads))
-        return eqx.tree_at(lambda p: (p.centring, p.reference), self, (tuple(centring), tuple(reference)))
+            spreads, _ = self.of(jnp.asarray(theta), number)
+            left = np.clip(variances[place].reshape(level.shape), 1e-9, 1 - 1e-9)
+            told.append(spreads[:, None] * jnp.sqrt(left / (1 - left)))
+        return eqx.tree_at(lambda p: p.told, self, tuple(told))
 
 
 def _moved(own: Any, level: Level, moves: Any) -> Any:

@@ -371,9 +371,8 @@ class Posterior(eqx.Module):
         plain = eqx.tree_at(lambda p: p.population, self, Population(self.population.levels, self.population.first))
         theta = self.population.settled(theta)
         u = plain.unconstrain(theta)
-        information = _expanded(plain, u, data).information
-        per_u = np.diag(np.asarray(jax.jacfwd(plain.constrain)(u)))
-        population = plain.population.centred(np.asarray(theta), np.asarray(information) / np.outer(per_u, per_u))
+        curvature = np.asarray(_expanded(plain, u, data).curvature)
+        population = plain.population.centred(np.asarray(theta), curvature)
         return eqx.tree_at(lambda p: p.population, self, population)
 
     def _log_jacobian(self, u: Float[Array, " p"]) -> Float[Array, ""]:

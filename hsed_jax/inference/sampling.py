@@ -1,7 +1,6 @@
 """Draws of a posterior by the sampler that a study asks for: NUTS, importance sampling, or the Gaussian around the mode.
 
-Importance sampling says itself whether it may be believed; where not, NUTS takes its place if the study leaves it open.  NUTS
-takes its gradients from an emulator where that is accurate, and from the simulator where not; its draws are exact with either.
+Importance sampling says itself whether it may be believed; where not, NUTS takes its place if the study leaves it open.
 
 No sampler crosses from one mode of a posterior to another.  So each mode is drawn from by itself, in its own frame, and the
 draws are mixed as the modes share the posterior.
@@ -12,19 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from hsed_jax.inference.blocks import follow
-from hsed_jax.inference.emulator import emulate
+from hsed_jax.inference.chains import by_nuts
+from hsed_jax.inference.heights import heights
 from hsed_jax.inference.importance import Proposal, Weighted, resampled, weigh
 from hsed_jax.inference.likelihood import LOG_2PI, Data
 from hsed_jax.inference.maximum import Maximum
-from hsed_jax.inference.nuts import Chains, Settings, advance, arrived, begin, convergence
+from hsed_jax.inference.nuts import Chains, Settings, convergence
 from hsed_jax.inference.posterior import Posterior
-from hsed_jax.inference.watch import Watch, fingerprint
-from hsed_jax.physics.batch import TILE
+from hsed_jax.inference.watch import Watch
 from hsed_jax.programs import program
 
-# Error of the emulated log density [nats] that still leaves most proposals accepted.
-_ACCURATE = 0.5
 # Fields of `Chains` that are arrays.
 _ARRAYS = 5
 # Draws of each chain that say anything of a posterior.
@@ -114,65 +110,41 @@ def _of_one_mode(
     if settings.sampler == "laplace":
         u, height = _gaussian(maximum, first, number)
         return _independent(posterior, u, height, step_size, settings, number)
+    watch = watch or Watch()
     if settings.sampler in ("auto", "importance"):
         random = _generator(first)
-        weighted = weigh_around(posterior, data, maximum, number, random)
-        if weighted.reliable or settings.sampler == "importance":
-            u, height = map(jnp.asarray, resampled(weighted, number, random))
+        weights = weigh_around(posterior, data, maximum, number, random, watch)
+        if weights.reliable or settings.sampler == "importance":
+            u, height = map(jnp.asarray, resampled(weights, number, random))
             by_weight = settings._replace(sampler="importance")
-            return _independent(posterior, u, height, step_size, by_weight, weighted.worth)._replace(
-                doubt=weighted.doubt
-            )
-    emulator = emulate(posterior, data, maximum, first)
-    error = float(emulator.error)
-    accurate = error < _ACCURATE
-    keys = jax.random.split(second, settings.chains)
-    # Chains in lockstep wait for the longest trajectory among them; two at a time, on a thread each, wait for less.  Always two,
-    # so that the draws do not depend on the machine.
-    together = 2 - settings.chains % 2
-    courses = follow(
-        lambda course, most: advance(
-            posterior, data, maximum, settings, emulator if accurate else None, course, jnp.asarray(most)
-        ),
-        [begin(maximum, step_size, keys[i : i + together], settings) for i in range(0, settings.chains, together)],
-        watch or Watch(),
-        f"draws-{fingerprint(posterior.names, data, maximum, step_size, key, settings)}",
-        seconds,
-    )
-    made = min(int(course.done) for course in courses) - settings.warmup
-    budget = f"stopped by the budget of {seconds} s (calibration.seconds)"
-    if made < min(_TELLING, settings.draws):
-        u, height = _gaussian(maximum, first, number)
-        gaussian = _independent(posterior, u, height, step_size, settings._replace(sampler="laplace"), number)
-        instead = f"{budget} before there were draws of the posterior: these are of the Gaussian around the MAP"
-        return gaussian._replace(doubt=instead)
-    parts = [arrived(posterior, maximum, course, settings) for course in courses]
-    *of_draws, step_sizes = (
-        jnp.concatenate(leaves) for leaves in zip(*(part[:_ARRAYS] for part in parts), strict=True)
-    )
-    return Chains(
-        *(values[:, :made] for values in of_draws),
-        step_size=step_sizes,
-        emulator_error=error if accurate else None,
-        doubt=f"{budget} after {made} of {settings.draws} draws" if made < settings.draws else None,
-    )
+            return _independent(posterior, u, height, step_size, by_weight, weights.worth)._replace(doubt=weights.doubt)
+    found = by_nuts(posterior, data, maximum, step_size, second, settings, watch, seconds)
+    made, budget = found.theta.shape[1], f"stopped by the budget of {seconds} s (calibration.seconds)"
+    if made == settings.draws:
+        return found
+    if made >= min(_TELLING, settings.draws):
+        return found._replace(doubt=f"{budget} after {made} of {settings.draws} draws")
+    u, height = _gaussian(maximum, first, number)
+    gaussian = _independent(posterior, u, height, step_size, settings._replace(sampler="laplace"), number)
+    instead = f"{budget} before there were draws of the posterior: these are of the Gaussian around the MAP"
+    return gaussian._replace(doubt=instead)
 
 
 def weigh_around(
-    posterior: Posterior, data: Data, maximum: Maximum, draws: int, random: np.random.Generator
+    posterior: Posterior,
+    data: Data,
+    maximum: Maximum,
+    draws: int,
+    random: np.random.Generator,
+    watch: Watch | None = None,
 ) -> Weighted:
     """Weighted draws of u around a mode."""
     proposal = Proposal(np.asarray(maximum.start), np.asarray(maximum.whitening))
-    return weigh(lambda u: np.asarray(_heights(posterior, data, jnp.asarray(u))), proposal, draws, random)
+    return weigh(lambda u: heights(posterior, data, u, watch), proposal, draws, random)
 
 
 def _generator(key: PRNGKeyArray) -> np.random.Generator:
     return np.random.default_rng(np.asarray(jax.random.key_data(key)))
-
-
-@program
-def _heights(posterior: Posterior, data: Data, u: Float[Array, "S p"]) -> Float[Array, " S"]:
-    return jax.lax.map(lambda x: posterior.log_density(x, data), u, batch_size=TILE)
 
 
 @program

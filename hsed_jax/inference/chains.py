@@ -1,0 +1,175 @@
+r"""Draws by NUTS: by an emulator where one is accurate, each draw then weighed by the simulator; else by the simulator alone.
+
+A trajectory asks for dozens of densities, a draw for one.  So chains of an emulated posterior cost as many simulations as they
+have draws, and weights $w = p(x)/\tilde p(x)$ make them draws of the posterior itself, whatever the emulator's error; the Pareto
+shape of the weights and what they leave of the draws say whether they may be believed (`hsed_jax.inference.importance`).
+
+Where the posterior is not where its mode would have it, the first emulator is wrong.  Short chains then say where the next one
+has to be right, and in which frame it is drawn from.
+"""
+
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Key, PRNGKeyArray
+from scipy.special import softmax
+
+from hsed_jax.inference.blocks import follow
+from hsed_jax.inference.emulator import Design, Emulator, degree_for, emulate, simulations
+from hsed_jax.inference.heights import heights, simulated
+from hsed_jax.inference.importance import TELLING, Proposal, flattened, systematic, weighted
+from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.maximum import Maximum
+from hsed_jax.inference.nuts import Chains, Settings, advance, arrived, begin
+from hsed_jax.inference.posterior import Posterior
+from hsed_jax.inference.watch import Watch, fingerprint
+
+# Error of the emulated log density [nats] whose weights leave a third of the draws.
+_ACCURATE = 1.0
+# So many emulators learn, the first one from draws this much wider than the Gaussian around the mode.
+_ROUNDS, _SPREAD = 5, 1.3
+
+
+def by_nuts(
+    posterior: Posterior,
+    data: Data,
+    maximum: Maximum,
+    step_size: Float[Array, ""],
+    key: PRNGKeyArray,
+    settings: Settings,
+    watch: Watch,
+    seconds: float | None = None,
+) -> Chains:
+    """Chains of the posterior, shorter than planned where the budget ends before them; the arguments are those of `draw`."""
+    of_emulator, of_chains = jax.random.split(key)
+    keys, began = jax.random.split(of_chains, settings.chains), time.perf_counter()
+    # A few draws have no weights that one could judge.
+    if settings.chains * settings.draws >= TELLING:
+        random = np.random.default_rng(np.asarray(jax.random.key_data(of_emulator)))
+        found = _by_emulators(posterior, data, maximum, step_size, keys, settings, random, watch, seconds)
+        if found is not None:
+            return found
+    return _chains(posterior, data, maximum, None, step_size, keys, settings, watch, _left(seconds, began))[0]
+
+
+def _by_emulators(
+    posterior: Posterior,
+    data: Data,
+    maximum: Maximum,
+    step_size: Float[Array, ""],
+    keys: Key[Array, " chains"],
+    settings: Settings,
+    random: np.random.Generator,
+    watch: Watch,
+    seconds: float | None,
+) -> Chains | None:
+    """Chains by the first emulator whose weights can be relied on; None where none is good enough."""
+    began, p = time.perf_counter(), maximum.start.size
+    degree = degree_for(len(posterior.model_names))
+    count = simulations(len(posterior.model_names), degree)
+    learning = settings._replace(draws=-(-count // settings.chains))
+    frame, before = Proposal(np.asarray(maximum.start), np.asarray(maximum.whitening)), None
+    w = _SPREAD * random.standard_normal((count, p))
+    points, log_drawn = frame.center + w @ frame.frame.T, -0.5 * np.sum((w / _SPREAD) ** 2, axis=1)
+    for number in range(_ROUNDS):
+        watch.report("simulations to learn the posterior from")
+        outputs, ok, height = simulated(posterior, data, points, watch)
+        log_weight = height - log_drawn
+        if not np.isfinite(log_weight).any():
+            return None
+        if number > 0:
+            frame = frame.learnt(points, log_weight)
+        design = Design(points, outputs, ok, flattened(log_weight, p))
+        # An emulator that only knows where it was wrong goes wrong elsewhere.
+        both = design if before is None else _joined(design, before)
+        emulator, before = emulate(posterior, data, both, degree), design
+        is_accurate = float(emulator.error) < _ACCURATE
+        at = maximum._replace(start=jnp.asarray(frame.center), whitening=jnp.asarray(frame.frame))
+        half = None if seconds is None else 0.5 * max(seconds - (time.perf_counter() - began), 0.0)
+        asked = settings if is_accurate else learning
+        chains, u, name = _chains(posterior, data, at, emulator, step_size, keys, asked, watch, half)
+        if is_accurate and chains.theta.shape[1]:
+            found = _weighed(posterior, data, chains, u, name, random, watch, _left(seconds, began))
+            if found is not None:
+                return found._replace(emulator_error=float(emulator.error))
+        drawn, height = u.reshape(-1, p), np.asarray(chains.log_density).ravel()
+        if len(drawn) < count:
+            return None
+        rows = np.linspace(0, len(drawn) - 1, count).astype(int)
+        points, log_drawn = drawn[rows], height[rows]
+    return None
+
+
+def _joined(design: Design, before: Design) -> Design:
+    """Both, the error told by the first."""
+    silent = before._replace(shares=np.zeros_like(before.shares))
+    return Design(*(np.concatenate(values) for values in zip(design, silent, strict=True)))
+
+
+def _left(seconds: float | None, began: float) -> float | None:
+    return None if seconds is None else max(seconds - (time.perf_counter() - began), 0.0)
+
+
+def _chains(
+    posterior: Posterior,
+    data: Data,
+    maximum: Maximum,
+    emulator: Emulator | None,
+    step_size: Float[Array, ""],
+    keys: Key[Array, " chains"],
+    settings: Settings,
+    watch: Watch,
+    seconds: float | None,
+) -> tuple[Chains, Float[np.ndarray, "chains draws p"], str]:
+    """Chains by the emulator or by the simulator, their draws in u, and the name they are kept under."""
+    by = "simulator" if emulator is None else "emulator"
+    name = f"draws-{fingerprint(posterior.names, data, maximum, step_size, keys, settings, by)}"
+    # Chains in lockstep wait for the longest trajectory among them; two at a time, on a thread each, wait for less.  Always two,
+    # so that the draws do not depend on the machine.
+    together = 2 - settings.chains % 2
+    courses = follow(
+        lambda course, most: advance(posterior, data, maximum, settings, emulator, course, jnp.asarray(most)),
+        [begin(maximum, step_size, keys[i : i + together], settings) for i in range(0, settings.chains, together)],
+        watch,
+        name,
+        seconds,
+    )
+    made = max(min(int(course.done) for course in courses) - settings.warmup, 0)
+    parts = [arrived(posterior, maximum, course, settings) for course in courses]
+    of_draws, places, step_sizes = (
+        jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *of) for of in zip(*parts, strict=True)
+    )
+    theta, *others = (values[:, :made] for values in of_draws)
+    return Chains(theta, *others, step_size=step_sizes), np.asarray(places[:, :made]), name
+
+
+def _weighed(
+    posterior: Posterior,
+    data: Data,
+    chains: Chains,
+    u: Float[np.ndarray, "chains draws p"],
+    name: str,
+    random: np.random.Generator,
+    watch: Watch,
+    seconds: float | None,
+) -> Chains | None:
+    """Chains of the emulator made draws of the posterior; None where they are too far from it.
+
+    Each chain is resampled by itself and keeps its order, so that R-hat and ESS say of it what they say of any chain, what the
+    weights cost included.
+    """
+    # Draw by draw, so that a budget leaves all chains equally long.
+    points = np.swapaxes(u, 0, 1).reshape(-1, u.shape[-1])
+    known = heights(posterior, data, points, watch, f"weights-of-{name}", seconds)
+    made = len(known) // len(u)
+    height = known[: made * len(u)].reshape(made, len(u)).T
+    log_weight = height - np.asarray(chains.log_density)[:, :made]
+    draws = weighted(points[: height.size], known[: height.size], log_weight.T.ravel())
+    if not np.isfinite(log_weight).any(axis=1).all() or (height.size >= TELLING and not draws.reliable):
+        return None
+    rows = np.arange(len(u))[:, None]
+    chosen = np.stack([systematic(shares, made, random) for shares in softmax(log_weight, axis=1)])
+    of_draws = chains.theta, jnp.asarray(height), chains.diverging, chains.steps
+    return Chains(*(values[rows, chosen] for values in of_draws), step_size=chains.step_size)

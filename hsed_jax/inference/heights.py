@@ -1,0 +1,136 @@
+"""A posterior at many points: in blocks on all cores, seen while it runs, and taken up again where it was."""
+
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from itertools import islice
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hsed_jax.backend import cores
+from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.posterior import Posterior
+from hsed_jax.inference.watch import Watch
+from hsed_jax.physics.batch import TILE
+from hsed_jax.programs import program
+
+# Simulations of a block, and how often one looks at the blocks and keeps what they found [s].
+_LANES, _LOOK, _KEEP = 4 * TILE, 0.2, 5.0
+
+
+def heights(
+    posterior: Posterior,
+    data: Data,
+    points: Float[np.ndarray, "N p"],
+    watch: Watch | None = None,
+    name: str | None = None,
+    seconds: float | None = None,
+) -> Float[np.ndarray, " k"]:
+    """Log density in u at points, -inf where it has none; of the first k where the budget ends before the last.
+
+    Arguments:
+        posterior: of a study.
+        data: measured outputs.
+        points: u.
+        watch: hears how far it is.
+        name: to keep it under; what was kept under it is not calculated again.
+        seconds: budget, what was kept included.
+    """
+    watch = watch or Watch()
+    spent, found = 0.0, np.full(len(points), np.nan)
+    if name is not None and (kept := watch.recall(name)) is not None:
+        spent, found = float(kept[0]), np.array(kept[1])
+    began = time.perf_counter()
+
+    def one(at: int, block: Array, many: int) -> None:
+        values = np.asarray(_heights(posterior, data, block))[:many]
+        found[at : at + many] = np.where(np.isnan(values), -np.inf, values)
+
+    def seen() -> None:
+        watch.count(int((~np.isnan(found)).sum()), len(points))
+
+    def keep() -> None:
+        if name is not None:
+            watch.keep(name, [np.asarray(spent + time.perf_counter() - began), found])
+
+    _over(one, points, data, np.isnan(found), seen, keep, None if seconds is None else seconds - spent)
+    missing = np.isnan(found)
+    return found[: missing.argmax()] if missing.any() else found
+
+
+def simulated(
+    posterior: Posterior, data: Data, points: Float[np.ndarray, "N p"], watch: Watch
+) -> tuple[Float[np.ndarray, "N n J"], Float[np.ndarray, "N n"], Float[np.ndarray, " N"]]:
+    """Outputs of all experiments at points, whether their simulations converged, and the log density in u."""
+    blocks: dict[int, list[np.ndarray]] = {}
+
+    def one(at: int, block: Array, many: int) -> None:
+        blocks[at] = [np.asarray(values)[:many] for values in _outputs(posterior, data, block)]
+
+    def seen() -> None:
+        watch.count(sum(len(height) for *_, height in blocks.values()), len(points))
+
+    _over(one, points, data, np.ones(len(points), dtype=bool), seen, lambda: None, None)
+    outputs, ok, height = (
+        np.concatenate(values) for values in zip(*(blocks[at] for at in sorted(blocks)), strict=True)
+    )
+    return outputs, ok, np.where(np.isnan(height), -np.inf, height)
+
+
+def _over(
+    one: Callable[[int, Array, int], None],
+    points: Float[np.ndarray, "N p"],
+    data: Data,
+    is_open: np.ndarray,
+    seen: Callable[[], None],
+    keep: Callable[[], None],
+    seconds: float | None,
+) -> None:
+    """Call `one` with where a block begins, its points, and how many of them count."""
+    began = looked = time.perf_counter()
+    size = max(1, _LANES // jax.tree.leaves(data.conditions)[0].shape[0])
+    todo = iter([at for at in range(0, len(points), size) if is_open[at : at + size].any()])
+
+    def block_of(at: int) -> None:
+        block = points[at : at + size]
+        # One program serves the last block, too.
+        one(at, jnp.asarray(np.concatenate([block, np.repeat(block[-1:], size - len(block), axis=0)])), len(block))
+
+    def next_of(blocks: Iterator[int]) -> list[int]:
+        is_spent = seconds is not None and time.perf_counter() - began >= seconds
+        return [] if is_spent else list(islice(blocks, 1))
+
+    try:
+        # One thread traces and compiles, where several would all do the same; one block there is, however small the budget.
+        for at in islice(todo, 1):
+            block_of(at)
+        with ThreadPoolExecutor(cores()) as threads:
+            running = {threads.submit(block_of, at) for _ in range(cores()) for at in next_of(todo)}
+            while running:
+                ended, running = wait(running, _LOOK, FIRST_COMPLETED)
+                for block in ended:
+                    block.result()
+                    running |= {threads.submit(block_of, at) for at in next_of(todo)}
+                seen()
+                if time.perf_counter() - looked > _KEEP:
+                    looked = time.perf_counter()
+                    keep()
+    finally:
+        keep()
+
+
+@program
+def _heights(posterior: Posterior, data: Data, u: Float[Array, "S p"]) -> Float[Array, " S"]:
+    return jax.lax.map(lambda x: posterior.log_density(x, data), u, batch_size=TILE)
+
+
+@program
+def _outputs(posterior: Posterior, data: Data, u: Float[Array, "S p"]) -> tuple[Array, Array, Array]:
+    def one(u):
+        outputs, ok = posterior.predictions(u, data)
+        return outputs, ok, posterior.log_density_of(u, outputs, ok, data)
+
+    return jax.lax.map(one, u, batch_size=TILE)
