@@ -54,7 +54,7 @@ SWEEPS, CHAINS, HYPER = 2000, 4, 20
 def coupon_study(levels, **sampling):
     import hsed_jax as hx
 
-    study = {**STUDY, "experiments": {"campaign": str(COUPONS)}, "calibration": {"starts": 1, **sampling}}
+    study = {**STUDY, "experiments": {"campaign": str(COUPONS)}, "calibration": {"starts": 1, "draws": 1500, **sampling}}
     study["model"] = {**STUDY["model"], **({"levels": {"bar": list(VARYING)}} if levels else {})}
     return hx.load_study(study)
 

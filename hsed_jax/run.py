@@ -207,12 +207,14 @@ def _effects(options: Any) -> int:
 
 def _check(options: Any) -> int:
     from hsed_jax.config.load import load_study
+
+    study = _trusted(load_study(options.study, options.overrides), options)
+    # A wrong key is told before what calculates is loaded.
     from hsed_jax.measurements import check_campaign, overview, stop_at_errors
     from hsed_jax.study.build import Built
     from hsed_jax.study.excitations import sentence_of
     from hsed_jax.study.records import forecast, thinning_notes
 
-    study = _trusted(load_study(options.study, options.overrides), options)
     built = Built(study)
     built.check()
     if built.measured is not None:
@@ -240,7 +242,6 @@ def _run(options: Any) -> int:
     if options.check:
         return _check(options)
     from hsed_jax.config.load import load_study
-    from hsed_jax.runs.workflow import run
 
     steps = getattr(options, "steps", None)
     only = []
@@ -250,6 +251,9 @@ def _run(options: Any) -> int:
     if steps:
         only.append(f"steps=[{', '.join(steps)}]")
     study = load_study(options.study, [*options.overrides, *only])
+    # A wrong key is told before what calculates is loaded.
+    from hsed_jax.runs.workflow import run
+
     output = Path(options.output) if options.output else Path("runs") / study.study
     try:
         done = run(study, output, resume=options.resume, force=options.force, tell=_tell)
