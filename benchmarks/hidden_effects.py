@@ -143,7 +143,8 @@ def main() -> None:
     parser.add_argument("--markdown", action="store_true", help="print the table of the last results, measure nothing")
     parser.add_argument("--by", choices=list(SPLITS), help="split the rows of the table by this")
     options = parser.parse_args()
-    kept = json.loads(options.output.read_text(encoding="utf-8")) if options.resume or options.markdown else []
+    keeps = (options.resume or options.markdown) and options.output.exists()
+    kept = json.loads(options.output.read_text(encoding="utf-8")) if keeps else []
     if not options.markdown:
         groups = {
             group: cases[:: options.stride]

@@ -54,7 +54,11 @@ SWEEPS, CHAINS, HYPER = 2000, 4, 20
 def coupon_study(levels, **sampling):
     import hsed_jax as hx
 
-    study = {**STUDY, "experiments": {"campaign": str(COUPONS)}, "calibration": {"starts": 1, "draws": 1500, **sampling}}
+    study = {
+        **STUDY,
+        "experiments": {"campaign": str(COUPONS)},
+        "calibration": {"starts": 1, "draws": 1500, **sampling},
+    }
     study["model"] = {**STUDY["model"], **({"levels": {"bar": list(VARYING)}} if levels else {})}
     return hx.load_study(study)
 
@@ -175,7 +179,7 @@ def draws_per_second(keep, seconds):
         predicted, ok = posterior.predict(own, data.conditions, data.count)
         # The errors of histories do not depend on the parameters.
         z = (data.weights > 0) * (predicted - data.values) / posterior.sigma(maximum.theta, predicted, ok, data)
-        return -0.5 * jnp.sum(standardised_residual(z, ok, data) ** 2, axis=1)
+        return -0.5 * jnp.sum(standardised_residual(z, ok, data).reshape(z.shape) ** 2, axis=1)
 
     found = gibbs(posterior, data, maximum, by_experiment, seconds)
     nuts["ess_per_second"] = nuts["ess_bulk"] / nuts["cpu_seconds"]

@@ -15,7 +15,7 @@ from hsed_jax.inference.correlation import SIGNIFICANT, Judged, judge, size_p_va
 from hsed_jax.inference.likelihood import Data, Error
 from hsed_jax.inference.maximum import Maximum, maximise
 from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence
-from hsed_jax.inference.population import Level, Varying
+from hsed_jax.inference.population import Varying
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.sampling import draw
 from hsed_jax.inference.watch import Watch, arrays_of, fingerprint, tree_like
@@ -159,19 +159,23 @@ class Fit(Tabular):
                     "mean": known[varying.name],
                     "spread": known[f"{level.name}.{varying.name}.spread"],
                     "of": dict(zip(level.members, own, strict=True)),
-                    "untested": _statistics(self._untested(varying, levels[: number + 1])),
+                    "untested": _statistics(self._untested(varying, number)),
                 }
         return found
 
-    def _untested(self, varying: Varying, levels: Sequence[Level]) -> Float[np.ndarray, " S"]:
-        """Draws of a parameter of a specimen that is a new member of all these levels, SI."""
-        draws = dict(zip(self.names, np.moveaxis(np.asarray(self.chains.theta), -1, 0), strict=False))
-        center, random = draws[varying.name].ravel(), np.random.default_rng(0)
-        spreads = [
-            draws[f"{lv.name}.{v.name}.spread"].ravel() for lv in levels for v in lv.varying if v.name == varying.name
-        ]
-        moves = sum(spread * random.standard_normal(spread.size) for spread in spreads)
-        return np.clip(center * np.exp(moves) if varying.is_log else center + moves, varying.lower, varying.upper)
+    def _untested(self, varying: Varying, level: int) -> Float[np.ndarray, " S"]:
+        """Draws of a parameter of a specimen that is a new member of a level and of those around it, SI."""
+        posterior, population = self.posterior, self.posterior.population
+        draws = self.chains.theta.reshape(-1, self.chains.theta.shape[-1])
+        members = jnp.asarray([[len(level.members) for level in population.levels]])
+        offsets = population.strangers(members, len(draws))
+        # Of the levels within it there is no member, whose offset is none.
+        offsets = tuple(o if k <= level else jnp.zeros_like(o) for k, o in enumerate(offsets))
+
+        def one(theta, offsets):
+            return population.own(theta, posterior.of_model(theta), members, offsets)[0, varying.column]
+
+        return np.asarray(jax.vmap(one)(draws, offsets))
 
     def _table(self) -> Table:
         rows = [
