@@ -8,9 +8,9 @@ may lie within each other (bars of a mill): their offsets add up.  So a populati
 parameters are spreads and standardised offsets, and each experiment is simulated with the parameters of its own members.
 
 A sampler finds z unhandy where measurements tell $d_m$ better than the population does: every change of τ then has to change all
-z.  It moves $c_m = z_m\sqrt{1 + (\tau/s_m)^2}$, where $s_m$ is what measurements leave of $d_m$: the offset itself where τ is
-larger, z where it is smaller, and of unit variance with every τ (after Papaspiliopoulos, Roberts & Sköld 2007).  So its density
-has its mode where that of τ alone has it, by Laplace's method.
+z.  It moves $c_m = z_m\sqrt{(s_m^2 + \tau^2)/(s_m^2 + \tau_0^2)}$, where $s_m$ is what measurements leave of $d_m$: the offset
+itself where τ is larger, z where it is smaller, and of the same variance with every τ, the centre given (after Papaspiliopoulos,
+Roberts & Sköld 2007).  So its density has its mode where that of τ alone has it, by Laplace's method and the centre given.
 
 Source: Gelman & Hill 2007.
 """
@@ -30,6 +30,8 @@ from numpyro.distributions.transforms import AffineTransform, ComposeTransform, 
 from hsed_jax.inference.likelihood import LOG_2PI
 from hsed_jax.inference.priors import Prior
 
+# Information on a standardised offset that is as good as none.
+_HARDLY = 1e-9
 # A search does not begin below this share of the median of a spread's prior.
 _LEAST = 0.2
 
@@ -95,15 +97,18 @@ class Population(eqx.Module):
 
     Attributes:
         told: s of each offset, of the scale of its spread; infinite where nothing is told, (K, M) a level.
+        reference: τ₀ of every spread, one array (K,) a level.
     """
 
     levels: tuple[Level, ...] = eqx.field(static=True)
     first: int = eqx.field(static=True)
     told: tuple[Float[Array, "_ _"], ...]
+    reference: tuple[Float[Array, " _"], ...]
 
     def __init__(self, levels: Sequence[Level] = (), first: int = 0):
         self.levels, self.first = tuple(levels), first
         self.told = tuple(jnp.full(level.shape, jnp.inf) for level in self.levels)
+        self.reference = tuple(jnp.ones(level.shape[0]) for level in self.levels)
 
     @property
     def spreads(self) -> dict[str, Prior]:
@@ -225,7 +230,8 @@ class Population(eqx.Module):
 
     def _log_factor(self, theta: Float[Array, " p"], number: int) -> Float[Array, "K M"]:
         spreads, _ = self.of(theta, number)
-        return 0.5 * jnp.log1p((spreads[:, None] / self.told[number]) ** 2)
+        now, reference = (jnp.log1p((x[:, None] / self.told[number]) ** 2) for x in (spreads, self.reference[number]))
+        return 0.5 * (now - reference)
 
     def log_jacobian(self, theta: Float[Array, " p"]) -> Float[Array, ""]:
         """Log of how much `released` changes volumes."""
@@ -242,25 +248,25 @@ class Population(eqx.Module):
             theta = theta.at[spreads].set(new).at[offsets].set((z * (old / new)[:, None]).ravel())
         return theta
 
-    def centred(self, theta: np.ndarray, curvature: np.ndarray) -> "Population":
+    def centred(self, theta: np.ndarray, information: np.ndarray) -> "Population":
         """The same in coordinates that suit what the measurements tell of its offsets.
 
         Arguments:
             theta: where, (p,).
-            curvature: of minus the log density there, in coordinates of which standardised offsets are some, (p, p).
+            information: that the measurements have there, in coordinates of which standardised offsets are some, (p, p).
         """
-        is_free = np.ones(len(curvature), dtype=bool)
-        for spreads, _ in self.places:
-            is_free[spreads] = False
-        # Given the spreads.
-        variances = np.full(len(curvature), np.nan)
-        variances[is_free] = np.diag(np.linalg.inv(curvature[np.ix_(is_free, is_free)]))
-        told = []
+        told, reference = [], []
         for number, (level, (_, place)) in enumerate(zip(self.levels, self.places, strict=True)):
             spreads, _ = self.of(jnp.asarray(theta), number)
-            left = np.clip(variances[place].reshape(level.shape), 1e-9, 1 - 1e-9)
-            told.append(spreads[:, None] * jnp.sqrt(left / (1 - left)))
-        return eqx.tree_at(lambda p: p.told, self, tuple(told))
+            variances = np.zeros(level.shape)
+            positions = np.arange(place.start, place.stop).reshape(level.shape)
+            for member, own in enumerate(positions.T):
+                # A parameter that others of its member stand in for is not told.
+                block = information[np.ix_(own, own)] + _HARDLY * np.eye(len(own))
+                variances[:, member] = np.diag(np.linalg.inv(block))
+            told.append(spreads[:, None] * jnp.sqrt(jnp.asarray(variances)))
+            reference.append(spreads)
+        return eqx.tree_at(lambda p: (p.told, p.reference), self, (tuple(told), tuple(reference)))
 
 
 def _moved(own: Any, level: Level, moves: Any) -> Any:

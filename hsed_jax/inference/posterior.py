@@ -371,8 +371,8 @@ class Posterior(eqx.Module):
         plain = eqx.tree_at(lambda p: p.population, self, Population(self.population.levels, self.population.first))
         theta = self.population.settled(theta)
         u = plain.unconstrain(theta)
-        curvature = np.asarray(_expanded(plain, u, data).curvature)
-        population = plain.population.centred(np.asarray(theta), curvature)
+        information = np.asarray(_expanded(plain, u, data).information)
+        population = plain.population.centred(np.asarray(theta), information)
         return eqx.tree_at(lambda p: p.population, self, population)
 
     def _log_jacobian(self, u: Float[Array, " p"]) -> Float[Array, ""]:
