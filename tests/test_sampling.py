@@ -12,7 +12,7 @@ from hsed_jax.inference import blocks
 from hsed_jax.inference import maximum as search
 from hsed_jax.inference.emulator import emulate
 from hsed_jax.inference.fit import Fit
-from hsed_jax.inference.importance import Weighted, resampled
+from hsed_jax.inference.importance import Weighted, resampled, weighted
 from hsed_jax.inference.nuts import Chains, Settings, convergence
 from hsed_jax.inference.priors import Prior
 from hsed_jax.inference.sampling import _mixed, weigh_around
@@ -169,6 +169,15 @@ def test_the_worth_of_weights_is_what_their_mean_scatters_by():
     # Var(mean) = Var(a)/worth, a being standard normal here; sixty repetitions know a variance to 18 %.
     assert np.var(means) * np.mean(worths) == pytest.approx(1.0, abs=0.55)
     assert 200 < np.mean(worths) <= 400
+
+
+def test_weights_of_chains_that_stand_have_no_tail():
+    heights = np.tile([0.0, -0.006], 20)
+    draws = weighted(np.zeros((40, 2)), heights, heights)
+    assert draws.shape == -np.inf and draws.reliable
+    # Of chains that stand far apart one alone counts.
+    heights = np.repeat([0.0, *-np.arange(5.0, 24.0)], 20)
+    assert not weighted(np.zeros((400, 2)), heights, heights).reliable
 
 
 def test_resampling_keeps_every_draw_as_often_as_it_weighs():

@@ -102,7 +102,7 @@ class Weighted(NamedTuple):
         """Whether moments of these draws may be believed."""
         if len(self.points) >= TELLING and self.worth > _ALIKE * len(self.points):
             return True
-        if not np.isfinite(self.shape):
+        if self.shape == np.inf:
             return False
         # What a few draws say of their tail is uncertain (Vehtari et al. 2024, section 3.2.4).
         least = _WORTHY * len(self.points)
@@ -160,9 +160,12 @@ def _worth(share: Heights) -> float:
 def _pareto_shape(log_weight: Heights) -> float:
     from arviz_stats.base.array import array_stats
 
-    finite = log_weight[np.isfinite(log_weight)]
+    finite = np.sort(log_weight[np.isfinite(log_weight)])
     if len(finite) < TELLING:
         return np.inf
+    # The tail of Vehtari et al. 2024, section 2; weights that a whole tail shares, as those of a chain that stands, are bounded.
+    if finite[-1] == finite[-int(min(0.2 * len(finite), 3 * np.sqrt(len(finite))))]:
+        return -np.inf
     # ArviZ takes what is to be weighed down: the negative logarithm of the weights.
     return float(array_stats.psislw(finite.max() - finite)[1])
 
