@@ -1,5 +1,6 @@
 """Applied forces and planned cyclic tests: against formulas, SciPy and NumPy; from the study to the laboratory and back."""
 
+import dataclasses
 import json
 
 import jax
@@ -14,6 +15,7 @@ from hsed_jax.analysis.calibration import campaign_of
 from hsed_jax.config.excitation_entry import ExcitationEntry
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, write_campaign
+from hsed_jax.physics.declared import DECLARED
 from hsed_jax.physics.excitations import EXCITATIONS, Applied, Imposed
 from hsed_jax.physics.excitations.cyclic import CyclicElongation
 from hsed_jax.physics.timeline import Timeline, times
@@ -329,7 +331,10 @@ def test_every_excitation_has_a_place_in_a_study_and_a_sentence():
     assert list(given) == list(EXCITATIONS)
     for name, settings in given.items():
         entry = ExcitationEntry.model_validate({name: settings, **({"duration": 3.0} if "V_P" in settings else {})})
-        assert entry.excitation is EXCITATIONS[name]
+        assert entry.excitation is DECLARED[name] is EXCITATIONS[name].declared
+        fields = {field.name: field.default for field in dataclasses.fields(EXCITATIONS[name])}
+        assert fields.keys() == {*entry.excitation.settings, *entry.excitation.of_file}
+        assert all(entry.excitation.default(one) in (None, fields[one]) for one in entry.excitation.settings)
         sentence = entry.excitation.sentence(entry.settings, entry.duration)
         assert sentence[0].isalnum() and not sentence.endswith(".")
     assert entry.channel == "elongation"

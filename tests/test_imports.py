@@ -156,6 +156,10 @@ def test_the_checker_catches_private_jax():
     ("what", "not_needed"),
     [
         (
+            "from hsed_jax.run import main\nassert main(['check', 'configs/paper.yaml', 'calibration.sampler=none']) == 2",
+            {"jax", "equinox", "numpyro", "scipy", "pandas", "pint"},
+        ),
+        (
             "from hsed_jax.run import main\nassert main(['check', 'configs/paper.yaml']) == 0",
             {
                 "scipy.stats",
@@ -173,7 +177,7 @@ def test_the_checker_catches_private_jax():
             {"scipy.stats", "scipy.interpolate", "numpyro", "diffrax", "optimistix", "tinygp", "pint", "altair"},
         ),
     ],
-    ids=["check", "report"],
+    ids=["refusal", "check", "report"],
 )
 def test_a_quick_command_does_not_wait_for_packages_that_it_has_no_use_for(what, not_needed):
     code = f"import sys\n{what}\nprint('loaded:', *sorted({not_needed} & set(sys.modules)))"

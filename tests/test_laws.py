@@ -15,6 +15,7 @@ from laws_in_steps import Bilinear, MenegottoPinto, Takeda, shaken
 import hsed_jax as hx
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
+from hsed_jax.physics.declared import SPRING_LAWS
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.effects.base import slots_of
 from hsed_jax.physics.effects.forms import default_form, forms_of
@@ -89,6 +90,10 @@ def ground():
 
 
 # --- what every law says -----------------------------------------------------------------------------------------
+
+
+def test_a_study_may_name_every_law():
+    assert tuple(LAWS) == SPRING_LAWS
 
 
 @pytest.mark.parametrize("name", LAWS)

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from pydantic import Field, create_model, model_validator
 
 from hsed_jax.config.sections import Positive, Section
-from hsed_jax.physics.excitations import EXCITATIONS, AbstractExcitation, settings_of
+from hsed_jax.physics.declared import DECLARED, Declared
 from hsed_jax.plain import Number, Whole
 
 Value = Number | str
@@ -17,17 +17,16 @@ _TYPES: dict[str, Any] = {
 }
 
 
-def _section(excitation: type[AbstractExcitation]) -> type[Section]:
+def _section(excitation: Declared) -> type[Section]:
     fields: dict[str, Any] = {"file": (str, ...)} if excitation.of_file else {}
     fields |= {
         name: (_TYPES[known.kind], ... if known.default is None else known.default)
-        for name, known in settings_of(excitation).items()
+        for name, known in excitation.settings.items()
     }
-    summary = (excitation.__doc__ or "").strip().splitlines()[0]
-    return create_model(f"{excitation.__name__}Entry", __base__=Section, __doc__=summary, **fields)
+    return create_model(f"{excitation.name.title().replace('_', '')}Entry", __base__=Section, **fields)
 
 
-_KINDS: Any = {name: (_section(excitation) | None, None) for name, excitation in EXCITATIONS.items()}
+_KINDS: Any = {name: (_section(excitation) | None, None) for name, excitation in DECLARED.items()}
 
 
 class ExcitationEntry(create_model("ExcitationEntry", __base__=Section, **_KINDS)):
@@ -40,9 +39,9 @@ class ExcitationEntry(create_model("ExcitationEntry", __base__=Section, **_KINDS
     step: Positive | None = None
 
     @property
-    def excitation(self) -> type[AbstractExcitation] | None:
+    def excitation(self) -> Declared | None:
         """The excitation that is given."""
-        return next((known for name, known in EXCITATIONS.items() if getattr(self, name) is not None), None)
+        return next((known for name, known in DECLARED.items() if getattr(self, name) is not None), None)
 
     @property
     def settings(self) -> Mapping[str, Any]:
@@ -58,7 +57,7 @@ class ExcitationEntry(create_model("ExcitationEntry", __base__=Section, **_KINDS
 
     @model_validator(mode="after")
     def _at_most_one(self) -> "ExcitationEntry":
-        given = [name for name in EXCITATIONS if getattr(self, name) is not None]
+        given = [name for name in DECLARED if getattr(self, name) is not None]
         if len(given) > 1:
             raise ValueError(f"give either {' or '.join(given)}")
         excitation = self.excitation

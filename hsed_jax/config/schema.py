@@ -1,7 +1,7 @@
 """What a user may say in a study: names, types, defaults.  Nothing is computed here."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, PrivateAttr, create_model, field_validator, model_validator
 
@@ -13,10 +13,13 @@ from hsed_jax.config.sections import ErrorsEntry, InputEntry, OwnLawEntry, Posit
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
 from hsed_jax.measurements.checks import DoubtKind
-from hsed_jax.physics.effects.base import AbstractEffect
 from hsed_jax.physics.outputs import ALLOWED, EQ_18, QUANTITIES, is_quantity, of_each
 from hsed_jax.plain import Number, Whole, name_fault, shown
 from hsed_jax.tables import Table, Tabular
+
+if TYPE_CHECKING:
+    # Reading a study needs no JAX, and a wrong key is told before that is loaded.
+    from hsed_jax.physics.effects.base import AbstractEffect
 
 Count = Annotated[Whole, Field(ge=1)]
 
@@ -202,7 +205,7 @@ class Study(Tabular, Section):
 
     _folder: Path = PrivateAttr(default=Path())
     _file: str | None = PrivateAttr(default=None)
-    _own_effects: tuple[type[AbstractEffect], ...] = PrivateAttr(default=())
+    _own_effects: "tuple[type[AbstractEffect], ...]" = PrivateAttr(default=())
 
     @property
     def folder(self) -> Path:
@@ -215,11 +218,11 @@ class Study(Tabular, Section):
         return self._file
 
     @property
-    def own_effects(self) -> tuple[type[AbstractEffect], ...]:
+    def own_effects(self) -> "tuple[type[AbstractEffect], ...]":
         """Effects that were given from Python, besides those of the files of `model.own_effects`."""
         return self._own_effects
 
-    def with_own_effects(self, *effects: type[AbstractEffect]) -> "Study":
+    def with_own_effects(self, *effects: "type[AbstractEffect]") -> "Study":
         """The study with effects of your own in its catalogue, given from Python and not in a file.
 
         Arguments:

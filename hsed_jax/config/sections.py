@@ -18,7 +18,7 @@ from pydantic import (
     model_validator,
 )
 
-from hsed_jax.physics.laws import LAWS
+from hsed_jax.physics.declared import SPRING_LAWS
 from hsed_jax.plain import Number, is_file, shown
 
 Positive = Annotated[Number, Field(gt=0)]
@@ -192,11 +192,11 @@ class InputEntry(Section):
 
 
 def _known_law(name: str) -> str:
-    if name not in LAWS:
-        close = difflib.get_close_matches(name, LAWS, n=1)
+    if name not in SPRING_LAWS:
+        close = difflib.get_close_matches(name, SPRING_LAWS, n=1)
         hint = f" (did you mean {close[0]}?)" if close else ""
         raise ValueError(
-            f"there is no spring law {shown(name)}{hint}; laws are {', '.join(LAWS)}, or {{file: mine.py, class: MyLaw}}"
+            f"there is no spring law {shown(name)}{hint}; laws are {', '.join(SPRING_LAWS)}, or {{file: mine.py, class: MyLaw}}"
         )
     return name
 

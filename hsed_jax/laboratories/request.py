@@ -17,8 +17,8 @@ import numpy as np
 
 from hsed_jax.laboratories.base import experiment_id
 from hsed_jax.measurements import Channel, parse_unit, write_at2
+from hsed_jax.physics.declared import Kind
 from hsed_jax.physics.excitations import AbstractExcitation, channels_of
-from hsed_jax.physics.excitations.base import Kind
 from hsed_jax.physics.outputs import output
 from hsed_jax.physics.simulator import Parametrised
 from hsed_jax.physics.timeline import Timeline, times
@@ -123,7 +123,7 @@ class Programme:
             {name: float(parse_unit(self.units[name]).from_si(value)) for name, value in si.items()},
             {name: self.units[name] for name in si},
             si,
-            cast("type[AbstractExcitation]", self.excitation.constructor).kind,
+            cast("type[AbstractExcitation]", self.excitation.constructor).declared.kind,
             np.asarray(time),
             {name: np.asarray(values) for name, values in driver.items()},
             np.asarray(sample_times),

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hsed_jax.measurements import Campaign
-from hsed_jax.physics.excitations import EXCITATIONS
+from hsed_jax.physics.declared import DECLARED
 from hsed_jax.physics.laws import LAWS
 from hsed_jax.physics.outputs import driven_mass
 from hsed_jax.reporting.page_tables import unit_words
@@ -53,7 +53,7 @@ def _excitation(study: Mapping[str, Any], campaign: Campaign) -> str:
         for name, entry in inputs.items()
     ]
     varied = f"; inputs {', '.join(ranges)}" if ranges else ""
-    for name, known in EXCITATIONS.items():
+    for name, known in DECLARED.items():
         if name in excitation:
             return f"{known.sentence(excitation[name], excitation.get('duration'))}{varied}."
     masses = [str(mass) for name in campaign.channels if (mass := driven_mass(name)) is not None]

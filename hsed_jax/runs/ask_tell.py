@@ -218,7 +218,7 @@ class AskTell(Tabular):
             if teaches := lesson(of, value, step["discrepancy"]):
                 lines.append(f"  expected to teach {teaches}")
         assert self.built.excitation is not None
-        files = ", ".join(["request.json", *self.built.excitation.constructor.kind.files, "expected.csv"])
+        files = ", ".join(["request.json", *self.built.excitation.constructor.declared.kind.files, "expected.csv"])
         return "\n".join(
             [*lines, f"  request in {folder}: {files}", f"  then: hsed tell {quote(str(self.path))} {quote(asked.id)}"]
         )

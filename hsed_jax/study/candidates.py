@@ -238,7 +238,7 @@ def _candidates(
     """Inputs of experiments that could be made, in declared units, and their conditions; none without an excitation of inputs."""
     space = built.space
     excitation = built.excitation
-    if excitation is None or not space.names or excitation.constructor.kind.protocol != built.protocol:
+    if excitation is None or not space.names or excitation.constructor.declared.kind.protocol != built.protocol:
         return [], None
     if not built.component_test and drivers(built, campaign) != [driver_of(built.study)]:
         return [], None
@@ -257,7 +257,7 @@ def _candidates(
 def _times(excitation: AbstractExcitation, recorded: np.ndarray) -> np.ndarray:
     """When an experiment that could be made would be sampled: as the recorded ones, or until its own end."""
     own = Timeline(None, len(recorded) - 1)
-    if excitation.kind.protocol == "displacement":
+    if excitation.declared.kind.protocol == "displacement":
         return np.asarray(times(excitation.step_length(own), 1, own.samples))
     return recorded
 

@@ -11,8 +11,8 @@ from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, parse_unit, read_history
 from hsed_jax.measurements.campaign import Protocol
 from hsed_jax.measurements.units import dimension_of
-from hsed_jax.physics.excitations import AbstractExcitation, settings_of
-from hsed_jax.physics.excitations.base import Setting
+from hsed_jax.physics.declared import Declared, Setting
+from hsed_jax.physics.excitations import EXCITATIONS, AbstractExcitation
 from hsed_jax.physics.simulator import Parametrised
 from hsed_jax.study import parts
 
@@ -63,11 +63,11 @@ def excitation_of(study: Study) -> Parametrised[AbstractExcitation] | None:
         name, words = fault
         raise UserError(f"{where}.{name}: {words}")
     values = {name: tuple(value) if isinstance(value, list) else value for name, value in settings.items()}
-    return Parametrised(kind, tuple(values.items()), arrays)
+    return Parametrised(EXCITATIONS[kind.name], tuple(values.items()), arrays)
 
 
-def _each(kind: type[AbstractExcitation], settings: Mapping[str, Any]) -> Iterator[tuple[str, Setting, Any]]:
-    for name, known in settings_of(kind).items():
+def _each(kind: Declared, settings: Mapping[str, Any]) -> Iterator[tuple[str, Setting, Any]]:
+    for name, known in kind.settings.items():
         if known.kind == "numbers":
             yield from ((f"{name}.{i}", known, value) for i, value in enumerate(settings[name]))
         else:

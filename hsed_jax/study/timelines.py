@@ -74,7 +74,7 @@ def planned_timeline(built: "Built") -> Timeline:
     histories = built.study.observe == "histories"
     if built.component_test:
         return _imposed(built, excitation, histories)
-    _check_mass(f"excitation.{excitation.constructor.name}.mass", entry.channel, built)
+    _check_mass(f"excitation.{excitation.constructor.declared.name}.mass", entry.channel, built)
     step = built.longest_step if entry.step is None else entry.step
     duration = duration_of(built)
     if step > duration:

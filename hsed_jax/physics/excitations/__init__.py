@@ -25,13 +25,10 @@ from hsed_jax.physics.excitations.base import (
 from hsed_jax.physics.excitations.base import (
     driven as driven,
 )
-from hsed_jax.physics.excitations.base import (
-    settings_of as settings_of,
-)
 from hsed_jax.physics.excitations.cyclic import CyclicElongation
 from hsed_jax.physics.excitations.near_fault_pulse import NearFaultPulse
 from hsed_jax.physics.excitations.recorded import RecordedMotion
 
 _ALL: tuple[type[AbstractExcitation], ...] = (NearFaultPulse, RecordedMotion, AppliedForce, CyclicElongation)
-EXCITATIONS = {excitation.name: excitation for excitation in _ALL}
-"""What a study may name, by its key."""
+EXCITATIONS = {excitation.declared.name: excitation for excitation in _ALL}
+"""What computes those that a study may name (`hsed_jax.physics.declared`), by their keys."""

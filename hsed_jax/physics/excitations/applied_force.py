@@ -1,20 +1,13 @@
 """A force on one mass, while the ground rests: a shaker, an actuator, a blast, a release."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar, final
+from typing import ClassVar, final
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hsed_jax.physics.excitations.base import (
-    APPLIED_FORCE,
-    AbstractRecord,
-    Applied,
-    Kind,
-    Scalar,
-    setting,
-)
+from hsed_jax.physics.declared import HISTORY_OF_A_FORCE, Declared
+from hsed_jax.physics.excitations.base import AbstractRecord, Applied, Scalar
 
 # As the integration resolves a period (`hsed_jax.study.timelines`).
 _STEPS_PER_PERIOD = 24
@@ -33,13 +26,11 @@ class AppliedForce(AbstractRecord):
         scale: factor.
     """
 
-    name: ClassVar[str] = "applied_force"
-    kind: ClassVar[Kind] = APPLIED_FORCE
-    of_file: ClassVar[tuple[str, ...]] = ("time", "force")
+    declared: ClassVar[Declared] = HISTORY_OF_A_FORCE
 
     force: Float[Array, " m"] = eqx.field(converter=jnp.asarray)
-    mass: int = setting("number of the mass", "1", kind="whole")
-    scale: Scalar = setting("factor", "1", default=1.0)
+    mass: int = eqx.field(static=True)
+    scale: Scalar = HISTORY_OF_A_FORCE.default("scale")
 
     @property
     def shortest_period(self) -> Scalar:
@@ -49,10 +40,3 @@ class AppliedForce(AbstractRecord):
     def sample(self, time: Scalar) -> Applied:
         """The force at one instant [s]."""
         return Applied({self.mass - 1: self.scale * jnp.interp(time, self.time, self.force, left=0.0, right=0.0)})
-
-    @classmethod
-    def sentence(cls, settings: Mapping[str, Any], duration: float | None) -> str:
-        """The file and the mass."""
-        return (
-            f"Driven by the force {settings['file'].rpartition('/')[2]} on mass {settings['mass']}, the ground at rest"
-        )

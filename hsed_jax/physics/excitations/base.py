@@ -1,17 +1,15 @@
-r"""What an excitation is: a function of time, what a study says of it, and its samples on the half-step grid.
+"""What an excitation is: a function of time, and its samples on the half-step grid.
 
-An excitation is a class of its own and a line of the registry (`EXCITATIONS`).  It declares its settings as fields, with their
-units; whether they are possible, how long it lasts, how fast it changes and how a report calls it are its methods.  Studies,
-laboratories, figures and reports ask there.
+An excitation is a class of its own, declared for studies in `hsed_jax.physics.declared` and listed in `EXCITATIONS`.  How long it
+lasts, how fast it changes and what it is at an instant are its methods.
 
 The integrator asks for an excitation at the ends and the middle of every step, so each one is turned into a *forcing*: a carry
 and an `advance` that moves it by half a step.
 """
 
-import dataclasses
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import equinox as eqx
 import jax
@@ -19,6 +17,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, PyTree
 
+from hsed_jax.physics.declared import Declared
 from hsed_jax.physics.timeline import Timeline
 
 Scalar = Float[Array, ""] | float
@@ -109,83 +108,15 @@ class Shaken(AbstractForcing):
         return carry, sample if sample.ground is None else sample._replace(ground=sample.ground * self.factor)
 
 
-class Kind(NamedTuple):
-    """What of an experiment is driven.
-
-    Attributes:
-        protocol: of a campaign of such experiments.
-        channel: that measures it, in terms of the settings.
-        file: that a laboratory is given, without its ending.
-        column: of that file.
-        noun: for reports and figures.
-    """
-
-    protocol: Literal["ground_motion", "displacement"]
-    channel: str
-    file: str
-    column: str
-    noun: str
-
-    @property
-    def files(self) -> tuple[str, ...]:
-        """Names of the files that a laboratory is given."""
-        return tuple(f"{self.file}.{ending}" for ending in ("csv", *(("AT2",) if self.file == "ground_motion" else ())))
-
-
-GROUND_MOTION = Kind("ground_motion", "ground_acceleration", "ground_motion", "ag", "ground motion")
-APPLIED_FORCE = Kind("ground_motion", "applied_force_{mass}", "applied_force", "p", "applied force")
-IMPOSED_ELONGATION = Kind("displacement", "elongation", "imposed_elongation", "du", "imposed elongation")
-
-
-@dataclasses.dataclass(frozen=True)
-class Setting:
-    """Metadata of a field that a study gives.
-
-    Attributes:
-        meaning: a noun.
-        unit: SI unit, or "1".
-        kind: `number`: a number or the name of an input; `numbers`: a list of these; `whole`: a fixed whole number, at least 1.
-        default: None: it must be given.
-        is_positive: whether it must be.
-    """
-
-    meaning: str
-    unit: str
-    kind: Literal["number", "numbers", "whole"] = "number"
-    default: float | None = None
-    is_positive: bool = False
-
-
-_KEY = "setting"
-
-
-def setting(meaning: str, unit: str, **details: Any) -> Any:
-    """A field of an excitation that a study gives."""
-    told = Setting(meaning, unit, **details)
-    more: dict[str, Any] = {} if told.default is None else {"default": told.default}
-    # A whole number decides how much is computed.
-    return eqx.field(metadata={_KEY: told}, static=told.kind == "whole", **more)
-
-
-def settings_of(excitation: type["AbstractExcitation"]) -> dict[str, Setting]:
-    """The settings that a class of excitations declares, by name, in order."""
-    return {f.name: f.metadata[_KEY] for f in dataclasses.fields(excitation) if _KEY in f.metadata}
-
-
 class AbstractExcitation(eqx.Module):
     """What drives an experiment.
 
     Attributes:
-        name: its key in a study.
-        kind: what it drives.
-        of_file: its fields that are read from a record, the time first: its setting `file`; none of an excitation without one.
-        is_endless: whether only the study says how long to simulate.
+        declared: what a study says of it; its settings are fields of the same names, whole numbers static ones: they decide how
+            much is computed.
     """
 
-    name: ClassVar[str]
-    kind: ClassVar[Kind]
-    of_file: ClassVar[tuple[str, ...]] = ()
-    is_endless: ClassVar[bool] = False
+    declared: ClassVar[Declared]
 
     @abstractmethod
     def sample(self, time: Scalar) -> Any:
@@ -209,22 +140,6 @@ class AbstractExcitation(eqx.Module):
     def shortest_period(self) -> Scalar:
         """The period that its steps must resolve [s]."""
         return float("inf")
-
-    @classmethod
-    def impossible(cls, settings: Mapping[str, Any]) -> tuple[str, str] | None:
-        """A setting that is impossible and why; None where there is none.  Of names of inputs nothing is known here."""
-        del settings
-        return None
-
-    @classmethod
-    @abstractmethod
-    def sentence(cls, settings: Mapping[str, Any], duration: float | None) -> str:
-        """What is done to the specimen, without a full stop.
-
-        Arguments:
-            settings: as they stand in the study.
-            duration: [s] as it stands in the study.
-        """
 
 
 class AbstractRecord(AbstractExcitation):

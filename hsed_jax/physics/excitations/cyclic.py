@@ -9,23 +9,15 @@ the same number of steps at each of them, so that every reversal is the end of a
 Source of the sequence, two cycles at each of growing amplitudes: FEMA 461 (2007), Section 2.8.
 """
 
-from collections.abc import Mapping
-from typing import Any, ClassVar, final
+from typing import ClassVar, final
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hsed_jax.physics.excitations.base import (
-    IMPOSED_ELONGATION,
-    AbstractForcing,
-    AbstractImposedElongation,
-    Imposed,
-    Kind,
-    Scalar,
-    Tabulated,
-    setting,
-)
+from hsed_jax.physics.declared import CYCLIC_ELONGATION, Declared
+from hsed_jax.physics.excitations.base import AbstractForcing, AbstractImposedElongation, Imposed, Scalar, Tabulated
 from hsed_jax.physics.timeline import Timeline
 
 
@@ -39,12 +31,11 @@ class CyclicElongation(AbstractImposedElongation):
         cycles: full cycles at each amplitude.
     """
 
-    name: ClassVar[str] = "imposed"
-    kind: ClassVar[Kind] = IMPOSED_ELONGATION
+    declared: ClassVar[Declared] = CYCLIC_ELONGATION
 
-    amplitudes: tuple[Scalar, ...] = setting("amplitude", "m", kind="numbers", is_positive=True)
-    rate: Scalar = setting("rate", "m/s", is_positive=True)
-    cycles: int = setting("number of cycles", "1", kind="whole", default=2)
+    amplitudes: tuple[Scalar, ...]
+    rate: Scalar
+    cycles: int = eqx.field(static=True, default=CYCLIC_ELONGATION.default("cycles"))
 
     @property
     def branches(self) -> int:
@@ -94,17 +85,3 @@ class CyclicElongation(AbstractImposedElongation):
         turn = np.exp(0.25j * np.pi * within / steps) * np.asarray([1, 1j, -1, -1j])[branch % 4]
         level = np.minimum(branch // (4 * self.cycles), len(self.amplitudes) - 1)
         return Tabulated(Imposed(jnp.asarray(self.amplitudes)[level] * turn.imag, self.rate * jnp.asarray(turn.real)))
-
-    @classmethod
-    def sentence(cls, settings: Mapping[str, Any], duration: float | None) -> str:
-        """Amplitudes, cycles, rate."""
-        amplitudes = ", ".join(_told(value) for value in settings["amplitudes"])
-        cycles = settings.get("cycles", 2)
-        return (
-            f"{cycles} cycle{'s' if cycles > 1 else ''} of elongation imposed at each amplitude {amplitudes} m, the rate at most "
-            f"{_told(settings['rate'])} m/s"
-        )
-
-
-def _told(value: float | str) -> str:
-    return value if isinstance(value, str) else f"{value:g}"

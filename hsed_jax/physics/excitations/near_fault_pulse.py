@@ -3,8 +3,7 @@
 It advances by two complex rotations per half step, which is exact and twenty times cheaper than sines and cosines.
 """
 
-from collections.abc import Mapping
-from typing import Any, ClassVar, final
+from typing import ClassVar, final
 
 import equinox.internal as eqxi
 import jax
@@ -12,14 +11,8 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Bool, PyTree
 
-from hsed_jax.physics.excitations.base import (
-    GROUND_MOTION,
-    AbstractExcitation,
-    AbstractForcing,
-    Kind,
-    Scalar,
-    setting,
-)
+from hsed_jax.physics.declared import NEAR_FAULT_PULSE, Declared
+from hsed_jax.physics.excitations.base import AbstractExcitation, AbstractForcing, Scalar
 
 
 @final
@@ -42,14 +35,12 @@ class NearFaultPulse(AbstractExcitation):
         nu: phase [rad].
     """
 
-    name: ClassVar[str] = "near_fault_pulse"
-    kind: ClassVar[Kind] = GROUND_MOTION
-    is_endless: ClassVar[bool] = True
+    declared: ClassVar[Declared] = NEAR_FAULT_PULSE
 
-    V_P: Scalar = setting("peak velocity", "m/s")
-    T_P: Scalar = setting("period", "s", is_positive=True)
-    gamma: Scalar = setting("number of oscillations", "1", default=2.0, is_positive=True)
-    nu: Scalar = setting("phase", "1", default=0.10)
+    V_P: Scalar
+    T_P: Scalar
+    gamma: Scalar = NEAR_FAULT_PULSE.default("gamma")
+    nu: Scalar = NEAR_FAULT_PULSE.default("nu")
 
     @property
     def duration(self) -> Scalar:
@@ -60,17 +51,6 @@ class NearFaultPulse(AbstractExcitation):
     def shortest_period(self) -> Scalar:
         """T_P [s]."""
         return self.T_P
-
-    @classmethod
-    def impossible(cls, settings: Mapping[str, Any]) -> tuple[str, str] | None:
-        """With one oscillation Eq. 17 has no value."""
-        is_one = settings["gamma"] == 1
-        return ("gamma", "the number of oscillations is positive and not 1, but it is 1") if is_one else None
-
-    @classmethod
-    def sentence(cls, settings: Mapping[str, Any], duration: float | None) -> str:
-        """Pulses, and how long."""
-        return f"Shaken by near-fault pulses of {duration:g} s"
 
     def velocity(self, time: Scalar) -> Scalar:
         """Ground velocity [m/s] at one instant [s] (Eq. 16)."""

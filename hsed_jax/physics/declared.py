@@ -1,0 +1,159 @@
+"""What a study may name, apart from what computes it: spring laws by name, excitations with their settings.
+
+Nothing here needs JAX, which takes longer to load than a study takes to read: a wrong key is told without it.  An excitation is
+declared here, and computed by the class of `hsed_jax.physics.excitations` that is declared so.  Studies, laboratories,
+figures and reports ask here.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+SPRING_LAWS = ("bouc_wen", "elastic", "bilinear", "menegotto_pinto", "takeda")
+"""Names of the laws that come with the package (`hsed_jax.physics.laws`)."""
+
+
+class Kind(NamedTuple):
+    """What of an experiment is driven.
+
+    Attributes:
+        protocol: of a campaign of such experiments.
+        channel: that measures it, in terms of the settings.
+        file: that a laboratory is given, without its ending.
+        column: of that file.
+        noun: for reports and figures.
+    """
+
+    protocol: Literal["ground_motion", "displacement"]
+    channel: str
+    file: str
+    column: str
+    noun: str
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Names of the files that a laboratory is given."""
+        return tuple(f"{self.file}.{ending}" for ending in ("csv", *(("AT2",) if self.file == "ground_motion" else ())))
+
+
+GROUND_MOTION = Kind("ground_motion", "ground_acceleration", "ground_motion", "ag", "ground motion")
+APPLIED_FORCE = Kind("ground_motion", "applied_force_{mass}", "applied_force", "p", "applied force")
+IMPOSED_ELONGATION = Kind("displacement", "elongation", "imposed_elongation", "du", "imposed elongation")
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a study gives.
+
+    Attributes:
+        meaning: a noun.
+        unit: SI unit, or "1".
+        kind: `number`: a number or the name of an input; `numbers`: a list of these; `whole`: a fixed whole number, at least 1.
+        default: None: it must be given.
+        is_positive: whether it must be.
+    """
+
+    meaning: str
+    unit: str
+    kind: Literal["number", "numbers", "whole"] = "number"
+    default: float | None = None
+    is_positive: bool = False
+
+
+def _all_possible(settings: Mapping[str, Any]) -> tuple[str, str] | None:
+    del settings
+    return None
+
+
+@dataclass(frozen=True)
+class Declared:
+    """An excitation, as far as a study says it.
+
+    Attributes:
+        name: its key in a study.
+        kind: what it drives.
+        settings: what a study gives, by the names of its fields.
+        sentence: what is done to the specimen, without a full stop, from the settings as they stand in the study, and how long
+            it lasts [s].
+        of_file: its fields that are read from a record, the time first: its setting `file`; none of an excitation without one.
+        is_endless: whether only the study says how long to simulate.
+        impossible: from the settings the one that is impossible and why; None where there is none.  Of names of inputs nothing
+            is known here.
+    """
+
+    name: str
+    kind: Kind
+    settings: Mapping[str, Setting]
+    sentence: Callable[[Mapping[str, Any], float | None], str]
+    of_file: tuple[str, ...] = ()
+    is_endless: bool = False
+    impossible: Callable[[Mapping[str, Any]], tuple[str, str] | None] = _all_possible
+
+    def default(self, name: str) -> Any:
+        """What a setting is where a study does not give it."""
+        return self.settings[name].default
+
+
+def _one_oscillation(settings: Mapping[str, Any]) -> tuple[str, str] | None:
+    """With one oscillation Eq. 17 has no value."""
+    is_one = settings["gamma"] == 1
+    return ("gamma", "the number of oscillations is positive and not 1, but it is 1") if is_one else None
+
+
+def _of_cycles(settings: Mapping[str, Any], duration: float | None) -> str:
+    amplitudes = ", ".join(_told(value) for value in settings["amplitudes"])
+    cycles = settings.get("cycles", 2)
+    return (
+        f"{cycles} cycle{'s' if cycles > 1 else ''} of elongation imposed at each amplitude {amplitudes} m, the rate at most "
+        f"{_told(settings['rate'])} m/s"
+    )
+
+
+def _told(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
+
+
+def _file(settings: Mapping[str, Any]) -> str:
+    return settings["file"].rpartition("/")[2]
+
+
+NEAR_FAULT_PULSE = Declared(
+    "near_fault_pulse",
+    GROUND_MOTION,
+    {
+        "V_P": Setting("peak velocity", "m/s"),
+        "T_P": Setting("period", "s", is_positive=True),
+        "gamma": Setting("number of oscillations", "1", default=2.0, is_positive=True),
+        "nu": Setting("phase", "1", default=0.10),
+    },
+    lambda settings, duration: f"Shaken by near-fault pulses of {duration:g} s",
+    is_endless=True,
+    impossible=_one_oscillation,
+)
+RECORDED_MOTION = Declared(
+    "recorded",
+    GROUND_MOTION,
+    {"scale": Setting("factor", "1", default=1.0)},
+    lambda settings, duration: f"Shaken by the recorded motion {_file(settings)}",
+    of_file=("time", "ground_acceleration"),
+)
+HISTORY_OF_A_FORCE = Declared(
+    "applied_force",
+    APPLIED_FORCE,
+    {"mass": Setting("number of the mass", "1", kind="whole"), "scale": Setting("factor", "1", default=1.0)},
+    lambda settings, duration: f"Driven by the force {_file(settings)} on mass {settings['mass']}, the ground at rest",
+    of_file=("time", "force"),
+)
+CYCLIC_ELONGATION = Declared(
+    "imposed",
+    IMPOSED_ELONGATION,
+    {
+        "amplitudes": Setting("amplitude", "m", kind="numbers", is_positive=True),
+        "rate": Setting("rate", "m/s", is_positive=True),
+        "cycles": Setting("number of cycles", "1", kind="whole", default=2),
+    },
+    _of_cycles,
+)
+
+DECLARED = {known.name: known for known in (NEAR_FAULT_PULSE, RECORDED_MOTION, HISTORY_OF_A_FORCE, CYCLIC_ELONGATION)}
+"""Excitations by their keys in a study."""
