@@ -554,6 +554,9 @@ def test_a_prior_has_scipys_density_and_quantiles(case):
     # Some quantiles come from 4096 samples.
     sampled = case in ("Gamma", "student_t")
     np.testing.assert_allclose(prior.quantile(shares), values, rtol=1e-7, atol=0.1 * truth.std() if sampled else 1e-9)
+    # One that a program asked for first is a number outside of it, too.
+    jax.jit(lambda x: x * prior.quantile(0.9))(2.0)
+    np.testing.assert_allclose(prior.quantile(0.9), prior.quantile(shares)[2], rtol=1e-12)
 
 
 @pytest.mark.parametrize("case", SPELLINGS)

@@ -26,8 +26,8 @@ from hsed_jax.physics.sensors import measured
 from hsed_jax.physics.simulator import Conditions, Recorded, Timeline
 from hsed_jax.reporting.catalogue import entry
 from hsed_jax.reporting.formulas import in_text
+from hsed_jax.study import form_curves
 from hsed_jax.study.build import Built
-from hsed_jax.study.form_curves import curves_of
 
 F, U, V, E = SCALES = Scales(force=1.2e5, elongation=0.25, rate=1.5, energy=2e4)
 SEVERAL = tuple(
@@ -35,6 +35,7 @@ SEVERAL = tuple(
 )
 FORMS = tuple((name, label) for name in SEVERAL for label in forms_of(EFFECTS[name]))
 STRENGTH, STIFFNESS = 1e5, 6e5
+curves_of = cache(form_curves.curves_of)
 
 
 def state(count: int = 60) -> dict:

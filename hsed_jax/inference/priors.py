@@ -5,7 +5,7 @@ import re
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import jax
@@ -66,8 +66,13 @@ class Prior:
 
     def quantile(self, probability: Any) -> Any:
         """The value below which this share of the prior lies; from samples where the distribution has no closed form."""
+        if not isinstance(probability, float):
+            return self._quantile(probability)
+        return _one_quantile(self, probability, jnp.result_type(float))
+
+    def _quantile(self, probability: Any) -> Any:
         try:
-            return _quantile(self.distribution, probability)
+            return _inverted(self.distribution, probability)
         except (NotImplementedError, ImportError):  # numpyro takes some quantiles from a package that may be absent
             draws = self.distribution.sample(jax.random.key(0), (4096,))
             return jnp.quantile(draws, jnp.asarray(probability))
@@ -101,7 +106,15 @@ class Prior:
         return hash(repr(self))
 
 
-def _quantile(distribution: dist.Distribution, probability: Any) -> Any:
+@cache
+def _one_quantile(prior: Prior, probability: float, precision: Any) -> Any:
+    """A number of a prior, which is asked for again and again: hundreds of operations, each by itself."""
+    del precision  # another one is another number
+    with jax.ensure_compile_time_eval():
+        return prior._quantile(probability)
+
+
+def _inverted(distribution: dist.Distribution, probability: Any) -> Any:
     """Inverse distribution function: hundreds of operations, compiled (for one size) where more than one number is asked for."""
     asked = jnp.asarray(probability)
     if not asked.ndim:

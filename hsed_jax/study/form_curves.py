@@ -57,17 +57,18 @@ def curves_of(effect: type[AbstractSpringEffect]) -> Curves:
     """
     if not effect.forms:
         raise ValueError(f"{effect.name} has one formula and no forms")
-    swept = {name: _swept(effect, name) for name in _ACROSS}
-    name = max(swept, key=lambda key: _apart(swept[key].values))
-    return swept[name]
-
-
-def _swept(effect: type[AbstractSpringEffect], across: str) -> Curves:
-    places = np.linspace(0.0 if across == "driver" else -1.0, 1.0, _PLACES)
-    at = {key: jnp.asarray(places if key == across else np.full(_PLACES, rest)) for key, rest in _RESTING.items()}
+    places = {name: np.linspace(0.0 if name == "driver" else -1.0, 1.0, _PLACES) for name in _ACROSS}
+    # All sweeps in a row: what an effect contributes is asked for once for each form.
+    at = {
+        key: jnp.asarray(np.concatenate([places[name] if name == key else np.full(_PLACES, rest) for name in _ACROSS]))
+        for key, rest in _RESTING.items()
+    }
+    contributed = {form.name: _contributed(effect, form, at).reshape(len(_ACROSS), -1) for form in effect.forms}
+    swept = {name: {form: rows[i] for form, rows in contributed.items()} for i, name in enumerate(_ACROSS)}
+    name = max(swept, key=lambda key: _apart(swept[key]))
     flows = effect.flow is not AbstractSpringEffect.flow
     what = "how fast its own state changes" if flows else "what a form adds or multiplies by"
-    return Curves(what, _ACROSS[across], places, {form.name: _contributed(effect, form, at) for form in effect.forms})
+    return Curves(what, _ACROSS[name], places[name], swept[name])
 
 
 def _contributed(
