@@ -515,3 +515,8 @@ def test_units_are_the_same_read_from_the_table_and_from_what_was_kept_of_it(tmp
     for file in kept:  # as a process leaves it that was killed
         file.write_bytes(file.read_bytes()[:100])
     assert read_units() == plain
+
+
+@pytest.mark.parametrize("text", units.USUAL)
+def test_of_a_usual_unit_pint_would_say_the_same(text):
+    assert units.USUAL[text] == units._by_pint(text)

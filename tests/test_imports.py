@@ -162,6 +162,7 @@ def test_the_checker_catches_private_jax():
         (
             "from hsed_jax.run import main\nassert main(['check', 'configs/paper.yaml']) == 0",
             {
+                "pint",
                 "scipy.stats",
                 "scipy.interpolate",
                 "diffrax",

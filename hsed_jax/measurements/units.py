@@ -46,6 +46,32 @@ _OF_PAIRS = (
 _BY_UNIT = {d.si: d for d in (TIME, LENGTH, VELOCITY, ACCELERATION, FORCE, ENERGY, *_OF_PAIRS)}
 DIMENSIONLESS = {"-", "–", "1"}
 """Texts of the unit of a pure number."""
+# What pint makes of the units that most studies are written in: by dimension in base dimensions and SI unit, their factors.  pint
+# takes as long to load as all else that reads a study, and is asked for the others.
+_USUAL: dict[tuple[str, str], dict[str, int | str]] = {
+    ("[time]", "s"): {"s": 1, "ms": "1/1000"},
+    ("[length]", "m"): {"m": 1, "cm": "1/100", "mm": "1/1000"},
+    ("[length]*[time]^-1", "m*s^-1"): {"m/s": 1, "cm/s": "1/100", "mm/s": "1/1000"},
+    ("[length]*[time]^-2", "m*s^-2"): {"m/s^2": 1, "m/s2": 1, "cm/s^2": "1/100", "Gal": "1/100", "g": "9.80665"},
+    ("[length]*[mass]*[time]^-2", "kg*m*s^-2"): {"N": 1, "kN": 1000, "MN": 1_000_000, "J/m": 1},
+    ("[length]^2*[mass]*[time]^-2", "kg*m^2*s^-2"): {"J": 1, "kJ": 1000, "kN*mm": 1, "N*m": 1, "kN*m": 1000},
+    ("[length]^-1*[mass]*[time]^-2", "kg*m^-1*s^-2"): {
+        "Pa": 1,
+        "kPa": 1000,
+        "MPa": 1_000_000,
+        "GPa": 10**9,
+        "J/m^3": 1,
+    },
+    ("[mass]*[time]^-2", "kg*s^-2"): {"N/m": 1, "kN/m": 1000, "N/mm": 1000, "kN/mm": 1_000_000},
+    ("[time]^-1", "s^-1"): {"1/s": 1},
+    ("[time]^-1", "rad*s^-1"): {"rad/s": 1},
+    ("dimensionless", "rad"): {"rad": 1, "mrad": "1/1000"},
+    ("dimensionless", "1"): {"%": "1/100"},
+}
+USUAL = {
+    text: (Fraction(factor), formula, si) for (formula, si), units in _USUAL.items() for text, factor in units.items()
+}
+"""Factor to SI, dimension in base dimensions and SI unit, by text."""
 # A long number, or a power of a power: pint would compute it to its last digit, however many those are.
 _ENDLESS = re.compile(r"\d{3}|\d[eE]|\d[\s)]*(\*\*|\^)")
 
@@ -163,6 +189,10 @@ def _in_si(text: str) -> tuple[Fraction, str, str]:
     """Return the factor to SI, the dimension in base dimensions, and the SI unit."""
     if text.strip() in DIMENSIONLESS:
         return Fraction(1), "dimensionless", "1"
+    return USUAL[text] if text in USUAL else _by_pint(text)
+
+
+def _by_pint(text: str) -> tuple[Fraction, str, str]:
     # pint reads g as gram; in this field it is gravity.  A spreadsheet's m/s2 means m/s^2.
     spelled = re.sub(r"(?<![A-Za-z_])g(?![A-Za-z_])", "standard_gravity", text)
     spelled = re.sub(r"(?<=[A-Za-z])(\d)", r"**\1", spelled)
