@@ -165,11 +165,11 @@ class Search:
         return self.held_out.left_out(self.target, [self._fits.best(effects) for effects in chosen])
 
     def harms(self, larger: Set, here: Set = frozenset()) -> bool:
-        """Whether a set predicts the experiments that nothing is fitted to worse than another one, or not at all."""
+        """Whether a set predicts what nothing is fitted to worse than another one or the model as it is, or not at all."""
         if self.held_out.test is None:
             return False
-        now, then = self.unseen([here, larger])
-        return not then**2 <= (1 + _CHANCE) * now**2
+        plain, now, then = self.unseen([frozenset(), here, larger])
+        return not (then**2 <= (1 + _CHANCE) * now**2 and then <= plain)
 
     def pointed_at(self, chosen: Set) -> Set:
         """The candidates that a score test around a fitted set is sure of, with their number accounted for."""
