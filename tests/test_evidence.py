@@ -78,7 +78,9 @@ def test_evidence_of_a_linear_gaussian_model_is_exact(columns):
 
 def of_size(prior, data):
     """log Z of an effect of any size, its size and standard deviation."""
-    models, _, fit = fitted(lambda theta: theta[0][:, None] * DESIGN[:, 2], {"delta": prior}, data, start=[0.0])
+    models = NestedModels(Analytic(lambda theta: theta[0][:, None] * DESIGN[:, 2]), Box({"delta": prior}), np.zeros(1))
+    target = Target(data[None], np.full((1, 12), SIGMA), np.ones((1, 1, 12)), np.zeros((1, 12)))
+    (fit,) = models.fit(target, [Task(models.member(np.arange(1)), models.box.x(np.array([0.5])))])
     deviation = SIGMA / np.linalg.norm(DESIGN[:, 2])
     return laplace(fit, models) + of_any_size(fit, models, 0), models.theta(fit.x, fit.member)[0], deviation
 

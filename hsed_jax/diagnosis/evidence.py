@@ -101,7 +101,7 @@ def of_any_size(fit: Descent, models: NestedModels, amplitude: int) -> float:
     neutral, box = models.neutral[amplitude], models.box
     deviation = np.sqrt(gaussian(fit)[1][place, place])
     size = max(abs(fit.x[amplitude] - neutral), _SEEN * deviation)
-    sides = (box.low[amplitude] < neutral) + (box.high[amplitude] > neutral)
+    sides = int(box.low[amplitude] < neutral) + int(box.high[amplitude] > neutral)
     density = float(box.log_density(fit.x[None], fit.free[[place]])[0, 0])
     return -float(np.log(sides * size * _SIZES)) - density
 
