@@ -351,12 +351,12 @@ class Search:
             is_larger = len(candidate.effects) > len(self.best)
             if self.obstacle(candidate) is None if is_larger else not self.harms(candidate.effects):
                 return candidate.effects
-        return self.best
+        # Judged anew, what was best may predict worse than the model as it is.
+        return self.path[-2] if self.best and self.harms(self.best) else self.best
 
     def _predicting(self, ranked: Sequence[Model]) -> list[Model]:
-        """Models with the most probable first where the noise explains what it leaves.  Where it does not, all are wrong, and
-        those come first that predict what was left out as well as the best of them, by one standard error; of these the one of
-        fewest parameters (Breiman et al. 1984)."""
+        """Models with the most probable first where the noise explains what it leaves.  Where not, those that predict what was
+        left out as well as the best, by one standard error; of these the one of fewest parameters (Breiman et al. 1984)."""
         if not ranked or self._is_explained(ranked[0].fit):
             return list(ranked)
         self._report("what they predict of experiments left out")

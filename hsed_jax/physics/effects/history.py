@@ -56,8 +56,9 @@ class Slip(AbstractDrivenEffect):
     onset: Scalar = shape_parameter(
         "x_0", "driver at which it begins", neutral=0.0, lower=0.0, prior={"half_normal": 0.2}
     )
+    # One that hardly grows is play, from the first reversal on.
     power: Scalar = shape_parameter(
-        "p", "power of the driver", neutral=1.0, lower=0.1, upper=6.0, prior={"lognormal": [0.0, 0.5]}
+        "p", "power of the driver", neutral=1.0, lower=0.3, upper=6.0, prior={"lognormal": [0.0, 0.5]}
     )
     driver_3: Scalar = share_parameter("w_3", "share of another driver")
     driver_share: Scalar = index_share()

@@ -257,7 +257,7 @@ class Pinching(AbstractDrivenEffect):
     name: ClassVar[str] = "pinching"
     family: ClassVar[str] = "pinching"
     reference: ClassVar[str] = "Baber & Noori 1985; Foliente 1995"
-    drivers: ClassVar[tuple[str, ...]] = ("energy", "largest_elongation", "reversals")
+    drivers: ClassVar[tuple[str, ...]] = ("energy", "largest_elongation")
     forms: ClassVar[tuple[Form, ...]] = (
         Form("foliente"),
         Form("gaussian", r"h = 1 - \zeta_s(1 - e^{-px})\exp(-(z/\psi_0 z_u)^2)", "Baber & Noori 1985",
