@@ -230,6 +230,23 @@ def test_an_effect_that_raises_the_error_of_what_nothing_is_fitted_to_is_not_nam
         assert "not used" in found.obstacle(found.model({"effect_3"}))
 
 
+def test_no_set_may_raise_the_error_above_that_of_the_model_as_it_is():
+    search = found_in(data_of(0, effect_3=0.5))
+    named, larger = search.best, search.best | {"effect_0"}
+    assert named == {"effect_3"}
+    # By 5 % of its square a larger one may raise that of a smaller one, and the plain model's by nothing.
+    search.held_out.test = search.measured
+    errors = {frozenset(): 1.0, named: 0.9, larger: 0.92}
+    search.unseen = lambda chosen: [errors[effects] for effects in chosen]
+    for smaller, then, is_harm in ((0.9, 0.92, False), (0.9, 0.95, True), (0.99, 1.0, False), (0.99, 1.001, True)):
+        errors |= {named: smaller, larger: then}
+        assert search.harms(larger, named) == is_harm
+    # What was named is given up where, judged anew, it does.
+    assert search._next() == named
+    errors[named] = 1.01
+    assert search._next() == frozenset()
+
+
 def test_no_model_fits_worse_than_one_that_it_contains_or_than_a_larger_one_without_its_effect():
     search = found_in(data_of(0, effect_3=0.5))
     known, none, larger = search._fits._known, frozenset(), frozenset({("effect_3", "")})
