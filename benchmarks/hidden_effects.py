@@ -139,6 +139,9 @@ def main() -> None:
     parser.add_argument("groups", nargs="*", metavar="GROUP", help="groups whose name contains this (default: all)")
     parser.add_argument("--output", type=Path, default=Path(__file__).with_name("hidden_effects.json"), metavar="FILE")
     parser.add_argument("--stride", type=int, default=1, metavar="N", help="every N-th case of each group")
+    parser.add_argument(
+        "--offset", type=int, default=0, metavar="N", help="from this case of each group on (with --stride)"
+    )
     parser.add_argument("--resume", action="store_true", help="keep the cases that were scored already")
     parser.add_argument("--markdown", action="store_true", help="print the table of the last results, measure nothing")
     parser.add_argument("--by", choices=list(SPLITS), help="split the rows of the table by this")
@@ -147,7 +150,7 @@ def main() -> None:
     kept = json.loads(options.output.read_text(encoding="utf-8")) if keeps else []
     if not options.markdown:
         groups = {
-            group: cases[:: options.stride]
+            group: cases[options.offset :: options.stride]
             for group, cases in plan().items()
             if not options.groups or any(word in group for word in options.groups)
         }

@@ -2,7 +2,8 @@ r"""Fits of sets of effects, each effect in several forms, and what a set is wor
 
 The evidence of a set is the sum of those of its forms, which share its prior probability, $Z_S = \sum_f p(f)\,Z_f$: half of it
 belongs to the default form of each effect and half to the others alike.  So many forms buy nothing, and an effect is compared
-with another whatever formulas the two have.
+with another whatever formulas the two have; and, since of its size nothing is known beforehand
+(`hsed_jax.diagnosis.evidence.of_any_size`), whatever unit the amplitude of either was written in.
 """
 
 import math
@@ -13,7 +14,7 @@ import numpy as np
 from jaxtyping import Int
 from scipy.special import logsumexp
 
-from hsed_jax.diagnosis.evidence import laplace
+from hsed_jax.diagnosis.evidence import laplace, of_any_size
 from hsed_jax.diagnosis.nested import Descent, Member, NestedModels, Target, Task
 from hsed_jax.diagnosis.problem import FormColumns, Forms
 
@@ -40,7 +41,7 @@ class Model(NamedTuple):
         shares: of each effect the probabilities of its forms.
         fit: where the fit of the most probable forms ended.
         fit_log_evidence: log Z of that alone.
-        log_evidence: log Z over the forms.
+        log_evidence: log Z over the forms, with effects of any size.
         log_posterior: log Z plus the log prior of the set.
     """
 
@@ -190,9 +191,12 @@ class Fits:
             (instead,) = near - choice
             columns = self._form(changed).columns
             new = np.setdiff1d(columns, self._form(instead).columns)
-            starts = np.tile(x, (2, 1))
-            starts[:, new] = self.models.box.quantiles(new, np.tile([[0.3], [0.75]], len(new))) if new.size else x[new]
+            starts = np.tile(x, (3 if new.size else 2, 1))
             starts[1, columns[0]] = self.models.box.quantiles(columns[:1], np.asarray([[0.5]]))[0, 0]
+            if new.size:
+                # Where it is that other form, which it may contain, and where it is not.
+                starts[0, new] = self.models.neutral[new]
+                starts[1:, new] = self.models.box.quantiles(new, np.tile([[0.75], [0.3]], len(new)))
             return list(starts)
         known = max((c for c in self._known if c < choice), key=lambda c: (len(c), -self._known[c].cost))
         new = np.concatenate([self._form(pair).columns for pair in sorted(choice - known)])
@@ -204,8 +208,13 @@ class Fits:
     # What a choice is worth.
 
     def _worth(self, choice: Choice) -> float:
-        """log Z plus the log prior of its forms."""
-        return self._log_evidence(choice) + sum(self._log_share(pair) for pair in choice)
+        """log Z where effects may be of any size, plus the log prior of its forms."""
+        of_sizes = sum(self._of_any_size(choice, pair) for pair in choice)
+        return self._log_evidence(choice) + of_sizes + sum(self._log_share(pair) for pair in choice)
+
+    def _of_any_size(self, choice: Choice, pair: tuple[str, str]) -> float:
+        fit = self._known[choice]
+        return of_any_size(fit, self.models, int(self._form(pair).columns[0])) if np.isfinite(fit.cost) else 0.0
 
     def _log_share(self, pair: tuple[str, str]) -> float:
         others = len(self.effects[pair[0]]) - 1

@@ -165,11 +165,11 @@ class Search:
         return self.held_out.left_out(self.target, [self._fits.best(effects) for effects in chosen])
 
     def harms(self, larger: Set, here: Set = frozenset()) -> bool:
-        """Whether a set predicts the experiments that nothing is fitted to worse than another one, or not at all."""
+        """Whether a set predicts what nothing is fitted to worse than another one or the model as it is, or not at all."""
         if self.held_out.test is None:
             return False
-        now, then = self.unseen([here, larger])
-        return not then**2 <= (1 + _CHANCE) * now**2
+        plain, now, then = self.unseen([frozenset(), here, larger])
+        return not (then**2 <= (1 + _CHANCE) * now**2 and then <= plain)
 
     def pointed_at(self, chosen: Set) -> Set:
         """The candidates that a score test around a fitted set is sure of, with their number accounted for."""
@@ -351,12 +351,12 @@ class Search:
             is_larger = len(candidate.effects) > len(self.best)
             if self.obstacle(candidate) is None if is_larger else not self.harms(candidate.effects):
                 return candidate.effects
-        return self.best
+        # Judged anew, what was best may predict worse than the model as it is.
+        return self.path[-2] if self.best and self.harms(self.best) else self.best
 
     def _predicting(self, ranked: Sequence[Model]) -> list[Model]:
-        """Models with the most probable first where the noise explains what it leaves.  Where it does not, all are wrong, and
-        those come first that predict what was left out as well as the best of them, by one standard error; of these the one of
-        fewest parameters (Breiman et al. 1984)."""
+        """Models with the most probable first where the noise explains what it leaves.  Where not, those that predict what was
+        left out as well as the best, by one standard error; of these the one of fewest parameters (Breiman et al. 1984)."""
         if not ranked or self._is_explained(ranked[0].fit):
             return list(ranked)
         self._report("what they predict of experiments left out")

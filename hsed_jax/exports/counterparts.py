@@ -216,12 +216,13 @@ def _beside(name: str, effect: Any, law: AbstractSpringLaw, scales: Scales, reac
     if effect.delta < 0:
         raise _refused(name, effect, "with a negative amplitude ")
     if effect.name == "viscous_damping":
-        _require(name, effect, side=0, of_elongation=0, worn=0)
+        _require(name, effect, side=0, bend=0, of_elongation=0, worn=0)
         power = 1.0
     elif effect.name == "quadratic_damping":
-        _require(name, effect, side=0)
+        _require(name, effect, side=0, bend=0)
         power = effect.power
     else:
+        _require(name, effect, side=0, bend=0, worn=0)
         power = effect.alpha
     return ("Viscous", force / scales.rate**power, power)
 

@@ -6,19 +6,30 @@ import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
 from hsed_jax.physics.effects.driven import AbstractWornEffect, heating, wearing
-from hsed_jax.physics.effects.forms import FREE, Form, bend_parameter, one_side, raised, saturated, sided
+from hsed_jax.physics.effects.forms import (
+    FREE,
+    Form,
+    bend_parameter,
+    one_side,
+    passing_parameter,
+    raised,
+    saturated,
+    sided,
+)
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_zero
 
 # Friction turns over within this share of the characteristic rate: a jump would stall any integrator.
 _STICKING = 0.02
+# A force that takes a larger share of it to turn over follows the rate: that of a damper.
+_SLOWEST = 0.1
 
 
 def _sticking() -> Any:
     """The parameter that says how sharply friction turns over."""
     return shape_parameter(
         "w", "rate at which it turns over, over characteristic rate", neutral=_STICKING, lower=0.005,
-        prior={"lognormal": [-2.3, 1.0]},
+        upper=_SLOWEST, prior={"lognormal": [-3.5, 0.7]},
     )  # fmt: skip
 
 
@@ -49,7 +60,8 @@ class ViscousDamping(AbstractWornEffect):
         "1",
         "viscous force at the characteristic rate over the characteristic force",
         neutral=0.0,
-        prior={"normal": [0.0, 0.3]},
+        lower=0.0,
+        prior={"half_normal": 0.3},
         physical=PhysicalForm("c", "N*s/m", lambda scales: scales.force / scales.rate),
     )
     side: Scalar = one_side()
@@ -79,8 +91,8 @@ class QuadraticDamping(AbstractSpringEffect):
              free=("power",), in_units=False),
         Form("opening only", r"\delta F_c\max(\Delta\dot u, 0)^2/v_c^2", held={"side": 1.0}),
         Form("closing only", r"-\delta F_c\min(\Delta\dot u, 0)^2/v_c^2", held={"side": -1.0}),
-        Form(FREE, r"\delta F_c|\Delta\dot u/v_c|^p\,\mathrm{sign}\,\Delta\dot u,\ \text{times } 1 - |w| \text{ one way}",
-             free=("power", "side"), in_units=False),
+        Form(FREE, r"\delta F_c\frac{x}{(1 + b\,x)^{1-r}}\,\mathrm{sign}\,\Delta\dot u,\ x = |\Delta\dot u/v_c|^p,\ "
+             r"\text{times } 1 - |w| \text{ one way}", free=("power", "bend", "passing", "side"), in_units=False),
     )  # fmt: skip
 
     delta: Scalar = parameter(
@@ -88,18 +100,22 @@ class QuadraticDamping(AbstractSpringEffect):
         "1",
         "drag at the characteristic rate over the characteristic force",
         neutral=0.0,
-        prior={"normal": [0.0, 0.3]},
+        lower=0.0,
+        prior={"half_normal": 0.3},
         physical=PhysicalForm("c2", "N*s^2/m^2", lambda scales: scales.force / scales.rate**2),
     )
     power: Scalar = shape_parameter(
         "p", "power of the rate", neutral=2.0, lower=1.1, upper=6.0, prior={"lognormal": [0.6, 0.4]}
     )
+    bend: Scalar = bend_parameter()
+    passing: Scalar = passing_parameter()
     side: Scalar = one_side()
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
         ratio = point.rate / point.scales.rate
-        drag = sided(ratio * raised(jnp.abs(ratio), self.power - 1), self.side)
+        drag = ratio * raised(jnp.abs(ratio), self.power - 1)
+        drag = sided(saturated(drag, self.bend, self.passing), self.side)
         return {"force": self.delta * point.scales.force * drag}
 
 
@@ -114,8 +130,8 @@ class PowerDamping(AbstractWornEffect):
     needs_time: ClassVar[bool] = True
     forms: ClassVar[tuple[Form, ...]] = (
         Form("power"),
-        Form(FREE, r"\delta F_c\frac{x}{1 + b\,x}\,\mathrm{sign}\,\Delta\dot u,\ x = |\Delta\dot u/v_c|^\alpha,\ "
-             r"\text{times } 1 - |w| \text{ one way}", free=("bend", "side"), in_units=False),
+        Form(FREE, r"\delta F_c\frac{x}{(1 + b\,x)^{1-r}}\,\mathrm{sign}\,\Delta\dot u,\ x = |\Delta\dot u/v_c|^\alpha,\ "
+             r"\text{times } 1 - |w| \text{ one way}", free=("bend", "passing", "side"), in_units=False),
         heating(r"\delta F_c|\Delta\dot u/v_c|^\alpha\,\mathrm{sign}\,\Delta\dot u\,", "Black & Makris 2007 (oil that warms)"),
     )  # fmt: skip
 
@@ -124,13 +140,15 @@ class PowerDamping(AbstractWornEffect):
         "1",
         "force at the characteristic rate over the characteristic force",
         neutral=0.0,
-        prior={"normal": [0.0, 0.3]},
+        lower=0.0,
+        prior={"half_normal": 0.3},
         physical=PhysicalForm("force", "N", lambda scales: scales.force),
     )
     alpha: Scalar = parameter(
         r"\alpha", "1", "exponent of the rate", neutral=0.5, lower=0.1, upper=2.0, prior={"uniform": [0.1, 1.0]}
     )
     bend: Scalar = bend_parameter()
+    passing: Scalar = passing_parameter()
     side: Scalar = one_side()
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
@@ -138,7 +156,7 @@ class PowerDamping(AbstractWornEffect):
         ratio = point.rate / point.scales.rate
         # |v|^α has no derivative at rest; below this rate it is linear.
         size = jnp.maximum(jnp.abs(ratio), 1e-3)
-        drag = sided(saturated(jnp.exp((self.alpha - 1) * jnp.log(size)) * ratio, self.bend), self.side)
+        drag = sided(saturated(jnp.exp((self.alpha - 1) * jnp.log(size)) * ratio, self.bend, self.passing), self.side)
         return {"force": self.delta * point.scales.force * drag * self.lasting(point)}
 
 

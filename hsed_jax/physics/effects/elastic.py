@@ -5,18 +5,29 @@ from typing import ClassVar, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
-from hsed_jax.physics.effects.forms import FREE, Form, bend_parameter, one_side, raised, saturated, sided
+from hsed_jax.physics.effects.forms import (
+    FREE,
+    Form,
+    bend_parameter,
+    one_side,
+    passing_parameter,
+    raised,
+    saturated,
+    sided,
+)
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
 from hsed_jax.physics.scales import is_number
 
-# A spring of any power, which may level off, and act to one side.
-_LEVELLING = Form(
+# A spring of any power, which may level off or pass to a lower power, and act to one side.
+_BENT = Form(
     FREE,
-    r"\delta F_c\frac{|x|^p}{1 + b|x|^p}\mathrm{sign}\,x,\ x = \Delta u/u_c,\ "
+    r"\delta F_c\frac{|x|^p}{(1 + b|x|^p)^{1-r}}\mathrm{sign}\,x,\ x = \Delta u/u_c,\ "
     r"\text{times } 1 - |w| \text{ to the side that } w \text{ is not of}",
-    free=("power", "bend", "side"),
+    free=("power", "bend", "passing", "side"),
     in_units=False,
 )
+# What takes more than this power of the way beyond a clearance to close is no stop, but a spring that stiffens.
+_BLUNTEST = 2.5
 
 
 @register
@@ -39,7 +50,7 @@ class Hardening(AbstractSpringEffect):
             in_units=False,
         ),
         Form("saturating", r"\delta\,\frac{F_c}{u_c}\frac{\Delta u}{1 + b|\Delta u|/u_c}", free=("bend",)),
-        _LEVELLING,
+        _BENT,
     )
 
     delta: Scalar = parameter(
@@ -56,11 +67,12 @@ class Hardening(AbstractSpringEffect):
         "p", "power of the elongation", neutral=1.0, lower=0.2, upper=1.5, prior={"lognormal": [-0.4, 0.4]}
     )
     bend: Scalar = bend_parameter()
+    passing: Scalar = passing_parameter()
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
         ratio = raised(point.elongation / point.scales.elongation, self.power)
-        return {"force": self.delta * point.scales.force * sided(saturated(ratio, self.bend), self.side)}
+        return {"force": self.delta * point.scales.force * sided(saturated(ratio, self.bend, self.passing), self.side)}
 
 
 @register
@@ -74,7 +86,7 @@ class CubicStiffness(AbstractSpringEffect):
     forms: ClassVar[tuple[Form, ...]] = (
         Form("cubic", r"\delta F_c(\Delta u/u_c)^3"),
         Form("power", r"\delta F_c|\Delta u/u_c|^p\,\mathrm{sign}\,\Delta u", free=("power",), in_units=False),
-        _LEVELLING,
+        _BENT,
     )
 
     delta: Scalar = parameter(
@@ -89,6 +101,7 @@ class CubicStiffness(AbstractSpringEffect):
         "p", "power of the elongation", neutral=3.0, lower=1.2, upper=12.0, prior={"lognormal": [1.1, 0.5]}
     )
     bend: Scalar = bend_parameter()
+    passing: Scalar = passing_parameter()
     side: Scalar = one_side()
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
@@ -97,7 +110,7 @@ class CubicStiffness(AbstractSpringEffect):
         bent = ratio * ratio * ratio
         if not is_number(self.power, 3):
             bent = jnp.sign(ratio) * raised(jnp.abs(ratio), self.power)
-        return {"force": self.delta * point.scales.force * sided(saturated(bent, self.bend), self.side)}
+        return {"force": self.delta * point.scales.force * sided(saturated(bent, self.bend, self.passing), self.side)}
 
 
 @register
@@ -111,7 +124,12 @@ class QuadraticStiffness(AbstractSpringEffect):
     forms: ClassVar[tuple[Form, ...]] = (
         Form("quadratic", r"\delta F_c(\Delta u/u_c)^2"),
         Form("power", r"\delta F_c|\Delta u/u_c|^p", free=("power",), in_units=False),
-        Form(FREE, r"\delta F_c\frac{|x|^p}{1 + b|x|^p},\ x = \Delta u/u_c", free=("power", "bend"), in_units=False),
+        Form(
+            FREE,
+            r"\delta F_c\frac{|x|^p}{(1 + b|x|^p)^{1-r}},\ x = \Delta u/u_c",
+            free=("power", "bend", "passing"),
+            in_units=False,
+        ),
     )
 
     delta: Scalar = parameter(
@@ -126,12 +144,13 @@ class QuadraticStiffness(AbstractSpringEffect):
         "p", "power of the elongation", neutral=2.0, lower=0.5, upper=8.0, prior={"lognormal": [0.5, 0.5]}
     )
     bend: Scalar = bend_parameter()
+    passing: Scalar = passing_parameter()
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
         ratio = point.elongation / point.scales.elongation
         bent = ratio * ratio if is_number(self.power, 2) else raised(jnp.abs(ratio), self.power)
-        return {"force": self.delta * point.scales.force * saturated(bent, self.bend)}
+        return {"force": self.delta * point.scales.force * saturated(bent, self.bend, self.passing)}
 
 
 @register
@@ -171,11 +190,17 @@ class ContactStiffening(AbstractSpringEffect):
         "clearance over characteristic elongation",
         neutral=0.5,
         lower=0.0,
-        prior={"uniform": [0.0, 1.0]},
+        # Without a clearance it is no stop.
+        prior={"uniform": [0.1, 1.0]},
         physical=PhysicalForm("gap", "m", lambda scales: scales.elongation),
     )
     power: Scalar = shape_parameter(
-        "p", "power of what is beyond the clearance", neutral=1.0, lower=0.3, upper=6.0, prior={"lognormal": [0.3, 0.5]}
+        "p",
+        "power of what is beyond the clearance",
+        neutral=1.0,
+        lower=0.3,
+        upper=_BLUNTEST,
+        prior={"lognormal": [0.3, 0.5]},
     )
     side: Scalar = one_side()
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax.numpy as jnp
 
-from hsed_jax.physics.parameters import Parameter, parameters_of, shape_parameter
+from hsed_jax.physics.parameters import Parameter, parameters_of, shape_parameter, share_parameter
 from hsed_jax.physics.scales import Scalar, is_number, is_zero
 from hsed_jax.physics.states import FATIGUE, LARGEST_ELONGATION, REVERSALS, TRAVEL, SharedState
 
@@ -175,9 +175,20 @@ def bend_parameter() -> Any:
     return shape_parameter("b", "how soon it saturates", neutral=0.0, lower=0.0, upper=50.0, prior={"half_normal": 3.0})
 
 
-def saturated(value: Scalar, bend: Scalar) -> Scalar:
-    r"""A value that grows ever more slowly, $x/(1 + b|x|)$: towards $1/b$."""
-    return value if is_zero(bend) else value / (1 + bend * jnp.abs(value))
+def passing_parameter() -> Any:
+    """The parameter that says what a force goes on with once it has bent."""
+    return share_parameter("r", "power that it goes on with once it has bent, over the first")
+
+
+def saturated(value: Scalar, bend: Scalar, passing: Scalar = 0.0) -> Scalar:
+    r"""A value that grows ever more slowly, $x/(1 + b|x|)^{1-r}$: towards $1/b$, or on with the power r of it.
+
+    Of a power $|x|^p$ it makes one of $rp$: what is smooth and monotone is two powers, one before it bends and one after.
+    """
+    if is_zero(bend):
+        return value
+    bent = 1 + bend * jnp.abs(value)
+    return value / bent if is_zero(passing) else value * jnp.exp((passing - 1) * jnp.log(bent))
 
 
 @cache

@@ -30,13 +30,13 @@ class Slip(AbstractDrivenEffect):
     name: ClassVar[str] = "slip"
     family: ClassVar[str] = "pinching"
     reference: ClassVar[str] = "Baber & Noori 1985; Madan, Reinhorn, Mander & Valles 1997"
-    drivers: ClassVar[tuple[str, ...]] = ("largest_elongation", "energy", "damage_index")
+    drivers: ClassVar[tuple[str, ...]] = ("largest_elongation", "energy", "damage_index", "reversals")
     forms: ClassVar[tuple[Form, ...]] = (
         Form("gaussian"),
         Form("window", r"c(z) = \frac{\delta\max|\Delta u|}{0.928\,\sigma}e^{-(z/\sigma)^6}",
              "Sivaselvan & Reinhorn 2000", held={"flat": 1.0}),
-        Form(FREE, r"c(z) = (1 - w_f)c_\mathrm{gaussian} + w_f c_\mathrm{window},\ \text{with } \max(x - x_0, 0) \text{ for } x",
-             free=("flat", "onset")),
+        Form(FREE, r"c(z) = (1 - w_f)c_\mathrm{gaussian} + w_f c_\mathrm{window},"
+             r"\ \text{with } \max(x - x_0, 0)^p \text{ for } x", free=("flat", "onset", "power")),
     )  # fmt: skip
 
     delta: Scalar = parameter(
@@ -56,6 +56,11 @@ class Slip(AbstractDrivenEffect):
     onset: Scalar = shape_parameter(
         "x_0", "driver at which it begins", neutral=0.0, lower=0.0, prior={"half_normal": 0.2}
     )
+    # One that hardly grows is play, from the first reversal on.
+    power: Scalar = shape_parameter(
+        "p", "power of the driver", neutral=1.0, lower=0.3, upper=6.0, prior={"lognormal": [0.0, 0.5]}
+    )
+    driver_3: Scalar = share_parameter("w_3", "share of another driver")
     driver_share: Scalar = index_share()
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
@@ -65,7 +70,7 @@ class Slip(AbstractDrivenEffect):
         if not is_zero(self.flat):
             place = (point.hysteretic / sigma) ** 2
             shape = shape + self.flat * (jnp.exp(-place * place * place) / (_OF_WINDOW * sigma) - shape)
-        length = jnp.maximum(self.driven(point) - self.onset, 0.0) * point.scales.elongation
+        length = raised(jnp.maximum(self.driven(point) - self.onset, 0.0), self.power) * point.scales.elongation
         return {"compliance": self.delta * length * shape}
 
 
@@ -106,7 +111,13 @@ class Fracture(AbstractDrivenEffect):
     )
     driver_3: Scalar = share_parameter("w_3", "share of another driver")
     width: Scalar = shape_parameter(
-        "w", "share of the life that the loss takes", neutral=0.02, lower=0.005, prior={"lognormal": [-2.0, 0.8]}
+        "w",
+        "share of the life that the loss takes",
+        neutral=0.02,
+        lower=0.005,
+        # What takes most of a life to be lost does not break, but degrades.
+        upper=0.2,
+        prior={"lognormal": [-2.0, 0.8]},
     )
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
