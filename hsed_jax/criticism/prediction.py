@@ -237,7 +237,7 @@ class Shortfall(NamedTuple):
 
     def corrected(self, posterior: Posterior, theta: Any, values: Any, at_map: Any, data: Data) -> tuple[Any, Any]:
         """Predictions at θ with the discrepancy, and its variance, SI."""
-        by = (self.weights @ posterior.compared(theta, self.fitted).ravel()).reshape(values.shape)
+        by: Any = (self.weights @ posterior.compared(theta, self.fitted).ravel()).reshape(values.shape)
         moved, slopes = posterior.displaced(theta, values, by, data)
         return moved, slopes**2 * self.variance
 

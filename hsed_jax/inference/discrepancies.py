@@ -19,8 +19,7 @@ def none_yet(posterior: Posterior, data: Data) -> Data:
     """The data of a model that is not wrong, as a discrepancy will have them: one program serves both."""
     if not _is_of_histories(posterior):
         return data._replace(decorrelation=discrepancy.none_of(data))
-    outputs, parameters = len(posterior.outputs), len(posterior.names)
-    return data._replace(decorrelation=discrepancy_over_cycles.none_of(data, outputs, parameters))
+    return data._replace(decorrelation=discrepancy_over_cycles.none_of(data, len(posterior.names)))
 
 
 def learned(

@@ -12,15 +12,18 @@ throughout and one in proportion to the motion, as errors of phase go on when th
 with a wrong model every experiment has best parameters of its own, and their common ones are told by a few experiments only.
 
 θ are the parameters that predict best over experiments like these, in squares of the error: over these δ has on average no
-part in the sensitivities J of the parameters (Plumlee 2017).  Of the experiments that were made it has one, by chance.  Split
-so that this part, along J, is independent of the part across it, each with the covariance that K gives it,
+part in the sensitivities J of the parameters (Plumlee 2017).  Of the experiments that were made it has one, by chance.  So J
+splits what C₀ = N + K, the covariance of noise and discrepancy, says.  The part along J is what parameters are told by; the part
+across it, which they leave alone, is what the process is told by.  With both of them independent,
 
-$$z^\top C^{-1}z = z^\top J\,(J^\top C_0 J)^{-1}J^\top z + z^\top Q_0 z,\qquad C_0 = N + K,\qquad
+$$z^\top C^{-1}z = z^\top J\,(J^\top C_0 J)^{-1}J^\top z + z^\top Q_0 z,\qquad
   Q_0 = C_0^{-1} - C_0^{-1}J\,(J^\top C_0^{-1}J)^{-1}J^\top C_0^{-1},$$
 
 the estimate is that of least squares, with the covariance $(J^\top J)^{-1}J^\top C_0J\,(J^\top J)^{-1}$ that correlated errors
-give it.  Generalised least squares, without the split, would put their trust in what changes from sample to sample, and end at
-parameters that do not predict best.
+give it.  Generalised least squares, without the split, would put its trust in what changes from sample to sample, and end at
+parameters that do not predict best.  Where predictions bend, so would $Q_0$.  The likelihood of the parameters therefore has in
+its place $\kappa^2$ times the square of the part across J, κ² the least weight that anything along J has: a power likelihood
+with a power of its own in each direction (Chandler & Bate 2007), whose maximum is where squares are least wherever that is.
 """
 
 from typing import final
@@ -33,7 +36,7 @@ from jaxtyping import Array, Float
 from tinygp.kernels.quasisep import SHO
 from tinygp.solvers.quasisep.core import DiagQSM, LowerTriQSM, StrictLowerTriQSM, SymmQSM
 
-from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.likelihood import Data, whitened
 from hsed_jax.programs import program
 
 # Directions that the parameters do not have still have to be divided by.
@@ -42,34 +45,35 @@ _NONE = 1e-12
 
 @final
 class Splitting(eqx.Module):
-    """Residuals of histories made independent.
+    """Residuals of histories made independent, as far as parameters go.
 
     Attributes:
-        factor: of the covariance of each history, noise and ζ, nG of (m, m).
-        own: what b adds to that, whitened by it, and what takes it away, (n, Gm, p) and (n, p, p).
-        basis: orthonormal, of the sensitivities whitened by both, (nGm, p).
-        along: the sensitivities, (nGm, p), and the factor of Jᵀ C₀ J, (p, p).
-        worth: root of what samples count for where no discrepancy is learned, (n, G, m).
+        along: the sensitivities of the outputs with a discrepancy, (nJ, p).
+        factor: of Jᵀ C₀ J, (p, p).
+        basis: orthonormal, of what J spans, (nJ, p).
+        across: κ.
+        wrong: 1 where a discrepancy is learned, (n, J).
+        memory: ρ of the noise of the others, (n, J).
+        worth: root of what their samples count for, (n, J).
         log_determinant: of C.
     """
 
-    factor: LowerTriQSM
-    own: tuple[Float[Array, "n Gm p"], Float[Array, "n p p"]]
+    along: Float[Array, "N p"]
+    factor: Float[Array, "p p"]
     basis: Float[Array, "N p"]
-    along: tuple[Float[Array, "N p"], Float[Array, "p p"]]
-    worth: Float[Array, "n G m"]
+    across: Float[Array, ""]
+    wrong: Float[Array, "n J"]
+    memory: Float[Array, "n J"]
+    worth: Float[Array, "n J"]
     log_determinant: Float[Array, ""]
 
     def __call__(self, z: Float[Array, "n J"]) -> Float[Array, " k"]:
-        """W z, (nGm + p,)."""
-        n, outputs, m = self.worth.shape
-        new = jax.vmap(LowerTriQSM.solve)(self.factor, z.reshape(n * outputs, m)).reshape(n, outputs, m)
-        new = (self.worth * new).reshape(n, -1)
-        sides, shrink = self.own
-        new = (new - jnp.einsum("nkp,npq,nlq,nl->nk", sides, shrink, sides, new)).ravel()
-        along, factor = self.along
-        told = solve_triangular(factor, along.T @ z.ravel(), lower=True)
-        return jnp.concatenate([new - self.basis @ (self.basis.T @ new), told])
+        """W z, (nJ + p,)."""
+        own = (self.wrong * z).ravel()
+        rest = self.across * (own - self.basis @ (self.basis.T @ own)).reshape(z.shape)
+        others = (1 - self.wrong) * self.worth * whitened(z, self.memory)
+        told = solve_triangular(self.factor, self.along.T @ own, lower=True)
+        return jnp.concatenate([(rest + others).ravel(), told])
 
 
 @final
@@ -121,7 +125,7 @@ class OverCycles(eqx.Module):
 
     @property
     def whitening(self) -> Splitting:
-        """What makes the residuals of the experiments independent."""
+        """What makes the residuals of the experiments independent, as far as parameters go."""
         return _splitting(self)
 
     def conditional(self, z: Float[Array, "n J"]) -> tuple[Float[Array, "n J"], Float[Array, "n J"]]:
@@ -130,17 +134,11 @@ class OverCycles(eqx.Module):
         return _conditional(self, z)
 
 
-def none_of(data: Data, outputs: int, parameters: int) -> Splitting:
+def none_of(data: Data, parameters: int) -> Splitting:
     """Of a model that is not wrong: the residuals are independent as they are."""
-    n, columns = data.values.shape
-    m, still = columns // outputs, jnp.zeros
-    factor = LowerTriQSM(
-        DiagQSM(jnp.ones((n * outputs, m))),
-        StrictLowerTriQSM(still((n * outputs, m, 3)), still((n * outputs, m, 3)), still((n * outputs, m, 3, 3))),
-    )
-    own = still((n, columns, parameters)), still((n, parameters, parameters))
-    along = still((n * columns, parameters)), jnp.eye(parameters)
-    return Splitting(factor, own, along[0], along, jnp.ones((n, outputs, m)), still(()))
+    along, one = jnp.zeros((data.values.size, parameters)), jnp.ones(())
+    every = jnp.ones(data.values.shape)
+    return Splitting(along, jnp.eye(parameters), along, one, every, 0 * every, every, jnp.zeros(()))
 
 
 def _oscillation(process: OverCycles) -> SymmQSM:
@@ -189,7 +187,7 @@ class Products:
         self.factor = jax.vmap(SymmQSM.cholesky)(covariance)
         each, plain = columns.reshape(n * outputs, m, k), columns.reshape(n, -1, k)
         self.whitened = jax.vmap(LowerTriQSM.solve)(self.factor, each)
-        self.whitened = (_each(process.worth)[..., None] * self.whitened).reshape(n, -1, k)
+        self.whitened = self.whitened.reshape(n, -1, k)
         own = self.whitened[..., 1:] * process.spread
         size = own.shape[-1]
         self.held = jnp.linalg.cholesky(jnp.eye(size) + jnp.einsum("nkp,nkq->npq", own, own))
@@ -206,8 +204,7 @@ class Products:
         told = solve_triangular(self.along, jnp.einsum("nkp,nkc->pc", plain[..., 1:], plain), lower=True)
         rest = solve_triangular(_factor(self.across[1:, 1:]), self.across[1:], lower=True)
         self.products = told.T @ told + self.across - rest.T @ rest
-        weights = _each(process.worth) ** 2
-        of_histories = jnp.sum(weights * jnp.log(self.factor.diag.d)) + jnp.sum(
+        of_histories = jnp.sum(jnp.log(self.factor.diag.d)) + jnp.sum(
             jnp.log(jnp.diagonal(self.held, axis1=1, axis2=2))
         )
         of_split = _half_log(self.along) + _half_log(_factor(self.across[1:, 1:])) - 2 * _half_log(_factor(gram.sum(0)))
@@ -225,18 +222,17 @@ def _half_log(factor: Float[Array, "p p"]) -> Float[Array, ""]:
 @program
 def _splitting(process: OverCycles) -> Splitting:
     along = process.used[..., None] * process.along
-    p = along.shape[-1]
+    n, p = len(along), along.shape[-1]
     found = Products(process, jnp.concatenate([jnp.zeros_like(along[..., :1]), along], axis=-1))
-    own, sides = found.whitened[..., 1:] * process.spread, found.whitened[..., 1:]
-    # (I + GGᵀ)^(-1/2) = I - G (I + S + (I + S)^(1/2))⁻¹ Gᵀ, S = GᵀG.
-    values, axes = jnp.linalg.eigh(jnp.einsum("nkp,nkq->npq", own, own))
-    values = 1 + jnp.maximum(values, 0.0)
-    shrink = jnp.einsum("npr,nr,nqr->npq", axes, 1 / (values + jnp.sqrt(values)), axes)
-    sides = (sides - jnp.einsum("nkp,npq,nlq,nlr->nkr", own, shrink, own, sides)).reshape(-1, p)
-    basis = solve_triangular(_factor(sides.T @ sides), sides.T, lower=True).T
-    return Splitting(
-        found.factor, (own, shrink), basis, (along.reshape(-1, p), found.along), process.worth, found.log_determinant
-    )
+    along = along.reshape(-1, p)
+    gram = _factor(along.T @ along)
+    basis = solve_triangular(gram, along.T, lower=True).T
+    sizes = jnp.linalg.svd(solve_triangular(gram, found.along, lower=True), compute_uv=False) ** 2
+    wrong = jnp.broadcast_to((process.amplitudes > 0)[:, None], process.used.shape).astype(float)
+    many = jnp.sum(wrong * process.used) - p
+    log_determinant = jnp.sum(jnp.log(sizes)) + many * jnp.log(sizes[0])
+    wrong, memory, worth = (table.reshape(n, -1) for table in (wrong, process.memory, process.worth))
+    return Splitting(along, found.along, basis, sizes[0] ** -0.5, wrong, memory, worth, log_determinant)
 
 
 @program

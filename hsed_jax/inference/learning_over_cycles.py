@@ -132,7 +132,8 @@ def _with(empty: OverCycles, values: Float[Array, " h"], numbers: tuple[int, ...
     """The process of amplitudes, logarithms of swings and quality, and spreads."""
     (a, (swings, quality), spread) = jnp.split(values, [len(numbers), len(numbers) + 2])
     amplitudes = jnp.zeros(empty.amplitudes.size).at[jnp.asarray(numbers)].set(a)
-    return eqx.tree_at(lambda p: p.settling, empty, (amplitudes, jnp.exp(swings), jnp.exp(quality), spread))
+    found = amplitudes, jnp.exp(swings), jnp.exp(quality), spread
+    return eqx.tree_at(lambda p: (p.amplitudes, p.swings, p.quality, p.spread), empty, found)
 
 
 @program
