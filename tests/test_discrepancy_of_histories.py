@@ -144,6 +144,10 @@ def oscillation(theta, x, fading=0.0, np=jnp):
     return x * np.exp(-0.15 * TIMES) * np.sin(2 * np.pi * cycles)
 
 
+def respond(theta, conditions):
+    return oscillation(theta[0], conditions.inputs["x"]), True
+
+
 def experiments(count, seed, fading):
     random = np.random.default_rng(seed)
     inputs = random.uniform(0.5, 1.5, count)
@@ -162,8 +166,7 @@ def experiments(count, seed, fading):
 
 def calibrated(fading, seed, discrepancy=True, watch=None, count=6):
     errors = [Error(NOISE, is_relative=True, discrepancy=discrepancy)]
-    model = Predictor(lambda theta, conditions: (oscillation(theta[0], conditions.inputs["x"]), True))
-    posterior = Posterior(model, {"theta": Prior("normal", [1.0, 0.2])}, errors, ["force"], np.zeros(TIMES.size, int))
+    posterior = Posterior(Predictor(respond), {"theta": Prior("normal", [1.0, 0.2])}, errors, ["force"], np.zeros(TIMES.size, int))
     data, _, _ = experiments(count, seed, fading)
     settings = Settings(2, 1, 100, sampler="laplace")
     return fit(

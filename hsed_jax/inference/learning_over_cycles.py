@@ -110,7 +110,11 @@ def learn(
         starts = [np.r_[amplitudes[list(numbers)], np.log([swings, quality]), spread]]
     linear = [(LEAST_AMPLITUDE, None)]
     bounds = linear * len(numbers) + [tuple(np.log(b)) for b in (_SWINGS_WITHIN, _QUALITY_WITHIN)] + linear * p
-    return _with(empty, jnp.asarray(lowest(objective, starts, bounds)), numbers)
+    best = lowest(objective, starts, bounds)
+    # A variance that is estimated from n experiments, as in Kriging (`hsed_jax.design.kriging`).
+    count = int(np.sum((used * is_wrong).any(axis=(1, 2))))
+    best[-p:] *= np.sqrt(count / max(count - 2, 1))
+    return _with(empty, jnp.asarray(best), numbers)
 
 
 def _of_histories(sigma: Float[np.ndarray, "n G m"], used: Float[np.ndarray, "n G m"]) -> Float[np.ndarray, "n G 1"]:
