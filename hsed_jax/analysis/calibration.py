@@ -171,8 +171,8 @@ def locate(
 ) -> Location:
     """Where the calibrated model fails.
 
-    Where its discrepancy was learned over the inputs, that is where it is looked for in place of the training experiments it was
-    learned from: free of their noise, and evenly over the inputs.
+    Where its discrepancy was learned, it is looked for in that, which is free of noise: of quantities over all inputs, in place
+    of the training experiments it was learned from.
 
     Arguments:
         calibration: the calibrated model.
@@ -187,7 +187,7 @@ def locate(
     if campaign is not calibration.campaign:
         calibration = replace(calibration, campaign=campaign)
     if split == "train" and campaign is found:
-        prediction = learned_misfit(calibration.fit) or calibration.train
+        prediction = learned_misfit(calibration.fit, calibration.train)
     else:
         prediction = calibration.train if split == "train" else calibration.test
     if prediction is None:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hsed_jax.inference.likelihood import Data, data_of
+from hsed_jax.inference.posterior import Posterior
 from hsed_jax.measurements import Experiment
 from hsed_jax.programs import program
 from hsed_jax.tables import cell
@@ -195,14 +196,22 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
     )
 
 
-def learned_misfit(fit: "Fit") -> Prediction | None:
-    """What a calibrated model is learned to miss over the distribution of the inputs, without noise: as if it had been measured.
+def learned_misfit(fit: "Fit", fitted: Prediction) -> Prediction:
+    """What a calibrated model is learned to miss, without noise: as if it had been measured.
 
-    Returns:
-        None where no discrepancy is learned, or the model cannot be simulated at any inputs.
+    Of quantities that is over the distribution of the inputs; of histories, and where the model cannot be simulated at any
+    inputs, in the experiments that were fitted.
+
+    Arguments:
+        fit: the calibrated model.
+        fitted: predictions of the experiments that it was fitted to; returned where no discrepancy is learned.
     """
-    if fit.discrepancy is None or fit.support is None or fit.support.spread is None:
-        return None
+    if fit.discrepancy is None:
+        return fitted
+    if fit.support is None:
+        return replace(fitted, measured=np.where(fitted.used, fitted.predicted + fitted.correction, fitted.measured))
+    if fit.support.spread is None:
+        return fitted
     inputs = {name: np.asarray(values) for name, values in fit.support.spread.inputs.items()}
     count, columns = len(next(iter(inputs.values()))), len(fit.posterior.groups)
     rows = [{name: float(values[i]) for name, values in inputs.items()} for i in range(count)]
@@ -214,7 +223,7 @@ def learned_misfit(fit: "Fit") -> Prediction | None:
 
 
 class Shortfall(NamedTuple):
-    """What the residuals of the experiments that were fitted say of others.
+    """What the residuals of the experiments that were fitted say of the quantities of others.
 
     Attributes:
         fitted: the experiments that were fitted.
@@ -226,12 +235,41 @@ class Shortfall(NamedTuple):
     weights: np.ndarray
     variance: np.ndarray
 
+    def corrected(self, posterior: Posterior, theta: Any, values: Any, at_map: Any, data: Data) -> tuple[Any, Any]:
+        """Predictions at θ with the discrepancy, and its variance, SI."""
+        by: Any = (self.weights @ posterior.compared(theta, self.fitted).ravel()).reshape(values.shape)
+        moved, slopes = posterior.displaced(theta, values, by, data)
+        return moved, slopes**2 * self.variance
 
-def _shortfall(fit: "Fit", data: Data) -> Shortfall | None:
-    if fit.discrepancy is None or fit.support is None:
+
+class ShortfallOfHistories(NamedTuple):
+    """What the histories that were fitted say of themselves, and of others.
+
+    Attributes:
+        fitted: 1 of an experiment that was fitted: the sum of what model and discrepancy do is known there, (n, 1).
+        mean: by how much the prediction at the MAP falls short, SI, (n, J).
+        variance: of that, SI, (n, J).
+    """
+
+    fitted: np.ndarray
+    mean: np.ndarray
+    variance: np.ndarray
+
+    def corrected(self, posterior: Posterior, theta: Any, values: Any, at_map: Any, data: Data) -> tuple[Any, Any]:
+        """Predictions at θ with the discrepancy, and its variance, SI."""
+        return jnp.where(self.fitted > 0, at_map, values) + self.mean, self.variance
+
+
+def _shortfall(fit: "Fit", data: Data) -> Shortfall | ShortfallOfHistories | None:
+    if fit.discrepancy is None:
         return None
-    points = jnp.asarray(fit.support.cube(data.conditions.inputs))
-    return Shortfall(fit.data, *map(np.asarray, fit.discrepancy.conditional(points)))
+    if fit.support is not None:
+        points = jnp.asarray(fit.support.cube(data.conditions.inputs))
+        return Shortfall(fit.data, *map(np.asarray, fit.discrepancy.conditional(points)))
+    from hsed_jax.inference.predicting_over_cycles import OverCycles, shortfall
+
+    assert isinstance(fit.discrepancy, OverCycles)
+    return ShortfallOfHistories(*shortfall(fit.discrepancy, fit.posterior, fit.data, fit.maximum.u, data))
 
 
 def _largest(measured: np.ndarray, used: np.ndarray, groups: np.ndarray) -> np.ndarray:
@@ -274,10 +312,8 @@ def _predicted(posterior, thetas, strangers, data, limits, shortfall):
     if shortfall is not None:
 
         def moved(theta, values):
-            residual = posterior.compared(theta, shortfall.fitted)
-            by = (shortfall.weights @ residual.ravel()).reshape(values.shape)
-            return posterior.displaced(theta, values, by, data)
+            return shortfall.corrected(posterior, theta, values, predicted[0], data)
 
-        values, slopes = jax.vmap(moved)(thetas[1:], predicted[1:])
-        corrected = band(values, {"model": slopes**2 * shortfall.variance})
+        values, variance = jax.vmap(moved)(thetas[1:], predicted[1:])
+        corrected = band(values, {"model": variance})
     return predicted[0], ok[0], at_map, plain, corrected, 1.0 - jnp.mean(good, axis=0)

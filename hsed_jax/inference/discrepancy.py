@@ -12,9 +12,9 @@ that model leaves.  Conditioned on these p linear functionals, with F their weig
 
 $$K_\perp = K - K F\,(F^\top K F)^{-1} F^\top K .$$
 
-Amplitudes $a_j$ and lengths are where the marginal likelihood of the linearised model, from which parameters have been integrated
-with their priors, times the priors of amplitudes and lengths is highest.  As in Kriging (`hsed_jax.design.kriging`) a variance
-that is estimated from n experiments is n/(n − 2) times as large in what follows.
+Amplitudes $a_j$ and lengths are where the marginal likelihood (`hsed_jax.inference.marginal`) times their priors is
+highest.  As in Kriging (`hsed_jax.design.kriging`) a variance that is estimated from n experiments is n/(n − 2) times as large in
+what follows.
 """
 
 from collections.abc import Callable, Mapping
@@ -29,13 +29,20 @@ from jaxtyping import Array, Bool, Float, PyTree
 
 from hsed_jax.inference.correlation_functions import LENGTH, LENGTH_SPREAD, correlation, log_prior_of_lengths
 from hsed_jax.inference.likelihood import Data, data_of
+from hsed_jax.inference.marginal import (
+    LEAST_AMPLITUDE,
+    beyond_noise,
+    linearised,
+    log_marginal,
+    log_prior_of_amplitudes,
+    lowest,
+    predictions,
+    stiffness,
+)
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.programs import program
 
-# The prior of an amplitude falls as 1/(1 + a/10)²: highest at none, and no bar to a model that is wrong by a hundred times
-# the noise.
-_AMPLITUDE = 10.0
-_LEAST_AMPLITUDE, _LENGTHS = 1e-3, (0.02, 20.0)
+_LENGTHS = (0.02, 20.0)
 # Directions of the parameters along which predictions change this much less than along the first are none.
 _FLAT = 1e-6
 
@@ -96,6 +103,11 @@ class Process(eqx.Module):
     across: Float[Array, "M J r"]
     at: Float[Array, "n d"]
     used: Float[Array, "n J"]
+
+    @property
+    def settling(self) -> tuple[Array, ...]:
+        """What changes as the MAP moves."""
+        return tuple(jax.tree.leaves(self))
 
     @property
     def whitening(self) -> Whitening:
@@ -175,7 +187,7 @@ def learn(
         support: what it is a function of.
         previous: where the search starts, too.
     """
-    z, along, ok = _linearised(posterior, data, u)
+    z, along, ok = linearised(posterior, data, u)
     used = ((data.weights > 0) & (ok[:, None] > 0)).astype(float)
     at = _points(support, data)
     measure, across = _measure(posterior, data, u, support)
@@ -183,16 +195,15 @@ def learn(
     columns = jnp.asarray(wrong[posterior.groups], float)
     empty = Process(columns, jnp.ones(at.shape[1]), measure, jnp.asarray(_basis(across)), at, used)
     residual, slopes = (used * z).ravel(), (used[..., None] * along).reshape(-1, along.shape[-1])
-    stiffness = _stiffness(posterior, u)
-    numbers = [i for i in range(len(wrong)) if wrong[i]]
+    curvature = stiffness(posterior, u)
+    numbers = tuple(np.flatnonzero(wrong).tolist())
 
-    def objective(values: np.ndarray) -> tuple[float, np.ndarray]:
-        height, slope = _objective(jnp.asarray(values), empty, tuple(numbers), residual, slopes, stiffness)
-        return float(height), np.asarray(slope, dtype=float)
+    def objective(values: Float[Array, " h"]) -> tuple[Array, Array]:
+        return _objective(values, empty, numbers, residual, slopes, curvature)
 
     best = _searched(objective, residual, used, numbers, at.shape[1], previous)
     count = int(np.sum(np.asarray(used).any(axis=1)))
-    amplitudes, lengths = _split(jnp.asarray(best), len(wrong), tuple(numbers))
+    amplitudes, lengths = _split(jnp.asarray(best), len(wrong), numbers)
     known = np.sqrt(count / max(count - 2, 1))
     return eqx.tree_at(lambda p: (p.amplitudes, p.lengths), empty, (known * amplitudes, lengths))
 
@@ -204,13 +215,13 @@ def _points(support: Support, data: Data) -> Float[Array, "n d"]:
 def _measure(posterior: Posterior, data: Data, u: Any, support: Support) -> tuple[Array, Array]:
     """Points that the orthogonality is taken over, and the sensitivities there, (M, J, p)."""
     if support.spread is None:
-        _, along, ok = _linearised(posterior, data, u)
+        _, along, ok = linearised(posterior, data, u)
         return _points(support, data), along * (data.weights > 0)[..., None] * ok[:, None, None]
     count = jax.tree.leaves(support.spread)[0].shape[0]
-    predicted, ok = _predictions(posterior, u, support.spread, jnp.asarray(count))
+    predicted, ok = predictions(posterior, u, support.spread, jnp.asarray(count))
     values, known = np.asarray(predicted), np.asarray(ok)[:, None] > 0
     made = data_of(support.spread, values, known & (values != 0), np.full(values.shape, np.inf), count)
-    _, along, ok = _linearised(posterior, made, u)
+    _, along, ok = linearised(posterior, made, u)
     return jnp.asarray(support.cube(support.spread.inputs)), along * ok[:, None, None]
 
 
@@ -221,21 +232,15 @@ def _basis(across: np.ndarray) -> np.ndarray:
 
 
 def _searched(
-    objective: Callable, residual: Array, used: Array, numbers: list[int], d: int, previous: Process | None
+    objective: Callable, residual: Array, used: Array, numbers: tuple[int, ...], d: int, previous: Process | None
 ) -> np.ndarray:
     """Amplitudes of the outputs and logarithms of the lengths with the least objective."""
-    # Half a second to load, which those who want no discrepancy need not wait for.
-    from scipy.optimize import minimize
-
-    size = np.sqrt(np.sum(np.asarray(residual).reshape(used.shape) ** 2, axis=0) / np.maximum(np.sum(used, axis=0), 1))
-    beyond = np.sqrt(np.maximum(size**2 - 1, 0.05))[numbers]
+    beyond = beyond_noise(np.asarray(residual).reshape(used.shape), np.asarray(used))[list(numbers)]
     middle = np.full(d, np.log(LENGTH * np.sqrt(d)))
     starts = [np.r_[beyond, middle], np.r_[0.3 * beyond, middle + 2 * LENGTH_SPREAD]]
     if previous is not None:
-        starts.append(np.r_[np.asarray(previous.amplitudes)[numbers], np.log(np.asarray(previous.lengths))])
-    bounds = [(_LEAST_AMPLITUDE, None)] * len(numbers) + [tuple(np.log(_LENGTHS))] * d
-    ends = [minimize(objective, start, jac=True, method="L-BFGS-B", bounds=bounds) for start in starts]
-    return min(ends, key=lambda end: float(end.fun)).x
+        starts.append(np.r_[np.asarray(previous.amplitudes)[list(numbers)], np.log(np.asarray(previous.lengths))])
+    return lowest(objective, starts, [(LEAST_AMPLITUDE, None)] * len(numbers) + [tuple(np.log(_LENGTHS))] * d)
 
 
 def _split(values: Float[Array, " h"], outputs: int, numbers: tuple[int, ...]) -> tuple[Array, Array]:
@@ -251,28 +256,8 @@ def _objective(values, empty: Process, numbers: tuple[int, ...], residual, slope
         amplitudes, lengths = _split(values, empty.amplitudes.size, numbers)
         factor = _factor(eqx.tree_at(lambda p: (p.amplitudes, p.lengths), empty, (amplitudes, lengths)))
         whitened = solve_triangular(factor, jnp.column_stack([residual, slopes]), lower=True)
-        new, moved = whitened[:, 0], whitened[:, 1:]
-        held = jnp.linalg.cholesky(moved.T @ moved + jnp.diag(stiffness))
-        absorbed = solve_triangular(held, moved.T @ new, lower=True)
-        fitted = 0.5 * (new @ new - absorbed @ absorbed)
-        volume = jnp.sum(jnp.log(jnp.diag(factor))) + jnp.sum(jnp.log(jnp.diag(held)))
-        prior = log_prior_of_lengths(jnp.log(lengths)) - 2 * jnp.sum(jnp.log1p(amplitudes / _AMPLITUDE))
-        return fitted + volume - prior
+        log_determinant = 2 * jnp.sum(jnp.log(jnp.diag(factor)))
+        likelihood = log_marginal(whitened.T @ whitened, log_determinant, stiffness)
+        return -likelihood - log_prior_of_lengths(jnp.log(lengths)) - log_prior_of_amplitudes(amplitudes)
 
     return jax.value_and_grad(height)(values)
-
-
-@program
-def _linearised(posterior: Posterior, data: Data, u: Float[Array, " p"]):
-    return posterior.linearised(u, data)
-
-
-@program
-def _predictions(posterior: Posterior, u: Float[Array, " p"], conditions: PyTree, count: Array):
-    return posterior.predict(posterior.of_model(posterior.constrain(u)), conditions, count)
-
-
-@program
-def _stiffness(posterior: Posterior, u: Float[Array, " p"]) -> Float[Array, " p"]:
-    """Curvature of the prior in u."""
-    return posterior.stiffness(u)

@@ -1,7 +1,7 @@
 """A calibrated model: MAP, posterior draws and whether to believe them, as one object that shows itself."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +24,8 @@ from hsed_jax.tables import Table, Tabular, cell
 
 if TYPE_CHECKING:
     # A calibration without a discrepancy loads no Gaussian process.
-    from hsed_jax.inference.discrepancy import Process, Support
+    from hsed_jax.inference.discrepancies import Discrepancy
+    from hsed_jax.inference.discrepancy import Support
 
 # Memory and worth of the samples are told from a residual, which depends on them a little.
 _ROUNDS, _SETTLED = 3, 0.02
@@ -59,7 +60,7 @@ class Fit(Tabular):
     p_value: float | None = None
     is_inflated: bool = False
     inflation: np.ndarray | None = None
-    discrepancy: "Process | None" = None
+    discrepancy: "Discrepancy | None" = None
     support: "Support | None" = None
 
     @property
@@ -99,21 +100,17 @@ class Fit(Tabular):
         else:
             worth = (
                 "the intervals are those of the parameters if the model were right, and too narrow (error: {inflate: true} "
-                "widens them by what is left; of quantities error: {discrepancy: true} learns it)"
+                "widens them by what is left; error: {discrepancy: true} learns it)"
             )
         left = f"(chi2 per datum {self.chi2_per_datum:.3g}, which should be about 1)"
         return f"the model does not explain the data {left}: {worth}"
 
     def discrepancy_summary(self) -> dict[str, dict[str, float]]:
-        """The discrepancy in numbers: its `amplitude` by output, relative where the error is, else SI; and its correlation
-        `length` by input, in shares of the input's distribution."""
-        assert self.discrepancy is not None and self.support is not None
-        sizes = np.asarray(self.discrepancy.amplitudes) * np.asarray(self.posterior.declared)
-        lengths = np.asarray(self.discrepancy.lengths).tolist()
-        return {
-            "amplitude": dict(zip(self.posterior.outputs, sizes.tolist(), strict=True)),
-            "length": dict(zip(self.support.names, lengths, strict=True)),
-        }
+        """The discrepancy in numbers (`hsed_jax.inference.discrepancies.summary`)."""
+        from hsed_jax.inference.discrepancies import summary
+
+        assert self.discrepancy is not None
+        return summary(self.discrepancy, self.posterior, self.support)
 
     def correlation_notes(self) -> list[str]:
         """Sentences on outputs whose noise has a memory, or whose residual is correlated beyond it."""
@@ -261,7 +258,7 @@ def fit(
 
 def _read_back(
     posterior: Posterior, data: Data, kept: Sequence[np.ndarray], errors: Sequence[Error]
-) -> tuple[Posterior, Data, Maximum, "Process | None"]:
+) -> tuple[Posterior, Data, Maximum, "Discrepancy | None"]:
     """What `_most_probable` found, from the arrays that were kept of it."""
     size = len(arrays_of(posterior.population))
     declared, rest = kept[0], kept[1 + size :]
@@ -270,10 +267,9 @@ def _read_back(
     weights, memory, *rest = map(jnp.asarray, rest)
     data, process = data._replace(weights=weights, memory=memory), None
     if any(error.discrepancy for error in errors):
-        from hsed_jax.inference.discrepancy import Process
+        from hsed_jax.inference.discrepancies import read_back
 
-        size = len(fields(Process))
-        process, rest = Process(*rest[:size]), rest[size:]
+        process, rest = read_back(posterior, rest)
         data = data._replace(decorrelation=process.whitening)
     each = len(Maximum._fields) - 1
     best, *others = (Maximum._make([*rest[i : i + each], ()]) for i in range(0, len(rest), each))
@@ -282,23 +278,24 @@ def _read_back(
 
 def _most_probable(
     posterior: Posterior, data: Data, points: Float[Array, "s p"], errors: Sequence[Error], support: "Support | None"
-) -> tuple[Posterior, Data, Maximum, "Process | None"]:
+) -> tuple[Posterior, Data, Maximum, "Discrepancy | None"]:
     """The MAP, with what the samples are worth, the errors and the discrepancy that it was found with."""
     if any(error.discrepancy for error in errors):
-        from hsed_jax.inference.discrepancy import none_of
+        from hsed_jax.inference.discrepancies import none_yet
 
-        # The same program as with the discrepancy that is then learned.
-        data = data._replace(decorrelation=none_of(data))
+        data = none_yet(posterior, data)
     maximum = maximise(posterior, data, points)
     declared, process, is_centred = posterior, None, False
     for _ in range(_ROUNDS):
         standardised = np.asarray(_standardised(declared, data, maximum.theta))
         judged = _judged(standardised, data, declared, errors)
         inflated = declared.inflated(_left(standardised, data, declared, errors))
-        weights = jnp.asarray((np.asarray(data.weights) > 0) * judged.worth[posterior.groups])
+        # What correlates the residuals of a discrepancy is its own.
+        worth = np.where([error.discrepancy for error in errors], 1.0, judged.worth) if errors else judged.worth
+        weights = jnp.asarray((np.asarray(data.weights) > 0) * worth[posterior.groups])
         learned = _learned(declared, data, maximum, errors, support, process)
-        found = (weights, judged.memory, inflated.declared, *arrays_of(learned))
-        before = (data.weights, data.memory, posterior.declared, *arrays_of(process))
+        found = (weights, judged.memory, inflated.declared, *(() if learned is None else learned.settling))
+        before = (data.weights, data.memory, posterior.declared, *(() if process is None else process.settling))
         is_settled = len(found) == len(before) and all(
             np.allclose(old, new, rtol=_SETTLED) for old, new in zip(before, found, strict=True)
         )
@@ -322,16 +319,14 @@ def _learned(
     maximum: Maximum,
     errors: Sequence[Error],
     support: "Support | None",
-    previous: "Process | None",
-) -> "Process | None":
+    process: "Discrepancy | None",
+) -> "Discrepancy | None":
     """The discrepancy of the model with the most probable parameters, where the study asks for it."""
-    wrong = np.asarray([error.discrepancy for error in errors], dtype=bool)
-    if not wrong.any():
+    if not any(error.discrepancy for error in errors):
         return None
-    from hsed_jax.inference.discrepancy import learn
+    from hsed_jax.inference.discrepancies import learned
 
-    assert support is not None
-    return learn(posterior, data, maximum.u, wrong, support, previous)
+    return learned(posterior, data, maximum.u, errors, support, process)
 
 
 @program

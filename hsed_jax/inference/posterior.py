@@ -281,7 +281,7 @@ class Posterior(eqx.Module):
         def known(u):
             return self._log_prior_of(u), self.log_prior(self.constrain(u))
 
-        z, log_sigma, ok, z_along, sigma_along = self._along(u, data)
+        z, log_sigma, ok, z_along, sigma_along = self.linearised(u, data)
         likelihood, (by_z, by_sigma) = jax.value_and_grad(
             lambda z, log_sigma: log_likelihood(z, log_sigma, ok, data), argnums=(0, 1)
         )(z, log_sigma)
@@ -306,14 +306,9 @@ class Posterior(eqx.Module):
     def _log_prior_of(self, u: Float[Array, " p"]) -> Float[Array, ""]:
         return self.log_prior(self.constrain(u)) + self._log_jacobian(u)
 
-    def _along(self, u: Float[Array, " p"], data: Data) -> tuple[Any, Any, Any, Any, Any]:
-        """z and log σ, whether the simulations converged, and the derivatives of the first two along u, (p, n, J)."""
-
-        def outputs(u):
-            predicted, ok = self.predictions(u, data)
-            return predicted * ok[:, None], ok
-
-        predicted, along, ok = _value_and_jacobian(outputs, u)
+    def linearised(self, u: Float[Array, " p"], data: Data) -> tuple[Any, Any, Any, Any, Any]:
+        """z and log σ, 1 where the simulation converged, and the derivatives of the first two along u, (p, n, J)."""
+        predicted, ok, along = self.sensitivities(u, data)
 
         def comparison(u, predicted):
             return self._compared(self.constrain(u), predicted, ok, data)
@@ -324,12 +319,17 @@ class Posterior(eqx.Module):
         z, log_sigma = comparison(u, predicted)
         return z, log_sigma, ok, *jax.vmap(compared_along, in_axes=(0, -1))(jnp.eye(u.size), along)
 
-    def linearised(
+    def sensitivities(
         self, u: Float[Array, " p"], data: Data
-    ) -> tuple[Float[Array, "n J"], Float[Array, "n J p"], Float[Array, " n"]]:
-        """z, its derivatives along u, and 1 where the simulation converged: what a discrepancy is told from."""
-        z, _, ok, along, _ = self._along(u, data)
-        return z, jnp.moveaxis(along, 0, -1), ok
+    ) -> tuple[Float[Array, "n J"], Float[Array, " n"], Float[Array, "n J p"]]:
+        """Outputs, SI, 1 where the simulation converged, and the derivatives of the outputs along u, measured or not."""
+
+        def outputs(u):
+            predicted, ok = self.predictions(u, data)
+            return predicted * ok[:, None], ok
+
+        predicted, along, ok = _value_and_jacobian(outputs, u)
+        return predicted, ok, along
 
     def displaced(
         self, theta: Float[Array, " p"], predicted: Float[Array, "n J"], by: Float[Array, "n J"], data: Data

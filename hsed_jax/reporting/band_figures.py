@@ -98,6 +98,11 @@ def _of_histories(split: str, prediction: Prediction, row: int, campaign: Campai
             half = width[row, prediction.columns(name)][: time.size]
             panel.fill_between(time, (mean - half) / divisor, (mean + half) / divisor, color=style.BLUE, linewidth=0,
                                alpha=_SHADES[part], label=_words(part), zorder=1)  # fmt: skip
+        if (plain := prediction.without) is not None:
+            own = row, prediction.columns(name)
+            edges = (plain.mean[own] + _90 * plain.sd[own] * side for side in (-1, 1))
+            for edge, label in zip(edges, ("90 % band without discrepancy", None), strict=True):
+                panel.plot(time, edge[: time.size] / divisor, color=style.RED, linewidth=0.7, label=label, zorder=2)
         panel.plot(time, measured / divisor, **{**style.MEASURED, "label": "measured"})
         panel.set_ylabel(style.history_label(name, unit, pair))
         panel.margins(x=0.0)

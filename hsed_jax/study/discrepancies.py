@@ -26,12 +26,12 @@ def support_of(built: "Built") -> "Support | None":
     experiments: where each brings its record, and where every prediction is a program's.
 
     Returns:
-        None where none is asked for.
+        None where none is asked for, or of histories, whose discrepancy is one over the cycles of the response.
 
     Raises:
         UserError: the experiments do not say one of them.
     """
-    if not any(error.discrepancy for error in built.errors):
+    if built.study.observe == "histories" or not any(error.discrepancy for error in built.errors):
         return None
     from hsed_jax.inference.discrepancy import Support
 

@@ -42,21 +42,16 @@ def _check_discrepancy(study: Study, name: str, size: NoiseEntry) -> None:
     """Refuse a discrepancy that cannot be learned.
 
     Raises:
-        UserError: of histories, without inputs, of a population, or beside a noise that nobody declares.
+        UserError: of quantities without inputs, of a population, or beside a noise that nobody declares.
     """
     if getattr(study.model, "levels", {}):
         raise UserError(
             "error.discrepancy: it is not told from the scatter between specimens (model.levels); say one of the two"
         )
-    if study.observe == "histories":
+    if study.observe == "quantities" and not study.inputs:
         raise UserError(
-            "error.discrepancy: it is learned over the inputs, of quantities (observe: quantities); of histories say "
-            "inflate: true, which counts what the model leaves as error"
-        )
-    if not study.inputs:
-        raise UserError(
-            "error.discrepancy: it is learned over the inputs, and the study has none; give them with their distributions, "
-            "such as inputs: {V_P: {uniform: [1.5, 3.0], unit: m/s}}"
+            "error.discrepancy: of quantities it is learned over the inputs, and the study has none; give them with their "
+            "distributions, such as inputs: {V_P: {uniform: [1.5, 3.0], unit: m/s}}"
         )
     if size.unknown:
         raise UserError(
