@@ -74,7 +74,10 @@ def _name(row: dict[str, Any]) -> tuple[Any, ...]:
 
 def _split(rows: Sequence[dict[str, Any]], by: str | None) -> dict[str, list[dict[str, Any]]]:
     """Rows by what is to have a table of its own."""
-    titles = {"test": lambda row: row["test"], "pair": lambda row: f"{row['right']}, not {row['rival']} ({row['test']})"}
+    titles = {
+        "test": lambda row: row["test"],
+        "pair": lambda row: f"{row['right']}, not {row['rival']} ({row['test']})",
+    }
     found: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
         found.setdefault(titles[by](row) if by else "", []).append(row)

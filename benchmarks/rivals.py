@@ -306,7 +306,11 @@ def _box_hill(state: State) -> np.ndarray:
     (one, other), sigma = state.predicted()
     apart = (one.mean - other.mean) ** 2
     own, others = (sigma**2 + np.sum(p.spread**2, axis=2) for p in (one, other))
-    return 0.5 * state.shares.prod() * np.sum((own - others) ** 2 / (own * others) + apart * (1 / own + 1 / others), axis=1)
+    return (
+        0.5
+        * state.shares.prod()
+        * np.sum((own - others) ** 2 / (own * others) + apart * (1 / own + 1 / others), axis=1)
+    )
 
 
 def _hunter_reiner(state: State) -> np.ndarray:

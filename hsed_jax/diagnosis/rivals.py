@@ -82,7 +82,9 @@ def expected_log_bayes_factor(
             apart = root * (one.mean - other.mean)
             own, others = (root[..., None] * prediction.spread for prediction in (one, other))
             both = (one.ok > 0) & (other.ok > 0)
-            told = shares[i] * _told(apart, own, others, both, count) + shares[j] * _told(apart, others, own, both, count)
+            told = shares[i] * _told(apart, own, others, both, count) + shares[j] * _told(
+                apart, others, own, both, count
+            )
             told *= shares[i] * shares[j] / (shares[i] + shares[j])
             information += np.where(both[:count], told, 0.0)
     return information / max(float(1 - shares @ shares) / 2, 1e-12)
