@@ -1,12 +1,13 @@
 """Two explanations of one specimen: made, measured, and told apart, for many designs side by side.
 
 A pair is two nested models, the plain law with the one effect and with the other; the specimen has the first.  Its parameters are
-drawn from the priors of that model, so that a probability above 0.95 is right 19 times of 20, whatever a design asks, if
-evidence is what it should be; drawn again where the effect changes the response, at the same parameters of the law, by less
-than half the noise, which nobody would see, or by more than twice the noise, which any two experiments tell.  After every experiment both models are fitted and weighed as a diagnosis does it: bounded
-descents from several starts, Laplace's method, even prior odds, an error that is relative to what the better one predicts.
-All designs of a seed choose from the same candidates, of which each has one noise, and advance in lockstep: their
-simulations are lanes of one batch (`hsed_jax.diagnosis.lanes`).
+drawn from the priors of that model, again and again until the effect changes the response, at the same parameters of the law, by
+half to twice the noise: less than that nobody would see, and more any two experiments tell.
+
+After every experiment both models are fitted and weighed as a diagnosis does it: bounded descents from several starts, Laplace's
+method, even prior odds, an error that is relative to what the better one predicts.  All designs of a seed choose from the same
+candidates, of which each has one noise, whoever asks for it, and advance in lockstep: their simulations are lanes of one batch
+(`hsed_jax.diagnosis.lanes`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,7 +23,7 @@ from scipy.special import entr, expit
 from scipy.stats import norm, qmc
 
 import hsed_jax as hx
-from hsed_jax.design.acquisition import ACQUISITIONS, choose, sobol_candidates
+from hsed_jax.design.acquisition import ACQUISITIONS, sobol_candidates
 from hsed_jax.design.discrepancy import discrepancy, variance_over
 from hsed_jax.design.kriging import fit_kriging
 from hsed_jax.diagnosis.evidence import laplace
