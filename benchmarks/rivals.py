@@ -1,8 +1,8 @@
 """Two explanations of one specimen: made, measured, and told apart, for many designs side by side.
 
 A pair is two nested models, the plain law with the one effect and with the other; the specimen has the first, its parameters
-drawn from the priors of that model.  So a probability above 0.95 is right 19 times of 20, whatever a design asks for, if evidence is
-what it should be.  Sizes have priors of their own, log-normal about the one that changes the response by as much as the noise:
+drawn from the priors of that model.  So a probability above 0.95 is right 19 times of 20, whatever a design asks for, if evidence
+is what it should be.  Sizes have priors of their own, log-normal about the one that changes the response by as much as the noise:
 those of the catalogue allow for effects that any two experiments tell, and for some effects far more of these than for others.
 
 After every experiment both models are fitted and weighed as a diagnosis does it: bounded descents from several starts, Laplace's
