@@ -1,138 +1,110 @@
-"""Which design learns fastest?  `python benchmarks/designs.py`.
+"""How many experiments tell two explanations apart?  `python benchmarks/designs.py [--seeds N] [--resume]`
 
-Designs of the paper's campaign that differ in nothing but what they choose by, over seeds (noise, candidates, chains): how far
-the model, calibrated on so many experiments, is from the specimen over the whole space of inputs; and how many experiments it
-takes until the diagnosis names the effect that the model lacks.  The specimen's stiffness degrades; the model does not know it.
+Twenty pairs of effects, of shaken structures and of component tests whose loading history is designed: the specimen has the first
+effect, and both are explanations of what it does (`rivals.py` says how).  A design asks for one experiment after the other until
+either explanation has a probability above 0.95, at most for twelve.  Designs differ in what they choose by and in nothing else.
 """
 
 import argparse
 import json
-import tempfile
+import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from case import ETA, PAPER
-from scipy.stats import qmc
+from rivals import CERTAIN, CRITERIA, INITIAL, MOST, TESTS, trials_of
 
-import hsed_jax as hx
-
-RESULTS = Path(__file__).with_name("designs.json")
-CHOOSERS = ("expected_improvement", "max_variance", "discriminate", "sobol", "random")
-INITIAL, AFTER = 3, (1, 4, 7)
-_POINTS = 256
-_COMMON = ("experiments.virtual.noise={relative: 0.1}", "error=null", "design.candidates=4096",
-           "calibration={chains: 2, step_warmup: 50, step_draws: 50}")  # fmt: skip
+RESULTS = Path(__file__).with_suffix(".jsonl")
 
 
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="how many seeds (default: 3)")
-    parser.add_argument("--quick", action="store_true", help="one seed, few experiments: to see that it runs")
+    parser.add_argument("criteria", nargs="*", metavar="CRITERION", help=f"of {', '.join(CRITERIA)} (default: all)")
+    parser.add_argument("--seeds", type=int, default=20, metavar="N", help="how many seeds of each pair (default: 20)")
+    parser.add_argument("--resume", action="store_true", help="keep the designs that were made already")
     parser.add_argument("--markdown", action="store_true", help="the table of the last results, nothing measured")
+    parser.add_argument("--by", choices=("test", "pair"), help="a table for each kind of test, or for each pair")
+    parser.add_argument("--output", type=Path, default=RESULTS, metavar="FILE.jsonl")
     options = parser.parse_args()
+    if unknown := set(options.criteria) - set(CRITERIA):
+        parser.error(f"there is no criterion {sorted(unknown)[0]}; there are {', '.join(CRITERIA)}")
+    if not (options.resume or options.markdown):
+        options.output.write_text("", encoding="utf-8")
     if not options.markdown:
-        seeds = list(range(1 if options.quick else options.seeds))
-        found = {"seeds": len(seeds), "designs": compared(seeds, 2 if options.quick else AFTER[-1])}
-        if options.quick:
-            print(json.dumps(found, indent=1))
-            return
-        RESULTS.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    print(markdown(json.loads(RESULTS.read_text(encoding="utf-8"))))
+        measure(options.output, options.criteria or list(CRITERIA), options.seeds)
+    rows = _read(options.output)
+    for title, own in _split(rows, options.by).items():
+        print(f"\n{title}\n" if title else "", markdown(own), sep="\n")
 
 
-def compared(seeds: list[int], iterations: int) -> dict[str, dict[str, Any]]:
-    """By design, what came out over the seeds."""
-    designs = {name: {"design.acquisition": name} for name in CHOOSERS}
-    with tempfile.TemporaryDirectory() as folder:
-        errors = _errors(Path(folder) / "errors", designs, seeds, iterations)
-        named = _named(Path(folder) / "named", designs, seeds, iterations)
-    return {name: {"errors": errors[name], "named": named[name]} for name in designs}
+def measure(output: Path, criteria: Sequence[str], seeds: int) -> None:
+    """Make the designs that are not there yet, a line of JSON for each pair and seed."""
+    known = {_name(row) for row in _read(output)}
+    # Pair by pair for one seed after the other: whoever stops early has all of them.
+    for seed in range(seeds):
+        for test, kind in TESTS.items():
+            for right, rival in (pair for one, other in kind.pairs for pair in ((one, other), (other, one))):
+                todo = [by for by in criteria if (test, right, rival, seed, by) not in known]
+                if not todo:
+                    continue
+                cpu = time.process_time()
+                trials = trials_of(test, right, rival, seed, todo)
+                line = {"test": test, "right": right, "rival": rival, "seed": seed,
+                        "cpu_seconds": round((time.process_time() - cpu) / len(todo), 3),
+                        "designs": {t.by: [len(t.asked), float(f"{t.probability:.4g}")] for t in trials}}  # fmt: skip
+                with output.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(line) + "\n")
 
 
-def _errors(
-    output: Path, designs: dict[str, dict[str, Any]], seeds: list[int], iterations: int
-) -> dict[str, dict[str, list[float]]]:
-    """By design and number of chosen experiments, the error of the calibrated model of every seed."""
-    study = hx.load_study(PAPER, [*_COMMON, f"design.iterations={iterations}", "steps=[design]"])
-    # Choosing by a diagnosis at each step is another, slower thing: there the diagnosis itself is counted, below.
-    plain = [name for name in designs if name != "discriminate"]
-    points = [{**designs[name], "seed": seed} for name in plain for seed in seeds]
-    sweep = hx.sweep(study, points=points, output=output)
-    error = _Error()
-    found: dict[str, dict[str, list[float]]] = {name: {} for name in designs}
-    for number, point in enumerate(points, 1):
-        steps = _steps(sweep.path / "runs" / f"{number:04d}")
-        for count in (n for n in AFTER if n < len(steps) + 1):
-            # Step n is calibrated on the initial and n - 1 chosen experiments.
-            by_count = found[point["design.acquisition"]].setdefault(str(INITIAL + count - 1), [])
-            by_count.append(error(steps[count - 1]["map"]))
+def _read(output: Path) -> list[dict[str, Any]]:
+    """A row for each design: what it chose by, how many experiments it made, the probability of the right one at its end."""
+    lines = output.read_text(encoding="utf-8").splitlines() if output.exists() else []
+    found = []
+    for line in map(json.loads, lines):
+        for by, (experiments, probability) in line.pop("designs").items():
+            found.append({**line, "by": by, "experiments": experiments, "probability": probability})
     return found
 
 
-def _named(
-    output: Path, designs: dict[str, dict[str, Any]], seeds: list[int], iterations: int
-) -> dict[str, list[dict[str, Any]]]:
-    """By design, for every seed: how many experiments until the diagnosis was certain, and what it named."""
-    study = hx.load_study(PAPER, [*_COMMON, f"design.iterations={iterations}", "design.stop.verdict=true",
-                                  "steps=[design, calibrate, compare, diagnose]"])  # fmt: skip
-    points = [{**designs[name], "seed": seed} for name in designs for seed in seeds]
-    table = hx.sweep(study, points=points, output=output).table
-    found: dict[str, list[dict[str, Any]]] = {name: [] for name in designs}
-    for row in table.to_dict("records"):
-        found[row["design.acquisition"]].append(
-            {"experiments": int(row["experiments"]), "verdict": row["verdict"], "effects": row["effects"]}
+def _name(row: dict[str, Any]) -> tuple[Any, ...]:
+    return tuple(row[key] for key in ("test", "right", "rival", "seed", "by"))
+
+
+def _split(rows: Sequence[dict[str, Any]], by: str | None) -> dict[str, list[dict[str, Any]]]:
+    """Rows by what is to have a table of its own."""
+    titles = {
+        "test": lambda row: row["test"],
+        "pair": lambda row: f"{row['right']}, not {row['rival']} ({row['test']})",
+    }
+    found: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        found.setdefault(titles[by](row) if by else "", []).append(row)
+    return found
+
+
+def markdown(rows: Sequence[dict[str, Any]]) -> str:
+    """The table of the results.
+
+    Where two experiments were enough, there was nothing to choose: these designs count where names are judged, and not where
+    experiments are counted.  A design that never became certain, or of the wrong one, counts with all it could ask for.
+    """
+    heads = ["chosen by", "designs", "chosen experiments until right, mean", "median", "certain of the right one",
+             "of the wrong one", "of neither", "CPU s"]  # fmt: skip
+    lines = [heads, ["---"] * len(heads)]
+    for by in (name for name in CRITERIA if any(row["by"] == name for row in rows)):
+        own = [row for row in rows if row["by"] == by]
+        right, wrong = (
+            np.asarray([share(row["probability"]) > CERTAIN for row in own]) for share in (lambda p: p, lambda p: 1 - p)
         )
-    return found
-
-
-def _steps(run: Path) -> list[dict[str, Any]]:
-    events = [json.loads(line) for line in (run / "journal.jsonl").read_text(encoding="utf-8").splitlines()]
-    return [event for event in events if event["event"] == "step"]
-
-
-class _Error:
-    """Normalised error of the model against the specimen, without noise, over the space of inputs."""
-
-    def __init__(self):
-        self.model = hx.load_study(PAPER)
-        specimen = hx.load_study(PAPER, [f"model.effects.stiffness_degradation.eta={ETA}"])
-        v, t = qmc.Sobol(2, seed=1).random(_POINTS).T
-        self.inputs = {"V_P": 1.5 + 1.5 * v, "T_P": 0.5 + t}
-        self.truth = self._quantities(specimen, {"A": 5.0e5, "beta": 1.0})
-
-    def __call__(self, parameters: dict[str, float]) -> float:
-        predicted = self._quantities(self.model, parameters)
-        squares = [
-            np.mean((predicted[name] - truth) ** 2) / np.mean((truth - truth.mean()) ** 2)
-            for name, truth in self.truth.items()
-        ]
-        return float(np.sqrt(np.mean(squares)))
-
-    def _quantities(self, study: Any, parameters: dict[str, float]) -> dict[str, np.ndarray]:
-        known = {name: parameters[name] for name in ("A", "beta")}
-        response = hx.simulate(study, self.inputs, known, channels=())
-        return {name: np.asarray(values) for name, values in response.quantities.items()}
-
-
-def markdown(found: dict[str, Any]) -> str:
-    """The table of the results."""
-    counts = list(found["designs"]["expected_improvement"]["errors"])
-    heads = ["chosen by", *(f"error after {n} experiments" for n in counts), "experiments until named", "named rightly"]
-    lines = [f"| {' | '.join(heads)} |", f"| {' | '.join('---' for _ in heads)} |"]
-    for name, about in found["designs"].items():
-        cells = [_median(about["errors"].get(n, [])) for n in counts]
-        ended = about["named"]
-        certain = [one["experiments"] for one in ended if one["verdict"] == "missing_effects"]
-        right = sum("stiffness_degradation" in one["effects"].split(", ") for one in ended)
-        until = f"{np.median(certain):.3g} ({min(certain)} to {max(certain)})" if certain else "–"
-        lines.append(f"| `{name}` | {' | '.join(cells)} | {until} | {right} of {len(ended)} |")
-    return "\n".join(lines)
-
-
-def _median(values: list[float]) -> str:
-    return f"{np.median(values):.3f} ({min(values):.3f} to {max(values):.3f})" if values else "–"
+        chosen = np.asarray([row["experiments"] > INITIAL for row in own])
+        until = np.where(right, [row["experiments"] for row in own], MOST)[chosen] - INITIAL
+        counted = [f"{until.mean():.2f}", f"{np.median(until):.3g}"] if until.size else ["–", "–"]
+        shares = [f"{which[chosen].mean():.0%}" if until.size else "–" for which in (right, wrong, ~right & ~wrong)]
+        seconds = np.mean([row["cpu_seconds"] for row in own])
+        lines.append([f"`{by}`", f"{chosen.sum()} of {len(own)}", *counted, *shares, f"{seconds:.1f}"])
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,8 @@ Every campaign with a held-out part is taken as a stranger would take it: `hsed 
 the plain law, names what it lacks, learns what no name is for and adds it; nothing is told by hand, and no case by its name.
 Beside the error on the held-out part stand those of generic tools on the same samples: the same law by SciPy's least squares,
 and two black boxes that know the history of the elongation (`peers/generic.py`). Errors are root mean squares in units of
-what was measured, about its mean.
+what was measured, about its mean. The table ends with what `bouc_wen.py` found last, which has a published figure beside it: of
+the specimens none is known that is of a part nothing was fitted to.
 """
 
 import argparse
@@ -17,6 +18,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import bouc_wen
 import numpy as np
 from peers.generic import Cyclic, black_box_errors, least_squares_error
 from run import machine
@@ -53,7 +55,7 @@ def main() -> None:
             rows.append(row_of(folder, campaign, options.pictures))
             results = {"machine": machine(), "rows": rows}
             options.output.write_text(json.dumps(results, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    print(markdown(rows))
+    print(markdown([*rows, bouc_wen.in_units_of_the_signal()]))
 
 
 def judged(data: Path, wanted: Sequence[str]) -> dict[Path, hx.Campaign]:
@@ -110,26 +112,24 @@ def _cyclic(experiment: hx.Experiment) -> Cyclic:
 def markdown(rows: Sequence[Mapping[str, Any]]) -> str:
     """The table of the results."""
     generic = list(dict.fromkeys(name for row in rows for name in row["generic"]))
-    heads = [
-        "specimen",
-        "noise",
-        "plain law",
-        *generic,
-        "with what is named",
-        "named",
-        "verdict",
-        "with what is learned",
-        "s",
-    ]
+    heads = ["specimen", "noise", "plain law", *generic, "with what is named", "named", "verdict", "with what is learned",
+             "best published", "s"]  # fmt: skip
     lines = [heads, ["---"] * len(heads)]
     for row in rows:
         named = ", ".join(f"`{e}`" + (f" ({row['forms'][e]})" if e in row["forms"] else "") for e in row["effects"])
-        others = [f"{row['generic'][name]:.3f}" if name in row["generic"] else "–" for name in generic]
-        errors = [f"{row['plain']:.3f}", *others, f"**{row['named']:.3f}**"]
-        learned = "–" if row["learned"] is None else f"{row['learned']:.3f}"
-        about = [named or "–", f"`{row['verdict']}`", learned, f"{row['seconds']:.0f}"]
-        lines.append([row["case"].replace("_", " "), f"{row['noise']:.3f}", *errors, *about])
+        errors = [
+            _error(row["plain"]),
+            *(_error(row["generic"].get(name)) for name in generic),
+            f"**{_error(row['named'])}**",
+        ]
+        about = [named or "–", f"`{row['verdict']}`", _error(row["learned"]), _error(row.get("published"))]
+        lines.append([row["case"].replace("_", " "), _error(row["noise"]), *errors, *about, f"{row['seconds']:.0f}"])
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def _error(value: float | None) -> str:
+    """Three decimals, or two digits of what is smaller than these can tell."""
+    return "–" if value is None else f"{value:.3f}" if value >= 1e-3 else f"{value:.1e}"
 
 
 if __name__ == "__main__":

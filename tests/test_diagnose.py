@@ -491,7 +491,7 @@ def test_beside_a_pending_experiment_another_one_tells_what_both_tell_less_what_
 
     def told(experiments):
         """By the formula of the divergence, of all samples of these candidates as one vector."""
-        predicted = [predictive(problem, m, N + np.asarray(experiments)) for m in rivals]
+        predicted = [predictive(problem.models, m.fit, N + np.asarray(experiments)) for m in rivals]
         means = [mean.ravel() / sigma for mean, _, _ in predicted]
         covariances = [
             np.eye(len(experiments) * J)

@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from hsed_jax.diagnosis.evidence import gaussian
 from hsed_jax.diagnosis.fits import Model, Set
+from hsed_jax.diagnosis.nested import Descent, NestedModels
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.diagnosis.search import Search
 
@@ -37,29 +39,60 @@ def separation(problem: Problem, search: Search, rivals: Sequence[Model]) -> Flo
     """
     rows = problem.rows + np.arange(len(problem.candidates))
     count = len(rows) - problem.pending
-    information = np.zeros(count)
     if len(rivals) < 2 or not rows.size:
-        return information
-    means, spreads, ok = zip(*(predictive(problem, m, rows) for m in rivals), strict=True)
-    root = np.sqrt(search.worth[problem.train.groups]) / problem.sigma(search.errors, means[0])
+        return np.zeros(count)
+    predictions = [predictive(problem.models, m.fit, rows) for m in rivals]
+    root = np.sqrt(search.worth[problem.train.groups]) / problem.sigma(search.errors, predictions[0].mean)
     shares = search.probabilities(rivals)
     if rivals[0].effects in search.predicted:
         # Of wrong models the evidence says nothing.
         shares = np.full(len(rivals), 1 / len(rivals))
-    for i in range(len(rivals)):
-        for j in range(i):
-            apart = root * (means[i] - means[j])
-            one, other = root[..., None] * spreads[i], root[..., None] * spreads[j]
-            both = (ok[i] > 0) & (ok[j] > 0)
-            told = shares[i] * _told(apart, one, other, both, count) + shares[j] * _told(apart, other, one, both, count)
+    return expected_log_bayes_factor(predictions, root, shares, problem.pending)
+
+
+class Predictive(NamedTuple):
+    """What a rival predicts of experiments: Gaussians N(f, L Lᵀ + noise).
+
+    Attributes:
+        mean: f, outputs in SI, (c, J).
+        spread: L, what the parameters do not know yet, (c, J, p).
+        ok: whether the simulation converged, (c,).
+    """
+
+    mean: Float[np.ndarray, "c J"]
+    spread: Float[np.ndarray, "c J p"]
+    ok: Float[np.ndarray, " c"]
+
+
+def expected_log_bayes_factor(
+    predictions: Sequence[Predictive], root: Float[np.ndarray, "c J"], shares: Float[np.ndarray, " m"], pending: int = 0
+) -> Float[np.ndarray, " c"]:
+    """Expected log Bayes factor between rivals of each experiment [nats], (c − pending,).
+
+    Arguments:
+        predictions: of the rivals.
+        root: one over the standard deviation of the noise.
+        shares: probabilities of the rivals.
+        pending: how many experiments, the last ones, are known before any other is.
+    """
+    count = len(root) - pending
+    information = np.zeros(count)
+    for i, one in enumerate(predictions):
+        for j, other in enumerate(predictions[:i]):
+            apart = root * (one.mean - other.mean)
+            own, others = (root[..., None] * prediction.spread for prediction in (one, other))
+            both = (one.ok > 0) & (other.ok > 0)
+            told = shares[i] * _told(apart, own, others, both, count) + shares[j] * _told(
+                apart, others, own, both, count
+            )
             told *= shares[i] * shares[j] / (shares[i] + shares[j])
             information += np.where(both[:count], told, 0.0)
     return information / max(float(1 - shares @ shares) / 2, 1e-12)
 
 
-def predictive(problem: Problem, model: Model, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What a model predicts (c, J), J L with L Lᵀ the covariance of its parameters (c, J, p), and whether it converged (c,)."""
-    fit, box = model.fit, problem.models.box
+def predictive(models: NestedModels, fit: Descent, rows: np.ndarray) -> Predictive:
+    """What a fitted model predicts of the experiments in `rows`."""
+    box = models.box
     _, covariance = gaussian(fit)
     low, high = box.low[fit.free], box.high[fit.free]
     deviation = np.sqrt(np.diag(covariance))
@@ -73,9 +106,9 @@ def predictive(problem: Problem, model: Model, rows: np.ndarray) -> tuple[np.nda
         x = fit.x.copy()
         x[k] += step
         points.append((x, fit.member))
-    outputs, ok = problem.models.predict(points, rows)
+    outputs, ok = models.predict(points, rows)
     slopes = (outputs[1:] - outputs[0]) * ok[1:, :, None] / steps[:, None, None]
-    return outputs[0], np.einsum("pcj,pq->cjq", slopes, factor), ok[0]
+    return Predictive(outputs[0], np.einsum("pcj,pq->cjq", slopes, factor), ok[0])
 
 
 def _told(apart: np.ndarray, true: np.ndarray, other: np.ndarray, ok: np.ndarray, count: int) -> np.ndarray:
