@@ -1,7 +1,4 @@
-"""The command line: `python -m hsed_jax.run STUDY.yaml` and the `hsed` sub-commands.  Parsing only.
-
-Exit status: 0 done; 1 a defect of ours; 2 the user's input is wrong; 3 stopped part-way, can be resumed.
-"""
+"""The command line: `python -m hsed_jax.run STUDY.yaml` and the `hsed` sub-commands.  Parsing only."""
 
 import argparse
 import sys
@@ -11,12 +8,9 @@ from shlex import quote
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from hsed_jax.app import command as app
 from hsed_jax.errors import UserError
-from hsed_jax.exports import command as exporting
-from hsed_jax.interruptions import Interrupted, answer, ended_in_time
-from hsed_jax.plain import shown
-from hsed_jax.sweeps import command as sweeping
+from hsed_jax.exit_status import ended
+from hsed_jax.interruptions import Interrupted, ended_in_time
 
 if TYPE_CHECKING:
     from hsed_jax.config.schema import Study
@@ -55,18 +49,26 @@ _PARTS = (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The `hsed` command."""
-    return _guarded(command_line(), arguments)
+    return ended(command_line, arguments)
 
 
 def run_main(arguments: Sequence[str] | None = None) -> int:
     """`python -m hsed_jax.run`: what `hsed run` does."""
-    parser = argparse.ArgumentParser(prog="python -m hsed_jax.run", description="Run the steps of a study.")
-    _add_run(parser)
-    return _guarded(parser, arguments)
+
+    def parser() -> argparse.ArgumentParser:
+        made = argparse.ArgumentParser(prog="python -m hsed_jax.run", description="Run the steps of a study.")
+        _add_run(made)
+        return made
+
+    return ended(parser, arguments)
 
 
 def command_line() -> argparse.ArgumentParser:
     """The parser of `hsed`."""
+    from hsed_jax.app import command as app
+    from hsed_jax.exports import command as exporting
+    from hsed_jax.sweeps import command as sweeping
+
     parser = argparse.ArgumentParser(
         prog="hsed",
         description="Plan experiments, calibrate a structural model against them, find the physical effect it lacks.",
@@ -155,33 +157,14 @@ def _add_design(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--output", metavar="DIR", help="run folder (default: runs/<study>)")
 
 
-def _guarded(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> int:
-    # argparse gives sub-commands no intermixed arguments: an override behind an option is left over.
-    options, rest = parser.parse_known_args(arguments)
-    if rest and (not hasattr(options, "overrides") or any(word.startswith("-") for word in rest)):
-        parser.error(f"unrecognized arguments: {' '.join(rest)}")
-    if rest:
-        options.overrides = [*options.overrides, *rest]
-    try:
-        return options.command(options)
-    except UserError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except SystemExit as left:  # an effect, say, which is code of the user's own
-        print(f"error: code that the study names called sys.exit({left.code!r})", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        if words := answer():
-            print(words, file=sys.stderr)
-        return 3
-
-
 def _trusted(study: "Study", options: Any) -> "Study":
     """A study that is only looked at: it may not execute its files, unless the user trusts them.
 
     Raises:
         UserError: it would, and the user did not say so.
     """
+    from hsed_jax.plain import shown
+
     if study.code and not options.trust:
         raise UserError(
             f"{options.study}: it names code of its own ({', '.join(map(shown, study.code))}), which this command would execute; "

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.measurements import Experiment, Record
 from hsed_jax.reporting import figures, style
 
 INPUTS = {"V_P": "m/s", "T_P": "s"}
@@ -241,3 +243,15 @@ def test_the_users_matplotlib_settings_neither_matter_nor_change(tmp_path):
         (_, found) = figures.save(CASES["loops"](), tmp_path, "found")
         assert dict(matplotlib.rcParams) == before
     assert found.read_bytes() == expected.read_bytes()
+
+
+def test_what_is_not_scored_is_drawn_as_it_was_measured():
+    record = Record(np.arange(4.0), {"force": np.array([1.0, 2.0, 3.0, 4.0])})
+    used, table = np.array([[False, False, True, True]]), np.array([[0.0, 0.0, 3.0, 4.0]])
+    prediction = Prediction(
+        ("force",), np.zeros(4, int), (Experiment("E01", record=record),), table, used, table, table, table, table,
+        np.ones(1, bool),
+    )  # fmt: skip
+    panel = style.new_figure(2.0).subplots()
+    np.testing.assert_array_equal(style.recorded(panel, prediction, 0, "force"), [1.0, 2.0, 3.0, 4.0])
+    assert panel.get_legend_handles_labels()[1] == ["scored"]

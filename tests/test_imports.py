@@ -11,7 +11,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "hsed_jax"
 LEVELS = (
     ("drafts", "errors", "backend", "interruptions", "programs", "tables"),
-    ("memory", "plain"),
+    ("exit_status", "memory", "plain"),
     ("python_files",),
     ("physics",),
     ("measurements",),

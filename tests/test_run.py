@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -280,6 +281,14 @@ def test_a_folder_that_is_no_run_is_left_alone_even_by_force(study, tmp_path, ca
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
+def test_a_folder_of_measurements_with_a_study_in_it_is_no_run_and_loses_nothing(study, tmp_path, capsys):
+    for name in ("campaign.yaml", "experiments.csv", "study.yaml"):
+        (tmp_path / name).write_text("measured")
+    for flag in ([], ["--resume"], ["--force"]):
+        assert "no run folder" in refusal([study, "--output", tmp_path, *flag], capsys)
+    assert {path.read_text() for path in tmp_path.glob("[ces]*")} == {"measured"}
+
+
 def test_there_is_nothing_to_resume_where_there_is_nothing(study, tmp_path, capsys):
     assert "no run to resume" in refusal([study, "--output", tmp_path / "new", "--resume"], capsys)
 
@@ -304,7 +313,8 @@ def test_what_a_step_found_is_told_when_it_ends(study, tmp_path, monkeypatch, ca
 
 def test_an_output_that_cannot_be_written_is_the_users_to_mend(study, tmp_path, capsys):
     (tmp_path / "file").write_text("")
-    assert "cannot be written" in refusal([study, "--output", tmp_path / "file" / "run"], capsys)
+    for output in (tmp_path / "file" / "run", tmp_path / ("a" * 300)):
+        assert "cannot be written" in refusal([study, "--output", output], capsys)
 
 
 @pytest.mark.parametrize("left", [(), (".lock",), (".lock", "study.yaml.part")])
@@ -323,9 +333,20 @@ def test_force_throws_away_what_was_there(tmp_path):
     first = RunFolder(tmp_path / "run", {"study": "x", "seed": 0})
     first.record("asked", experiment="E01")
     first.close()
+    (first.path / "notes.txt").write_text("mine")
     second = RunFolder(tmp_path / "run", {"study": "y", "seed": 0}, force=True)
     assert second.events() == [] and yaml.safe_load((second.path / "study.yaml").read_text())["study"] == "y"
+    assert (second.path / "notes.txt").read_text() == "mine"
     second.close()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no disk that is always full")
+def test_a_full_disk_ends_the_writing_of_results_and_not_the_process(tmp_path):
+    store = RunFolder(tmp_path / "run", {"study": "x", "seed": 0})
+    (store.path / "results.nc.part").symlink_to("/dev/full")
+    with pytest.raises(OSError, match="No space left"):
+        store.write_results(xr.DataTree(xr.Dataset({"x": ("n", np.zeros(10))})))
+    store.close()
 
 
 def test_a_folder_is_lent_to_one_process_and_given_back_by_a_refusal(tmp_path):

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 from hsed_jax.config.schema import Study
 from hsed_jax.config.sections import MODELS, TAGS, one_distribution, prior_or_default
 from hsed_jax.errors import UserError
-from hsed_jax.plain import DEPTH, is_file, parse_yaml, shown
+from hsed_jax.plain import DEPTH, is_file, is_folder, parse_yaml, shown
 
 
 def load_study(source: str | Path | dict[str, Any], overrides: Sequence[str] = ()) -> Study:
@@ -28,6 +28,8 @@ def load_study(source: str | Path | dict[str, Any], overrides: Sequence[str] = (
     else:
         path = Path(source)
         where = str(source)
+        if is_folder(path):
+            raise UserError(f"{where}: this is a folder; name the study in it, such as {path / 'study.yaml'}")
         if not is_file(path):
             raise UserError(f"{where}: there is no such file")
         try:

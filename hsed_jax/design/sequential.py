@@ -279,9 +279,11 @@ class SequentialDesign:
         needed = {"constant": 1, "linear": 1 + terms, "quadratic": (terms + 1) * (terms + 2) // 2}
         least = 1 + needed[self.kriging.get("trend", "constant")]
         if usable < least:
+            is_out = (state.status == "pending").any()
+            mend = "perform more initial experiments (design.initial) or choose inputs that can be tested"
             raise UserError(
                 f"only {usable} of {len(state.trials)} experiments gave something to use, and the design needs {least} to go on; "
-                "perform more initial experiments (design.initial) or choose inputs that can be tested"
+                f"{'tell first what came of those that are out' if is_out else mend}"
             )
 
     def surrogate(self, state: DesignState, norms: Sequence[float], lengths: Sequence[float], nugget: float) -> Kriging:

@@ -92,7 +92,8 @@ def _of_histories(split: str, prediction: Prediction, row: int, campaign: Campai
     panels = list(np.ravel(figure.subplots(len(names), 1, sharex=True)))
     bands, time = nested(prediction), experiment.record.time
     for panel, name in zip(panels, names, strict=True):
-        measured, predicted, mean, _ = prediction.histories(row, name)
+        _, predicted, mean, _ = prediction.histories(row, name)
+        measured = style.recorded(panel, prediction, row, name)
         divisor, unit = style.readable(pair.output(name).unit, measured, predicted)
         for part, width in reversed(bands.items()):
             half = width[row, prediction.columns(name)][: time.size]

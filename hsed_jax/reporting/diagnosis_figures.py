@@ -242,16 +242,9 @@ def _draw_loops(panels: list[Axes], owner: str, loops: list[tuple[np.ndarray, ..
 def _history(panel: Axes, name: str, first: Prediction, row: int, second: Prediction, other: int, pair: Pair) -> None:
     record = first.experiments[row].record
     assert record is not None
-    measured, before, _, _ = first.histories(row, name)
-    after = second.histories(other, name)[1]
-    used = first.used[row, first.columns(name)][: len(record)]
-    # What is not scored was measured all the same.
-    measured = record.channels.get(name, np.where(used, measured, np.nan))
+    before, after = first.histories(row, name)[1], second.histories(other, name)[1]
+    measured = style.recorded(panel, first, row, name)
     divisor, unit = style.readable(pair.output(name).unit, measured, before, after)
-    if used.any() and not used.all():
-        top = panel.get_xaxis_transform()
-        panel.fill_between(record.time, 0, 1, where=used, transform=top, color=style.GREY, alpha=0.18, linewidth=0,
-                           label="scored", zorder=0)  # fmt: skip
     for values, look in ((measured, _MEASURED), (before, _BEFORE), (after, _AFTER)):
         panel.plot(record.time, values / divisor, **look)
     panel.margins(x=0.0)

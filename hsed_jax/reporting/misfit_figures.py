@@ -111,16 +111,9 @@ def overlay(prediction: Prediction, row: int, errors: Mapping[str, Mapping[str, 
 def _history(panel: Axes, prediction: Prediction, row: int, name: str, pair: Pair) -> None:
     record = prediction.experiments[row].record
     assert record is not None
-    measured, predicted, mean, sd = prediction.histories(row, name)
-    used = prediction.used[row, prediction.columns(name)][: len(record)]
-    # What is not scored was measured all the same.
-    measured = record.channels.get(name, np.where(used, measured, np.nan))
+    _, predicted, mean, sd = prediction.histories(row, name)
+    measured, time = style.recorded(panel, prediction, row, name), record.time
     divisor, unit = style.readable(pair.output(name).unit, measured, predicted)
-    time = record.time
-    if used.any() and not used.all():
-        top = panel.get_xaxis_transform()
-        panel.fill_between(time, 0, 1, where=used, transform=top, color=style.GREY, alpha=0.18, linewidth=0,
-                           label="scored", zorder=0)  # fmt: skip
     panel.fill_between(time, (mean - _90 * sd) / divisor, (mean + _90 * sd) / divisor, **_BAND)
     panel.plot(time, measured / divisor, **{**style.MEASURED, "label": "measured"})
     panel.plot(time, predicted / divisor, **{**style.PREDICTED, "label": "predicted"})

@@ -22,6 +22,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
+from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.laws import LAWS
 from hsed_jax.physics.outputs import own_name, owner_of
@@ -139,6 +140,18 @@ def panel_titles(panels: Iterable[Axes]) -> None:
     panels = list(panels)
     for index, panel in enumerate(panels if len(panels) > 1 else []):
         panel.set_title(f"{_letter(index)})", loc="left")
+
+
+def recorded(panel: Axes, prediction: Prediction, row: int, name: str) -> np.ndarray:
+    """A channel as measured, also where it is not scored; shades the part that is, where that is not all."""
+    record = prediction.experiments[row].record
+    assert record is not None
+    used = prediction.used[row, prediction.columns(name)][: len(record)]
+    if used.any() and not used.all():
+        top = panel.get_xaxis_transform()
+        panel.fill_between(record.time, 0, 1, where=used, transform=top, color=GREY, alpha=0.18, linewidth=0,
+                           label="scored", zorder=0)  # fmt: skip
+    return record.channels.get(name, np.where(used, prediction.histories(row, name)[0], np.nan))
 
 
 def legend(figure: Figure, *panels: Axes) -> None:

@@ -27,6 +27,23 @@ if TYPE_CHECKING:
 
     from hsed_jax.reporting.finished import FinishedRun
 
+# What a run leaves, and so what another may replace; everything else in its folder is the user's.
+_OF_A_RUN = (
+    "journal.jsonl",
+    "provenance.json",
+    "study.yaml",
+    "campaign",
+    "laboratory",
+    "reached",
+    "results.nc",
+    "summary.json",
+    "figures",
+    "report.html",
+    "improved.yaml",
+    "learned_effect.py",
+    "export",
+)
+
 
 class RunFolder:
     """A run folder that this process owns.
@@ -35,7 +52,7 @@ class RunFolder:
         path: of the folder.
         study: the study with every default written out.
         resume: go on with what is there.
-        force: throw away what is there.
+        force: throw away what the run in it left.
 
     Raises:
         UserError: the folder exists and neither was said, or it belongs to another study or another running process.
@@ -43,15 +60,17 @@ class RunFolder:
 
     def __init__(self, path: str | Path, study: Mapping[str, Any], *, resume: bool = False, force: bool = False):
         self.path = Path(path)
-        occupied = self.path.exists() and (not self.path.is_dir() or any(map(_is_content, self.path.iterdir())))
-        if occupied and not (self.path / "journal.jsonl").exists():
-            if not (self.path / "study.yaml").exists():
-                raise UserError(f"{self.path} exists and is no run folder; choose another --output")
-        elif resume and not self.path.exists():
-            raise UserError(f"{self.path}: there is no run to resume; leave out --resume to start one")
-        if occupied and not (resume or force):
-            raise UserError(f"{self.path} holds a run already; say --resume to go on with it or --force to replace it")
         try:
+            occupied = self.path.exists() and (not self.path.is_dir() or any(map(_is_content, self.path.iterdir())))
+            # A study alone is no sign of a run: `hsed init` writes one beside the measurements.
+            if occupied and not (self._journal.exists() or self._provenance.exists()):
+                raise UserError(f"{self.path} exists and is no run folder; choose another --output")
+            if resume and not self.path.exists():
+                raise UserError(f"{self.path}: there is no run to resume; leave out --resume to start one")
+            if occupied and not (resume or force):
+                raise UserError(
+                    f"{self.path} holds a run already; say --resume to go on with it or --force to replace it"
+                )
             self.path.mkdir(parents=True, exist_ok=True)
             self._lock = self._locked()
         except OSError as error:
@@ -60,11 +79,12 @@ class RunFolder:
             if occupied and force:
                 self._clear()
             written = self.path / "study.yaml"
-            if resume and written.exists():
+            is_begun = resume and written.exists()
+            if is_begun:
                 self._agree(_mapping(written), dict(study))
-            else:
-                write_whole(written, dump_yaml(dict(study)))
             begin_session(self._provenance, study.get("seed"))
+            if not is_begun:
+                write_whole(written, dump_yaml(dict(study)))
         except BaseException:
             # An exception that a notebook keeps would keep the lock, too.
             self.close()
@@ -140,7 +160,8 @@ class RunFolder:
     def write_results(self, tree: "xr.DataTree") -> None:
         """Write `results.nc`."""
         unfinished = self.path / "results.nc.part"
-        tree.to_netcdf(unfinished, engine="h5netcdf")
+        # Made in memory: HDF5 takes the process with it where a disk is full.
+        unfinished.write_bytes(tree.to_netcdf(engine="h5netcdf"))
         unfinished.replace(self.path / "results.nc")
 
     def write_report(self, page: str) -> None:
@@ -197,9 +218,8 @@ class RunFolder:
 
     def _clear(self) -> None:
         for item in self.path.iterdir():
-            if item.name == ".lock":
-                continue
-            shutil.rmtree(item) if item.is_dir() and not item.is_symlink() else item.unlink()
+            if item.name in _OF_A_RUN or item.suffix == ".part":
+                shutil.rmtree(item) if item.is_dir() and not item.is_symlink() else item.unlink()
 
     def _agree(self, before: Any, now: Any, path: str = "") -> None:
         """Refuse to mix two studies in one folder; name the first key that differs."""

@@ -125,7 +125,9 @@ def _guesses(campaign: Campaign, folder: Path) -> tuple[_Guess, _Guess, _Guess]:
     mass = _Guess(_MASS, "a mere placeholder, since no force was measured; A and strength grow with it")
     if found.force > 0:
         mass = _Guess(found.force / floors.strength, "largest force over largest accelerations")
-    way = f"that of storeys whose first frequency is {floors.frequency:.3g} Hz, where the highest floor follows most"
+    way = (
+        f"stiffness of storeys whose first frequency is {floors.frequency:.3g} Hz, where the highest floor follows most"
+    )
     return (
         _Guess(mass.value * floors.stiffness, way),
         _Guess(mass.value * floors.strength, "the masses times their largest accelerations"),

@@ -19,6 +19,9 @@ from hsed_jax.errors import UserError
 from hsed_jax.plain import dump_yaml, parse_yaml
 from hsed_jax.sweeps.plan import Plan
 
+# What a sweep leaves, and so what another may replace; everything else in its folder is the user's.
+_OF_A_SWEEP = ("sweep.yaml", "runs", "outcomes", "table.parquet", "results.nc", "failures.txt", "figures")
+
 
 class SweepFolder:
     """The folder of a sweep, owned by this process.
@@ -27,7 +30,7 @@ class SweepFolder:
         path: of the folder.
         plan: what to run; None to go on with the plan in the folder.
         resume: go on with what is there.
-        force: throw away what is there.
+        force: throw away what the sweep in it left.
 
     Raises:
         UserError: the folder exists and neither was said, it holds something else, or another process has it.
@@ -36,17 +39,18 @@ class SweepFolder:
     def __init__(self, path: str | Path, plan: Plan | None, *, resume: bool, force: bool):
         self.path = Path(path).absolute()
         written = self.path / "sweep.yaml"
-        occupied = self.path.exists() and (
-            # A sweep killed in its first moments leaves a lock and a draft.
-            not self.path.is_dir() or any(i.name != ".lock" and i.suffix != ".part" for i in self.path.iterdir())
-        )
-        if occupied and not written.is_file():
-            raise UserError(f"{path} exists and is no folder of a sweep; choose another --output")
-        if occupied and not (resume or force):
-            raise UserError(f"{path} holds a sweep already; say --resume to go on with it or --force to replace it")
-        if resume and not occupied:
-            raise UserError(f"{path}: there is no sweep to resume; leave out --resume to start one")
         try:
+            occupied = self.path.exists() and (
+                # A sweep killed in its first moments leaves a lock and a draft.
+                not self.path.is_dir() or any(i.name != ".lock" and i.suffix != ".part" for i in self.path.iterdir())
+            )
+            # A sweep.yaml alone may be the user's own, of --grid.
+            if occupied and not (self.path / "outcomes").is_dir():
+                raise UserError(f"{path} exists and is no folder of a sweep; choose another --output")
+            if occupied and not (resume or force):
+                raise UserError(f"{path} holds a sweep already; say --resume to go on with it or --force to replace it")
+            if resume and not written.is_file():
+                raise UserError(f"{path}: there is no sweep to resume; leave out --resume to start one")
             self.path.mkdir(parents=True, exist_ok=True)
             self._lock = (self.path / ".lock").open("w")
         except OSError as error:
@@ -59,8 +63,6 @@ class SweepFolder:
                 assert plan is not None
                 self.plan = plan
                 self._begin(written)
-            for name in ("runs", "outcomes"):
-                (self.path / name).mkdir(exist_ok=True)
         except BlockingIOError:
             self.close()
             raise UserError(
@@ -72,8 +74,10 @@ class SweepFolder:
 
     def _begin(self, written: Path) -> None:
         for item in self.path.iterdir():
-            if item.name != ".lock":
+            if item.name in _OF_A_SWEEP or item.suffix == ".part":
                 shutil.rmtree(item) if item.is_dir() and not item.is_symlink() else item.unlink()
+        for name in ("runs", "outcomes"):
+            (self.path / name).mkdir()
         content = {"study": self.plan.study, "points": list(self.plan.points)}
         write_whole(written, dump_yaml(content))
 

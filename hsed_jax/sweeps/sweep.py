@@ -164,7 +164,8 @@ def gather(folder: SweepFolder) -> Sweep:
     unfinished = folder.path / "unfinished.part"
     made.table.to_parquet(unfinished)
     unfinished.replace(folder.path / "table.parquet")
-    made.dataset.to_netcdf(unfinished, engine="h5netcdf")
+    # Made in memory: HDF5 takes the process with it where a disk is full.
+    unfinished.write_bytes(made.dataset.to_netcdf(engine="h5netcdf"))
     unfinished.replace(folder.path / "results.nc")
     listed = "\n".join(f"{number}  {text}" for number, text in made.failures.items())
     write_whole(folder.path / "failures.txt", listed or "none\n")

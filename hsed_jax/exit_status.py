@@ -1,0 +1,89 @@
+"""How a command ends: its exit status, and one message where that is not 0.
+
+0 done; 1 a defect of ours; 2 the user's input is wrong; 3 stopped part-way, can be resumed.
+"""
+
+import argparse
+import errno
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from io import TextIOWrapper
+
+from hsed_jax.errors import UserError
+from hsed_jax.interruptions import answer
+
+# What a disk may say that cannot take any more.
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
+
+
+def ended(parser: Callable[[], argparse.ArgumentParser], arguments: Sequence[str] | None) -> int:
+    """Parse a command line and carry out the `command` of its options.
+
+    Arguments:
+        parser: makes the parser; called here, so that a Ctrl-C that comes while it is loaded is answered.
+        arguments: the words of the command line; None for those of this process.
+
+    Returns:
+        The exit status; a message that explains it is on the standard error.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a letter that the terminal does not have ends no run
+    try:
+        return _carried_out(_parsed(parser(), arguments))
+    except KeyboardInterrupt:
+        return _interrupted()
+    except BrokenPipeError:
+        # Who reads has seen enough, as `| head` has; what is left to say goes nowhere.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 3
+    except OSError as error:
+        if error.errno not in _FULL:
+            raise
+        return _told(f"error: {error.filename or 'what was made'} cannot be written ({error.strerror}); make room, and go on "
+                     "with a run by --resume", 3)  # fmt: skip
+    except Exception as error:
+        # An extension that is being loaded when Ctrl-C comes makes an error of its own of it.
+        if not any(isinstance(cause, KeyboardInterrupt) for cause in _causes(error)):
+            raise
+        return _interrupted()
+
+
+def _causes(error: BaseException | None) -> Iterator[BaseException]:
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__
+
+
+def _parsed(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argparse.Namespace:
+    # argparse gives sub-commands no intermixed arguments: an override behind an option is left over.
+    options, rest = parser.parse_known_args(arguments)
+    if rest and (not hasattr(options, "overrides") or any(word.startswith("-") for word in rest)):
+        parser.error(f"unrecognized arguments: {' '.join(rest)}")
+    if rest:
+        options.overrides = [*options.overrides, *rest]
+    if getattr(options, "output", None) == "":  # of a variable that is not set, say
+        parser.error("argument --output: it is empty")
+    return options
+
+
+def _carried_out(options: argparse.Namespace) -> int:
+    try:
+        status = options.command(options)
+        print(end="", flush=True)
+        return status
+    except UserError as error:
+        return _told(f"error: {error}", 2)
+    except SystemExit as left:  # an effect, say, which is code of the user's own
+        return _told(f"error: code that the study names called sys.exit({left.code!r})", 2)
+
+
+def _interrupted() -> int:
+    return _told(answer(), 3)
+
+
+def _told(words: str | None, status: int) -> int:
+    if words:
+        print(words, file=sys.stderr)
+    return status
