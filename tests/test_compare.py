@@ -281,6 +281,21 @@ def test_p_value_of_a_misfit_is_tiny():
     assert inferred.p_value < 1e-6 and not inferred.adequate
 
 
+def test_what_is_many_times_the_noise_of_its_record_is_no_noise_however_short_it_is():
+    # The same difference, of a memory of 0.9, is noise where the record shows it, and a misfit where the record is smooth.
+    random, t = np.random.default_rng(16), np.linspace(0, 10, 80)
+    smooth, noise, difference = np.sin(t), 0.005 * random.standard_normal(80), np.zeros(80)
+    for k in range(1, 80):
+        difference[k] = 0.9 * difference[k - 1] + 0.06 * random.standard_normal()
+    for measured, predicted, is_noise in (
+        (smooth + difference, smooth, True),
+        (smooth + noise, smooth + noise - difference, False),
+    ):
+        experiments = [recorded("E01", t, force=measured)]
+        found = compare(prediction_of(measured, predicted, 0.1, experiments=experiments), None, ~DECLARED, 2, [])
+        assert found.adequate == is_noise and (found.p_value > 0.05 if is_noise else found.p_value == 0)
+
+
 def test_nothing_can_be_said_of_quantities_with_unknown_noise():
     found = compare(prediction_of([[1.0], [2.0]], [[1.1], [1.9]], outputs=("peak_force",)), None, ~DECLARED, 1, [])
     assert found.p_value is None and not found.adequate

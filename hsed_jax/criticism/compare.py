@@ -24,6 +24,8 @@ from hsed_jax.tables import Table, Tabular, cell
 
 # Errors up to this multiple of the noise are the noise, whatever their significance: nobody knows a noise better.
 _MATERIAL = 1.05
+# A noise so many times what its record shows of it would have a memory of more than 0.93 from sample to sample.
+_MEMORY = 5.0
 WITHOUT = "coverage_90_without"
 """Coverage of the band without the discrepancy, where one is learned."""
 
@@ -182,9 +184,10 @@ def discrepancy_p_value(prediction: Prediction, declared: np.ndarray, parameters
 
     Where the noise is declared its *size* is tested, $\sum (r/\sigma)^2$ with the variance that memory and kurtosis of the noise
     give it (`hsed_jax.inference.correlation.size_p_value`): a sensor may well have a memory, and that is no fault of the model.
-    Of histories whose noise nobody declares the size says nothing, and what is left is tested for being noise of any memory:
-    for whiteness (Ljung & Box 1978 over ten lags) after a first-order autoregression has been taken out.  Of k such tests, which
-    are nearly independent of one another, the smallest p counts: $1-(1-p)^k$ (Šidák 1967).
+    Of histories whose noise nobody declares the size says little, and what is left is tested for being noise of any memory:
+    for whiteness (Ljung & Box 1978 over ten lags) after a first-order autoregression has been taken out.  A short record has no
+    power in that, but what is more than five times the noise that the record itself shows (`noise_sizes`) is none.  Of k such
+    tests, which are nearly independent of one another, the smallest p counts: $1-(1-p)^k$ (Šidák 1967).
     """
     if prediction.diverged.any():
         return 0.0
@@ -203,11 +206,18 @@ def discrepancy_p_value(prediction: Prediction, declared: np.ndarray, parameters
                 statistic += _ljung_box(residual)
                 lags += 10
         if lags:
-            values.append(float(chdtrc(lags - 1, statistic)))
+            used = prediction.used[:, columns]
+            noise = noise_sizes(prediction, prediction.outputs[group], declared=False)
+            is_small = _rms(prediction.residual[:, columns][used]) <= _MEMORY * _rms(noise[used])
+            values.append(float(chdtrc(lags - 1, statistic)) if is_small else 0.0)
     known = [value for value in values if value is not None]
     if not known:
         return None
     return 1.0 if min(known) >= 1 else float(-np.expm1(len(known) * np.log1p(-min(known))))
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _ljung_box(residual: np.ndarray) -> float:

@@ -49,6 +49,23 @@ def _standard_error(parts: np.ndarray) -> float:
     return float(np.std(parts, ddof=1) / math.sqrt(len(parts))) if len(parts) > 1 else 0.0
 
 
+def by_prediction(gains: Sequence[Gain], sizes: Sequence[int]) -> list[int]:
+    """The order of models: those that predict as well as the best of them, by one standard error, the one of fewest parameters
+    first (Breiman et al. 1984), and then the others by what they gain.
+
+    Arguments:
+        gains: of each model over another one.
+        sizes: how many parameters each has.
+    """
+    lead = max(gains, key=lambda gain: gain.mean, default=None)
+
+    def place(i: int) -> tuple[bool, float]:
+        is_alike = lead is not None and gains[i].is_as_good_as(lead)
+        return not is_alike, sizes[i] if is_alike else -gains[i].mean
+
+    return sorted(range(len(gains)), key=place)
+
+
 def folds_of(used: Bool[np.ndarray, "n J"], groups: np.ndarray) -> Folds:
     """Several experiments are left out in turn.
 

@@ -11,6 +11,9 @@ from hsed_jax.diagnosis.nested import Target
 from hsed_jax.inference.correlation import Judged, judge
 from hsed_jax.inference.likelihood import Error, magnitudes
 
+WRONG = 5.0
+"""A model that leaves so many times the noise is wrong: evidence, which takes one of the models for true, decides nothing."""
+
 
 class Measured(NamedTuple):
     """The training experiments.
@@ -39,6 +42,10 @@ class Measured(NamedTuple):
     def error(self, predicted: np.ndarray, scored: np.ndarray | None = None) -> float:
         """Normalised error of predictions (n, J), where something is scored (by default wherever it was measured)."""
         return normalised_error(self.values, predicted, self.used if scored is None else scored, self.groups)
+
+    def is_far_above_noise(self, predicted: np.ndarray) -> bool:
+        """Whether predictions (n, J) leave many times the noise."""
+        return self.error(predicted) > WRONG * self.noise
 
     def squares(self, predicted: np.ndarray, parts: Bool[np.ndarray, "F n J"]) -> Float[np.ndarray, " F"]:
         """Squared normalised errors of predictions (n, J) in parts of the measurements, in units of the whole."""

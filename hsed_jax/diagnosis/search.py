@@ -18,8 +18,8 @@ from jaxtyping import Float, Int
 from scipy.special import softmax
 
 from hsed_jax.diagnosis.fits import Choice, Fits, Model, Set, names_of, spread
-from hsed_jax.diagnosis.held_out import Gain, HeldOut
-from hsed_jax.diagnosis.measured import Measured
+from hsed_jax.diagnosis.held_out import Gain, HeldOut, by_prediction
+from hsed_jax.diagnosis.measured import WRONG, Measured
 from hsed_jax.diagnosis.nested import Descent, NestedModels, Target, Task
 from hsed_jax.diagnosis.problem import Forms, amplitude_of, of_other_drivers, of_other_shapes
 from hsed_jax.diagnosis.scores import Around, Promise, Trial, score_p_value
@@ -31,8 +31,8 @@ _ODDS = 10.0
 # Share of the squared held-out error, less the noise, that an effect takes away; the first may take less, if that is all.
 # A textbook formula is off by a third of its effect: the last that is left beside an effect, if smaller, is no other physics.
 _MATERIAL, _FORMULA = 0.05, 0.1
-# Where what is left is so many times the noise, this share of it is enough: the model is wrong, and prediction decides.
-_WRONG, _PART = 5.0, 0.2
+# Where what is left is far above the noise, this share of it is enough: the model is wrong, and prediction decides.
+_PART = 0.2
 # Where what is left is so many times the noise, squared, one that leaves nothing is no accident (second: no more parameters).
 _CLEAR, _SEEN = 2.0, 1.2
 # A score test opens the gate that the size of the residual keeps shut, at this level for all candidates together.
@@ -186,7 +186,7 @@ class Search:
         """Why a model with one effect more than the best is not the one to go on from; None where nothing is against it."""
         here = self.model(self.best)
         odds = larger.log_posterior - here.log_posterior
-        if odds <= math.log(_ODDS):
+        if odds <= math.log(_ODDS) and not self.measured.is_far_above_noise(here.fit.predicted):
             return f"its posterior odds of {math.exp(odds):.2g} are less than {_ODDS:.0f}"
         if self._is_explained(here.fit) and not larger.effects & self.pointed_at(self.best):
             return "the noise explains what is left, and no score test is sure of it"
@@ -195,10 +195,9 @@ class Search:
             return f"it takes the error on experiments that were not used from {now:.3f} to {then:.3g}"
         predictions = self.left_out([frozenset(), self.best, larger.effects])
         before, now, then = map(self.held_out.error, predictions)
-        is_last = self._is_explained(larger.fit)
-        noise = self.measured.noise
+        is_last, noise = self._is_explained(larger.fit), self.measured.noise
         needed = (_MATERIAL if not is_last else _FORMULA if self.best else 0.0) * (before**2 - noise**2)
-        if not is_last and now > _WRONG * noise:
+        if not is_last and now > WRONG * noise:
             needed = min(needed, _PART * (now**2 - noise**2))
         # Two effects that leave nothing are no more than one that leaves something, and needs as many parameters for it.
         clear = _SEEN if len(larger.fit.free) <= len(here.fit.free) else _CLEAR
@@ -344,29 +343,31 @@ class Search:
             self._fits.judge(self.target, around)
 
     def _next(self) -> Set:
-        """The set to go on from: the most probable that is supported and predicts what was not used."""
-        here = self.model(self.best)
-        ranked = [m for m in self.all() if m.log_posterior > here.log_posterior]
-        for candidate in self._predicting(ranked)[:_TRIED]:
+        """The set to go on from: the first that is supported and predicts what was not used."""
+        for candidate in self._candidates()[:_TRIED]:
             is_larger = len(candidate.effects) > len(self.best)
             if self.obstacle(candidate) is None if is_larger else not self.harms(candidate.effects):
                 return candidate.effects
         # Judged anew, what was best may predict worse than the model as it is.
         return self.path[-2] if self.best and self.harms(self.best) else self.best
 
-    def _predicting(self, ranked: Sequence[Model]) -> list[Model]:
-        """Models with the most probable first where the noise explains what it leaves.  Where not, those that predict what was
-        left out as well as the best, by one standard error; of these the one of fewest parameters (Breiman et al. 1984)."""
-        if not ranked or self._is_explained(ranked[0].fit):
-            return list(ranked)
+    def _candidates(self) -> list[Model]:
+        """Models more probable than the best, the most probable first where the noise explains what that one leaves.  Where it
+        does not, all are wrong, and they come in the order of `by_prediction`.  Where the best leaves many times the noise, it
+        does not matter how probable they are: they have to predict better than it by more than a standard error, or with an
+        effect less no worse by that."""
+        here, others = self.model(self.best), [m for m in self.all() if m.effects != self.best]
+        likely = [m for m in others if m.log_posterior > here.log_posterior]
+        is_wrong = self.measured.is_far_above_noise(here.fit.predicted)
+        pool = (others if is_wrong else likely)[:_POOL]
+        if not pool or (likely and self._is_explained(likely[0].fit)):
+            return likely
         self._report("what they predict of experiments left out")
-        pool = list(ranked[:_POOL])
-        gains = self.gains([m.effects for m in pool], self.best)
-        self.predicted |= {m.effects: gain for m, gain in zip(pool, gains, strict=True)}
-        lead = max(gains, key=lambda gain: gain.mean)
-        alike = [m for m, gain in zip(pool, gains, strict=True) if gain.is_as_good_as(lead)]
-        others = sorted((m for m in pool if m not in alike), key=lambda m: -self.predicted[m.effects].mean)
-        return [*sorted(alike, key=lambda m: len(m.fit.free)), *others]
+        found = list(zip(pool, self.gains([m.effects for m in pool], self.best), strict=True))
+        self.predicted |= {m.effects: gain for m, gain in found}
+        if is_wrong:
+            found = [(m, g) for m, g in found if g.mean > (-1 if m.effects < self.best else 1) * g.standard_error]
+        return [found[i][0] for i in by_prediction([gain for _, gain in found], [len(m.fit.free) for m, _ in found])]
 
     def _neighbours(self) -> list[Set]:
         """The sets one change away from the best."""
