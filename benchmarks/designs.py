@@ -16,6 +16,7 @@ import numpy as np
 from rivals import CERTAIN, CRITERIA, INITIAL, MOST, TESTS, trials_of
 
 RESULTS = Path(__file__).with_suffix(".jsonl")
+_AFTER = (1, 2, 4, MOST - INITIAL)
 
 
 def main() -> None:
@@ -85,25 +86,21 @@ def _split(rows: Sequence[dict[str, Any]], by: str | None) -> dict[str, list[dic
 
 
 def markdown(rows: Sequence[dict[str, Any]]) -> str:
-    """The table of the results.
+    """The table of the results: what share of the designs was certain of the right one after so many experiments of their choice.
 
-    Where two experiments were enough, there was nothing to choose: these designs count where names are judged, and not where
-    experiments are counted.  A design that never became certain, or of the wrong one, counts with all it could ask for.
+    Where the initial experiments were enough, there was nothing to choose, and these designs are not counted.
     """
-    heads = ["chosen by", "designs", "chosen experiments until right, mean", "median", "certain of the right one",
-             "of the wrong one", "of neither", "CPU s"]  # fmt: skip
+    heads = ["chosen by", "designs", *(f"right after {n} chosen" for n in _AFTER), "wrong", "never certain", "CPU s"]
     lines = [heads, ["---"] * len(heads)]
     for by in (name for name in CRITERIA if any(row["by"] == name for row in rows)):
         own = [row for row in rows if row["by"] == by]
-        right, wrong = (
-            np.asarray([share(row["probability"]) > CERTAIN for row in own]) for share in (lambda p: p, lambda p: 1 - p)
-        )
-        chosen = np.asarray([row["experiments"] > INITIAL for row in own])
-        until = np.where(right, [row["experiments"] for row in own], MOST)[chosen] - INITIAL
-        counted = [f"{until.mean():.2f}", f"{np.median(until):.3g}"] if until.size else ["–", "–"]
-        shares = [f"{which[chosen].mean():.0%}" if until.size else "–" for which in (right, wrong, ~right & ~wrong)]
+        chosen = [row for row in own if row["experiments"] > INITIAL]
+        right = [row["experiments"] - INITIAL for row in chosen if row["probability"] > CERTAIN]
+        wrong = sum(row["probability"] < 1 - CERTAIN for row in chosen)
+        counts = [*(sum(n <= after for n in right) for after in _AFTER), wrong, len(chosen) - len(right) - wrong]
+        shares = [f"{count / len(chosen):.0%}" if chosen else "–" for count in counts]
         seconds = np.mean([row["cpu_seconds"] for row in own])
-        lines.append([f"`{by}`", f"{chosen.sum()} of {len(own)}", *counted, *shares, f"{seconds:.1f}"])
+        lines.append([f"`{by}`", f"{len(chosen)} of {len(own)}", *shares, f"{seconds:.1f}"])
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 

@@ -2,8 +2,8 @@
 
 A pair is two nested models, the plain law with the one effect and with the other; the specimen has the first, its parameters
 drawn from the priors of that model.  So a probability above 0.95 is right 19 times of 20, whatever a design asks for, if evidence
-is what it should be.  Sizes have priors of their own, log-normal about the one that changes the response by as much as the noise:
-those of the catalogue allow for effects that any two experiments tell, and for some effects far more of these than for others.
+is what it should be.  Sizes have priors of their own, log-normal about the one that changes the response by 15 %: those of the
+catalogue allow for effects that any two experiments tell, and for some effects far more of these than for others.
 
 After every experiment both models are fitted and weighed as a diagnosis does it: bounded descents from several starts, Laplace's
 method, even prior odds, an error that is relative to what the better one predicts.  All designs of a seed choose from the same
@@ -36,23 +36,23 @@ from hsed_jax.study.build import Built
 from hsed_jax.study.candidates import problem_of
 
 INITIAL, MOST, CERTAIN, CANDIDATES = 2, 12, 0.95, 64
-_NOISE = 0.15
-# Sizes: sd of their logarithm, and the experiments and sizes at which the response is compared with the noise.
-_SPREAD, _COMPARED, _SIZES = 0.5, 16, 12
+# Sizes: relative change of the response at their median, and the sd of their logarithm; experiments and sizes that tell.
+_CHANGE, _SPREAD, _COMPARED, _SIZES = 0.15, 0.5, 16, 12
 # Starts of a fit spread over its priors, others each time, besides the last end.
 _AFRESH = 1
 
 
 @dataclass(frozen=True)
 class Test:
-    """A kind of test: a study, and the pairs of effects that are asked for in it."""
+    """A kind of test: a study, the relative noise of what it measures, and the pairs of effects that are asked for in it."""
 
     path: str
+    noise: float
     settings: tuple[str, ...]
     pairs: tuple[tuple[str, str], ...]
 
 
-_COMMON = (f"error={{relative: {_NOISE}}}", "steps=[design]")
+_COMMON = ("steps=[design]",)
 _CYCLES = (
     "excitation.imposed={amplitudes: [a1, a2, a3], cycles: 1, rate: v}",
     "inputs={a1: {uniform: [5, 60], unit: mm}, a2: {uniform: [5, 60], unit: mm}, a3: {uniform: [5, 60], unit: mm}, "
@@ -63,7 +63,7 @@ _CYCLES = (
     "quantities=[peak_force, dissipated_energy]",
 )  # fmt: skip
 TESTS = {
-    "shaken": Test(str(PAPER), _COMMON, (
+    "shaken": Test(str(PAPER), 0.15, _COMMON, (
         ("stiffness_degradation", "strength_degradation"),
         ("viscous_damping", "quadratic_damping"),
         ("viscous_damping", "coulomb_friction"),
@@ -71,7 +71,7 @@ TESTS = {
         ("asymmetry", "quadratic_stiffness"),
         ("slip", "peak_softening"),
     )),
-    "loading history": Test(str(PAPER.with_name("cyclic.yaml")), (*_COMMON, *_CYCLES), (
+    "loading history": Test(str(PAPER.with_name("cyclic.yaml")), 0.05, (*_COMMON, *_CYCLES), (
         ("stiffness_degradation", "peak_softening"),
         ("rate_dependence", "viscous_damping"),
         ("hardening", "isotropic_hardening"),
@@ -88,7 +88,9 @@ class Large(NamedTuple):
         models: the nested models on them.
         law: its parameters' columns.
         columns: of each effect in its default form.
+        held: what that form holds other parameters at.
         cube: the candidates in the unit cube, (c, d).
+        noise: relative to what is measured.
     """
 
     lanes: Predictions
@@ -97,6 +99,7 @@ class Large(NamedTuple):
     columns: Mapping[str, np.ndarray]
     held: Mapping[str, Mapping[int, float]]
     cube: np.ndarray
+    noise: float
 
     def member(self, *effects: str) -> Member:
         """The law with these effects."""
@@ -113,7 +116,7 @@ _MEDIANS: dict[str, dict[str, float]] = {}
 def large(test: str, seed: int) -> Large:
     """The large model of a kind of test."""
     kind = TESTS[test]
-    built = Built(hx.load_study(kind.path, list(kind.settings)))
+    built = Built(hx.load_study(kind.path, [*kind.settings, f"error={{relative: {kind.noise}}}"]))
     cube = np.asarray(sobol_candidates(CANDIDATES, len(built.space.names), seed))
     compared = built.space.initial_design(_COMPARED)
     # What a problem is made of wants an experiment; nothing is fitted to this one.
@@ -127,7 +130,7 @@ def large(test: str, seed: int) -> Large:
         return problem.models.lanes(thetas, candidates + problem.rows)
 
     columns, held = ({e: getattr(form, what) for e, form in forms.items()} for what in ("columns", "held"))
-    found = Large(lanes, problem.models.within(problem.models.box, lanes), problem.law, columns, held, cube)
+    found = Large(lanes, problem.models.within(problem.models.box, lanes), problem.law, columns, held, cube, kind.noise)
     if test not in _MEDIANS:
         _MEDIANS[test] = {effect: _median(found, effect) for effect in effects}
     box = problem.models.box
@@ -136,7 +139,7 @@ def large(test: str, seed: int) -> Large:
 
 
 def _median(case: Large, effect: str) -> float:
-    """The size at which an effect changes the response by as much as the noise; at most the largest that is probable at all."""
+    """The size at which an effect changes the response by 15 %; at most the largest that is probable at all."""
     member, plain, column = case.member(effect), case.member(), case.columns[effect][0]
     largest = float(case.models.box.priors[case.models.box.names[column]].quantile(0.98))
     sizes = largest * np.geomspace(1e-3, 1.0, _SIZES)
@@ -147,7 +150,7 @@ def _median(case: Large, effect: str) -> float:
     points = [(x, member if number else plain) for number, x in enumerate(starts)]
     outputs, ok = case.models.predict(points, CANDIDATES + np.arange(_COMPARED))
     change = np.sqrt(np.mean((outputs[1:] / outputs[0] - 1) ** 2, axis=(1, 2)))
-    enough = (change > _NOISE) & (ok[1:] > 0).all(axis=1)
+    enough = (change > _CHANGE) & (ok[1:] > 0).all(axis=1)
     return float(sizes[np.argmax(enough)] if enough.any() else largest)
 
 
@@ -183,6 +186,7 @@ class State(NamedTuple):
         plain: the fit of the plain law, for a criterion that asks for it.
         measured: outputs at those asked, (n, J).
         cube: the candidates, (c, d).
+        noise: relative to what is measured.
         seed: of what is drawn.
     """
 
@@ -193,6 +197,7 @@ class State(NamedTuple):
     plain: Descent | None
     measured: np.ndarray
     cube: np.ndarray
+    noise: float
     seed: int
 
     def predicted(self) -> tuple[list[Predictive], np.ndarray]:
@@ -200,7 +205,7 @@ class State(NamedTuple):
         rows = np.arange(len(self.cube))
         found = [predictive(self.models, fit, rows) for fit in self.fits]
         best = found[int(np.argmax(self.shares))]
-        return found, np.maximum(_NOISE * np.abs(best.mean), 1e-12)
+        return found, np.maximum(self.noise * np.abs(best.mean), 1e-12)
 
 
 @np.errstate(divide="ignore", invalid="ignore")
@@ -238,7 +243,7 @@ def _measured(case: Large, right: str, seed: int) -> np.ndarray:
         outputs, ok = case.models.predict([(x, member)], rows)
         # A specimen that cannot be simulated is none.
         if (ok > 0).all():
-            return outputs[0] * (1 + _NOISE * random.standard_normal(outputs[0].shape))
+            return outputs[0] * (1 + case.noise * random.standard_normal(outputs[0].shape))
 
 
 def _fit(case: Large, made: np.ndarray, trials: Sequence[Trial], pair: Sequence[Member], seed: int) -> None:
@@ -283,7 +288,7 @@ def _descents(
     weights = np.zeros((len(trials), *slots.shape, made.shape[1]))
     weights[range(len(trials)), range(len(trials))] = used[..., None]
     values = made[slots.ravel()]
-    sigma = np.maximum(_NOISE * scale.reshape(values.shape), 1e-12)
+    sigma = np.maximum(case.noise * scale.reshape(values.shape), 1e-12)
     target = Target(values, sigma, weights.reshape(len(trials), *values.shape), np.zeros(values.shape))
     tasks = []
     for k, trial in enumerate(trials):
@@ -315,7 +320,7 @@ def _starts(models: NestedModels, member: Member, known: np.ndarray | None, numb
 def _next(case: Large, made: np.ndarray, trial: Trial, plain: Descent | None, seed: int) -> int:
     """The candidate that a design asks for next."""
     shares = np.asarray([trial.probability, 1 - trial.probability])
-    state = State(trial.asked, shares, case.models, trial.fits, plain, made[trial.asked], case.cube, seed)
+    state = State(trial.asked, shares, case.models, trial.fits, plain, made[trial.asked], case.cube, case.noise, seed)
     utilities = np.array(CRITERIA[trial.by](state), dtype=float)
     utilities[trial.asked] = -np.inf
     return int(np.nanargmax(utilities))

@@ -79,8 +79,8 @@ def test_hunter_and_reiner_ask_for_the_largest_difference_of_the_fits():
 def test_the_table_counts_designs_that_had_something_to_choose():
     rows = [{"by": "sobol", "experiments": n, "probability": p, "cpu_seconds": 1.0}
             for n, p in ((2, 0.99), (4, 0.96), (8, 0.97), (6, 0.01), (12, 0.5))]  # fmt: skip
-    # Chosen: 2, 6, and ten of the one that was wrong and of the one that never was certain.
-    assert designs.markdown(rows).splitlines()[2] == "| `sobol` | 4 of 5 | 7.00 | 8 | 50% | 25% | 25% | 1.0 |"
+    # Of four that chose: one right after two experiments, one after six, one wrong, one never certain.
+    assert designs.markdown(rows).splitlines()[2] == "| `sobol` | 4 of 5 | 0% | 25% | 25% | 50% | 25% | 25% | 1.0 |"
 
 
 def test_what_was_made_is_not_made_again(tmp_path, monkeypatch):

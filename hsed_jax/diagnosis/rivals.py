@@ -66,8 +66,8 @@ class Predictive(NamedTuple):
 
 def expected_log_bayes_factor(
     predictions: Sequence[Predictive], root: Float[np.ndarray, "c J"], shares: Float[np.ndarray, " m"], pending: int = 0
-) -> Float[np.ndarray, " c"]:
-    """Expected log Bayes factor between rivals of each experiment [nats], (c − pending,).
+) -> Float[np.ndarray, " n"]:
+    """Expected log Bayes factor between rivals of each experiment that is not pending [nats], (n,).
 
     Arguments:
         predictions: of the rivals.
