@@ -205,6 +205,18 @@ def test_a_small_part_of_the_error_is_named_where_what_is_left_is_many_times_the
     assert found_in(values).best == {"effect_3"}
 
 
+def test_where_what_is_left_is_many_times_the_noise_prediction_decides_whatever_the_odds(monkeypatch):
+    # Odds against every effect that no data here can overcome.
+    monkeypatch.setattr(Search, "_log_prior", lambda self, size: -1e3 * size)
+    values = data_of(0, effect_3=0.7, effect_5=0.5)
+    assert found_in(values).best == frozenset()
+    assert found_in(values, declared=0.1 * SIGMA).best == {"effect_3", "effect_5"}
+    assert not any(found_in(data_of(seed), declared=0.1 * SIGMA).best for seed in range(6))
+    # Of a few numbers nobody knows the noise, and what is left of them may be it.
+    few = measured_of(values[:, :20], declared=math.nan)
+    assert not few.is_far_above_noise(np.zeros((N, 20))) and few.noise == 0
+
+
 def test_what_is_not_named_has_its_reason():
     search = found_in(data_of(0))
     weak, strong = (found_in(data_of(0, effect_3=size)) for size in (0.1, 0.5))

@@ -26,6 +26,8 @@ from hsed_jax.tables import Table, Tabular, cell
 _MATERIAL = 1.05
 # A noise so many times what its record shows of it would have a memory of more than 0.93 from sample to sample.
 _MEMORY = 5.0
+HISTORY = 30
+"""Values that an output has at least of which the noise is estimated where nobody declares it."""
 WITHOUT = "coverage_90_without"
 """Coverage of the band without the discrepancy, where one is learned."""
 
@@ -308,7 +310,7 @@ def noise_sizes(prediction: Prediction, output: str, declared: bool) -> np.ndarr
     """Sd of the noise of an output, (n, J): declared, or for histories estimated from what no smooth signal explains."""
     columns = prediction.columns(output)
     sigma = prediction.sigma[:, columns].copy()
-    if declared or columns.sum() < 30:
+    if declared or columns.sum() < HISTORY:
         return sigma
     for row, experiment in enumerate(prediction.experiments):
         used = prediction.used[row, columns]

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from hsed_jax.criticism.compare import normalised_error
+from hsed_jax.criticism.compare import HISTORY, normalised_error
 from hsed_jax.diagnosis.nested import Target
 from hsed_jax.inference.correlation import Judged, judge
 from hsed_jax.inference.likelihood import Error, magnitudes
@@ -44,8 +44,9 @@ class Measured(NamedTuple):
         return normalised_error(self.values, predicted, self.used if scored is None else scored, self.groups)
 
     def is_far_above_noise(self, predicted: np.ndarray) -> bool:
-        """Whether predictions (n, J) leave many times the noise."""
-        return self.error(predicted) > WRONG * self.noise
+        """Whether predictions (n, J) leave many times the noise; False where the noise of an output is not known."""
+        is_known = ~np.isnan(self.declared) | (np.bincount(self.groups, minlength=len(self.errors)) >= HISTORY)
+        return bool(is_known.all()) and self.error(predicted) > WRONG * self.noise
 
     def squares(self, predicted: np.ndarray, parts: Bool[np.ndarray, "F n J"]) -> Float[np.ndarray, " F"]:
         """Squared normalised errors of predictions (n, J) in parts of the measurements, in units of the whole."""
