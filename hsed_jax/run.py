@@ -176,7 +176,6 @@ def _trusted(study: "Study", options: Any) -> "Study":
 def _effects(options: Any) -> int:
     from hsed_jax.physics.effects import EFFECTS
     from hsed_jax.reporting.catalogue import catalogue, entry
-    from hsed_jax.study.form_curves import curves_of
 
     effects = EFFECTS
     if options.study:
@@ -184,7 +183,13 @@ def _effects(options: Any) -> int:
         from hsed_jax.study.own_effects import catalogue_of
 
         effects = catalogue_of(_trusted(load_study(options.study), options))
-    print(entry(options.name, effects, curves_of) if options.name else catalogue(effects))
+    if not options.name:
+        print(catalogue(effects))
+        return 0
+    # A picture of forms needs their priors, which the list does not wait for.
+    from hsed_jax.study.form_curves import curves_of
+
+    print(entry(options.name, effects, curves_of))
     return 0
 
 

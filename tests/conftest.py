@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import pandas as pd
 import pytest
+import shape_checks
 
 import hsed_jax
 from hsed_jax.backend import prepare
@@ -64,6 +65,12 @@ def optimised(request):
         yield
     jax.config.update(QUICK.lower(), True)
     jax.clear_caches()
+
+
+@pytest.fixture(autouse=True)
+def checked():
+    """Shapes are checked anew in every test."""
+    shape_checks.begin_test()
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -62,19 +62,22 @@ def _floor(name: str) -> tuple[int, int]:
 
 def _top(record: Record, name: str) -> tuple[float, float]:
     """First frequency [Hz] by one sensor of a record, and the largest absolute acceleration there [m/s²]."""
-    from scipy.signal import periodogram
-
     motion, ground = record[name], record.channels.get("ground_acceleration")
     time = np.linspace(record.time[0], record.time[-1], len(record))
-    rate = (len(record) - 1) / float(np.ptp(time))
+    interval = float(np.ptp(time)) / (len(record) - 1)
+    frequencies = np.fft.rfftfreq(len(record), interval)[1:]
+    window = np.sin(np.pi * np.arange(len(record)) / len(record)) ** 2
 
-    def power(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        frequencies, found = periodogram(np.interp(time, record.time, values), rate, "hann", detrend="linear")
-        return frequencies[1:], np.convolve(found, np.ones(5) / 5, "same")[1:]
+    def power(values: np.ndarray) -> np.ndarray:
+        even = np.interp(time, record.time, values)
+        straight = np.polynomial.Polynomial.fit(time, even, 1)(time)
+        found = np.abs(np.fft.rfft(window * (even - straight))) ** 2
+        found[0] /= 2  # the mean has no frequency of the other sign
+        return np.convolve(found, np.ones(5) / 5, "same")[1:]
 
-    frequencies, response = power(motion)
+    response = power(motion)
     if ground is not None:
-        shaken = power(ground)[1]
+        shaken = power(ground)
         response = np.where(shaken > _LEAST_POWER * shaken.max(), response / np.maximum(shaken, 1e-300), 0.0)
     frequency = float(frequencies[np.argmax(response)])
     if name.startswith("acceleration"):
