@@ -352,10 +352,9 @@ class Search:
         return self.path[-2] if self.best and self.harms(self.best) else self.best
 
     def _candidates(self) -> list[Model]:
-        """Models more probable than the best, the most probable first where the noise explains what that one leaves.  Where it
-        does not, all are wrong, and they come in the order of `by_prediction`.  Where the best leaves many times the noise, it
-        does not matter how probable they are: they have to predict better than it by more than a standard error, or with an
-        effect less no worse by that."""
+        """Models more probable than the best, the most probable first where the noise explains what that one leaves; else in the
+        order of `by_prediction`.  Where the best leaves many times the noise, it does not matter how probable they are: they have
+        to predict better than it by more than a standard error, or with an effect less no worse by that."""
         here, others = self.model(self.best), [m for m in self.all() if m.effects != self.best]
         likely = [m for m in others if m.log_posterior > here.log_posterior]
         is_wrong = self.measured.is_far_above_noise(here.fit.predicted)
