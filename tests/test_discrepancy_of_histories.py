@@ -246,7 +246,8 @@ def test_a_resumed_calibration_has_the_same_discrepancy():
 
 
 def test_a_discrepancy_of_histories_beside_levels_is_refused():
-    told = ["error={relative: 0.05, discrepancy: true}", "observe=histories", "model.levels={specimen: [A]}"]
+    told = ["error={relative: 0.05, discrepancy: true}", "observe=histories", "steps=[calibrate]",
+            "model.levels={specimen: [A]}"]  # fmt: skip
     with pytest.raises(UserError, match="scatter between specimens"):
         Built(load_study("configs/paper.yaml", told)).check()
 
