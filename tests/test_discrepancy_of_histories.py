@@ -166,7 +166,8 @@ def experiments(count, seed, fading):
 
 def calibrated(fading, seed, discrepancy=True, watch=None, count=6):
     errors = [Error(NOISE, is_relative=True, discrepancy=discrepancy)]
-    posterior = Posterior(Predictor(respond), {"theta": Prior("normal", [1.0, 0.2])}, errors, ["force"], np.zeros(TIMES.size, int))
+    priors, groups = {"theta": Prior("normal", [1.0, 0.2])}, np.zeros(TIMES.size, int)
+    posterior = Posterior(Predictor(respond), priors, errors, ["force"], groups)
     data, _, _ = experiments(count, seed, fading)
     settings = Settings(2, 1, 100, sampler="laplace")
     return fit(
