@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from hsed_jax.inference.likelihood import Data, data_of
-from hsed_jax.inference.posterior import Posterior
 from hsed_jax.measurements import Experiment
 from hsed_jax.programs import program
 from hsed_jax.tables import cell
@@ -19,6 +18,7 @@ from hsed_jax.tables import cell
 if TYPE_CHECKING:
     # A report reads predictions and loads no sampler.
     from hsed_jax.inference.fit import Fit
+    from hsed_jax.inference.posterior import Posterior
 
 _DRAWS = 64
 _NAMED = 6
@@ -236,7 +236,7 @@ class Shortfall(NamedTuple):
     weights: np.ndarray
     variance: np.ndarray
 
-    def corrected(self, posterior: Posterior, theta: Any, values: Any, at_map: Any, data: Data) -> tuple[Any, Any]:
+    def corrected(self, posterior: "Posterior", theta: Any, values: Any, at_map: Any, data: Data) -> tuple[Any, Any]:
         """Predictions at θ with the discrepancy, and its variance, SI."""
         by: Any = (self.weights @ posterior.compared(theta, self.fitted).ravel()).reshape(values.shape)
         moved, slopes = posterior.displaced(theta, values, by, data)
@@ -256,7 +256,7 @@ class ShortfallOfHistories(NamedTuple):
     mean: np.ndarray
     variance: np.ndarray
 
-    def corrected(self, posterior: Posterior, theta: Any, values: Any, at_map: Any, data: Data) -> tuple[Any, Any]:
+    def corrected(self, posterior: "Posterior", theta: Any, values: Any, at_map: Any, data: Data) -> tuple[Any, Any]:
         """Predictions at θ with the discrepancy, and its variance, SI."""
         return jnp.where(self.fitted > 0, at_map, values) + self.mean, self.variance
 
