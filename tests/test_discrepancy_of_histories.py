@@ -166,7 +166,8 @@ def experiments(count, seed, fading):
 
 def calibrated(fading, seed, discrepancy=True, watch=None, count=6):
     errors = [Error(NOISE, is_relative=True, discrepancy=discrepancy)]
-    posterior = Posterior(Predictor(respond), {"theta": Prior("normal", [1.0, 0.2])}, errors, ["force"], np.zeros(TIMES.size, int))
+    priors, groups = {"theta": Prior("normal", [1.0, 0.2])}, np.zeros(TIMES.size, int)
+    posterior = Posterior(Predictor(respond), priors, errors, ["force"], groups)
     data, _, _ = experiments(count, seed, fading)
     settings = Settings(2, 1, 100, sampler="laplace")
     return fit(
@@ -246,7 +247,8 @@ def test_a_resumed_calibration_has_the_same_discrepancy():
 
 
 def test_a_discrepancy_of_histories_beside_levels_is_refused():
-    told = ["error={relative: 0.05, discrepancy: true}", "observe=histories", "model.levels={specimen: [A]}"]
+    told = ["error={relative: 0.05, discrepancy: true}", "observe=histories", "steps=[calibrate]",
+            "model.levels={specimen: [A]}"]  # fmt: skip
     with pytest.raises(UserError, match="scatter between specimens"):
         Built(load_study("configs/paper.yaml", told)).check()
 

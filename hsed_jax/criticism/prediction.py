@@ -209,7 +209,8 @@ def learned_misfit(fit: "Fit", fitted: Prediction) -> Prediction:
     if fit.discrepancy is None:
         return fitted
     if fit.support is None:
-        return replace(fitted, measured=np.where(fitted.used, fitted.predicted + fitted.correction, fitted.measured))
+        wrong = np.asarray(fit.discrepancy.amplitudes)[fitted.groups] > 0
+        return replace(fitted, measured=np.where(fitted.used & wrong, fitted.mean, fitted.measured))
     if fit.support.spread is None:
         return fitted
     inputs = {name: np.asarray(values) for name, values in fit.support.spread.inputs.items()}
@@ -246,7 +247,7 @@ class ShortfallOfHistories(NamedTuple):
     """What the histories that were fitted say of themselves, and of others.
 
     Attributes:
-        fitted: 1 of an experiment that was fitted: the sum of what model and discrepancy do is known there, (n, 1).
+        fitted: 1 in an experiment that was fitted: the sum of what model and discrepancy do is known there, (n, J).
         mean: by how much the prediction at the MAP falls short, SI, (n, J).
         variance: of that, SI, (n, J).
     """

@@ -186,8 +186,7 @@ class Products:
         covariance, _, _ = _of_histories(process)
         self.factor = jax.vmap(SymmQSM.cholesky)(covariance)
         each, plain = columns.reshape(n * outputs, m, k), columns.reshape(n, -1, k)
-        self.whitened = jax.vmap(LowerTriQSM.solve)(self.factor, each)
-        self.whitened = self.whitened.reshape(n, -1, k)
+        self.whitened = jax.vmap(LowerTriQSM.solve)(self.factor, each).reshape(n, -1, k)
         own = self.whitened[..., 1:] * process.spread
         size = own.shape[-1]
         self.held = jnp.linalg.cholesky(jnp.eye(size) + jnp.einsum("nkp,nkq->npq", own, own))

@@ -27,7 +27,7 @@ def shortfall(
         data: the experiments to predict.
 
     Returns:
-        1 where an experiment is one of those that were fitted, (n, 1); the mean, and the variance, (n, J).
+        1 where an output with a discrepancy is that of an experiment that was fitted; the mean, and the variance, each (n, J).
     """
     predicted, _, along, _ = map(np.asarray, sensitivities(posterior, data, u))
     theta, shape = posterior.constrain(u), (len(predicted), len(posterior.outputs), -1)
@@ -42,7 +42,8 @@ def shortfall(
         short, left = process.conditional(_residuals(posterior, theta, fitted))
         unit = np.repeat(np.asarray(process.unit), sigma.shape[1] // shape[1], axis=1)
         mean[own], variance[own] = (unit * short)[rows[own]], (unit**2 * left)[rows[own]]
-    return own[:, None].astype(float), mean, variance
+    wrong = np.repeat(np.asarray(process.amplitudes) > 0, sigma.shape[1] // shape[1])
+    return (own[:, None] & wrong).astype(float), mean, variance
 
 
 @program
