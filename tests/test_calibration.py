@@ -12,6 +12,7 @@ from hsed_jax.config.load import load_study
 from hsed_jax.criticism.prediction import predict
 from hsed_jax.errors import UserError
 from hsed_jax.inference.correlation import memory_of
+from hsed_jax.inference.expansion import expansion
 from hsed_jax.inference.fit import fit
 from hsed_jax.inference.likelihood import Data, Error, data_of, log_likelihood
 from hsed_jax.inference.maximum import maximise
@@ -291,7 +292,7 @@ def test_padding_the_data_changes_no_number(paper, paper_maximum):
     for function in (built.posterior.log_density, built.posterior.log_posterior):
         assert float(function(u, padded)) == pytest.approx(float(function(u, data)), rel=1e-13)
     np.testing.assert_allclose(
-        built.posterior.expand(u, padded).curvature, built.posterior.expand(u, data).curvature, rtol=1e-9
+        expansion(built.posterior, padded, u).curvature, expansion(built.posterior, data, u).curvature, rtol=1e-9
     )
 
 

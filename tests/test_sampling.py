@@ -300,11 +300,11 @@ def test_mixing_the_modes_hides_no_chain_that_has_not_converged():
 
 
 def test_one_mode_is_searched_once_and_a_crescent_is_one_mode(monkeypatch):
-    descents = []
-    monkeypatch.setattr(search, "_descend", lambda *a, descend=search._descend: descents.append(0) or descend(*a))
+    searched = []
+    monkeypatch.setattr(search, "_mode", lambda *a, mode=search._mode: searched.append(0) or mode(*a))
     posterior, data, _ = ridge(0.2)
-    descents.clear()
-    assert find(posterior, data).others == () and len(descents) == 1
+    searched.clear()
+    assert find(posterior, data).others == () and len(searched) == 1
     posterior, data, _ = ridge(3.0, width=3.0, thin=0.002)
     assert find(posterior, data, starts=8).others == ()
 

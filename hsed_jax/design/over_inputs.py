@@ -12,13 +12,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 import xarray as xr
 from jaxtyping import Array, Float
 
 from hsed_jax.design.sequential import DesignState, SequentialDesign
 from hsed_jax.design.space import InputSpace
 from hsed_jax.inference.likelihood import Data
-from hsed_jax.inference.maximum import least_squares
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.physics.excitations import channels_of
 from hsed_jax.physics.pairs import Pair
@@ -135,7 +135,10 @@ def estimates_alone(design: SequentialDesign, laboratory: VirtualLaboratory, uni
 
     # Three digits make a contour, and no evidence or covariance: this costs a tenth of `maximise`.
     def descend(data: Data, start: Array) -> tuple[Array, Array]:
-        end, _ = least_squares(posterior, data, start, 60, tolerance=1e-4)
+        solver = optx.LevenbergMarquardt(rtol=1e-4, atol=1e-5)
+        end = optx.least_squares(
+            lambda u, _: posterior.residuals(u, data), solver, start, max_steps=60, throw=False
+        ).value
         return end, jnp.sum(posterior.residuals(end, data) ** 2)
 
     def estimate(data: Data) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from hsed_jax.inference.correlation import SIGNIFICANT, Judged, judge, size_p_value
+from hsed_jax.inference.expansion import centred
 from hsed_jax.inference.likelihood import Data, Error
 from hsed_jax.inference.maximum import Maximum, maximise
 from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence
@@ -308,7 +309,7 @@ def _most_probable(
                 memory=jnp.asarray(judged.memory),
                 decorrelation=None if process is None else process.whitening,
             )
-        posterior, is_centred = posterior.centred(maximum.theta, data), True
+        posterior, is_centred = centred(posterior, data, maximum.theta), True
         maximum = maximise(posterior, data, points.at[0].set(posterior.unconstrain(maximum.theta)))
     return posterior, data, maximum, process
 

@@ -3,25 +3,31 @@
 Starts may end in different modes.  What Laplace's method gives each of them is its share of the posterior, and those that matter
 are kept beside the best.
 
-Each search is a program of its own and not one large one: what they share is compiled once.
+All searches go by one program, `hsed_jax.inference.expansion`: a point is simulated once, whatever asks for it.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
+from hsed_jax.inference.expansion import Expansion, expand
 from hsed_jax.inference.likelihood import LOG_2PI, Data
-from hsed_jax.inference.posterior import Expansion, Posterior
+from hsed_jax.inference.posterior import Posterior
 from hsed_jax.programs import program
 
-# All starts descend this far side by side, and the best of them goes on alone: by then it is in its basin, and the kinks of the
-# simulated response make the last digits slow.
+# All starts descend this far side by side, but those that met a better one, and the best of them goes on alone: by then it is
+# in its basin, and the kinks of the simulated response make the last digits slow.
 _RACE = 10
 _MOST_STEPS = 60
+# A descent ends where it expects to gain less than this many nats; or where it gains less than that many, and not a quarter of
+# what it expected: at a kink.
+_SETTLED, _AT_A_KINK = 1e-9, 1e-5
+# Two have met that are this near, in standard deviations and in u.
+_MET = 0.5
 # Newton's method towards the mode of the density in u ends where it expects to gain less than this many nats.
 _LEAST_GAIN = 1e-4
 _MOST_NEWTON_STEPS, _MOST_HALVINGS = 20, 6
@@ -49,7 +55,7 @@ class Maximum(NamedTuple):
         log_evidence: log Z by Laplace's method (Tierney & Kadane 1986), of this mode alone.
         start: unconstrained coordinates of the mode of the density in u, where a sampler of u starts, shape (p,).
         whitening: L with u = start + L w, w nearly standard normal, shape (p, p).
-        converged: whether the winning start met its tolerances.
+        converged: whether the descent ended where no step promised anything.
         others: modes besides this one that hold a share of the posterior that matters; without others of their own.
     """
 
@@ -93,25 +99,100 @@ def maximise(posterior: Posterior, data: Data, starts: Float[Array, "s p"]) -> M
         data: measured outputs.
         starts: unconstrained starting points.
     """
-    ends = _race(posterior, data, starts)
-    heights = np.asarray([float(_expand(posterior, data, end).log_posterior) for end in ends])
+    race = _begun(posterior, data, np.asarray(starts))
+    _descend(posterior, data, race, _RACE)
+    heights = np.asarray([float(search.here.log_posterior) for search in race])
     heights = np.where(np.isfinite(heights), heights, -np.inf)
     order = np.argsort(-heights)
-    best = _mode(posterior, data, ends[order[0]])
+    best = _mode(posterior, data, race[order[0]])
     modes = [best]
-    for end, height in zip(ends[order[1:]], heights[order[1:]], strict=True):
+    for end in order[1:]:
         # Each has its own frame; a wide mode beside a narrow one is far from it and not the other way round.
-        if heights[order[0]] - height < 0.5 * _APART**2 and _is_apart(end, modes):
-            found = _mode(posterior, data, end)
-            if _is_apart(found.start, modes) and all(_dips(posterior, data, found, mode) for mode in modes):
+        if heights[order[0]] - heights[end] < 0.5 * _APART**2 and _is_apart(race[end].u, modes):
+            found = _mode(posterior, data, race[end])
+            if _is_apart(np.asarray(found.start), modes) and all(_dips(posterior, data, found, mode) for mode in modes):
                 modes.append(found)
     least = max(float(mode.log_evidence) for mode in modes) + np.log(_LEAST_SHARE)
     return best._replace(others=tuple(mode for mode in modes[1:] if float(mode.log_evidence) > least))
 
 
-def _is_apart(u: Float[Array, " p"], modes: list[Maximum]) -> bool:
+class _Search:
+    """A descent on its way.
+
+    Attributes:
+        u: where it is, (p,).
+        here: the posterior there.
+        is_settled: whether no step promises anything.
+        is_over: whether it met a better one, or came where there is no step.
+    """
+
+    def __init__(self, u: Float[np.ndarray, " p"], here: Expansion):
+        self.u, self.here, self.is_settled, self.is_over = u, here, False, False
+        self._damping, self._growth = 1.0, 2.0
+
+    def step(self) -> Float[np.ndarray, " p"]:
+        """The next step, that of the damped quadratic (Levenberg 1944; Marquardt 1963)."""
+        damped = np.asarray(self.here.bend) + self._damping * np.eye(self.u.size)
+        if not (np.isfinite(damped).all() and np.isfinite(self.here.slope).all()):
+            return np.full(self.u.size, np.nan)
+        return np.linalg.solve(damped, np.asarray(self.here.slope))
+
+    def promise(self, step: Float[np.ndarray, " p"]) -> float:
+        """What the quadratic expects of a step [nats]."""
+        return float(step @ self.here.slope - 0.5 * step @ self.here.bend @ step)
+
+    def judge(self, step: Float[np.ndarray, " p"], there: Expansion) -> None:
+        """Take a step or not, and adapt the damping (Nielsen 1999): where a kink stops a descent, it soon ends."""
+        gain = float(there.log_posterior - self.here.log_posterior)
+        share = gain / self.promise(step)
+        self.is_settled = 0 < share < 0.25 and gain < _AT_A_KINK
+        if share > 0:
+            self.u, self.here = self.u + step, there
+            self._damping *= max(1 / 3, 1 - (2 * min(share, 1.0) - 1) ** 3)
+            self._growth = 2.0
+        else:
+            self._damping *= self._growth
+            self._growth *= 2
+
+
+def _begun(posterior: Posterior, data: Data, starts: Float[np.ndarray, "s p"]) -> list[_Search]:
+    return [_Search(start, here) for start, here in zip(starts, expand(posterior, data, starts), strict=True)]
+
+
+def _descend(posterior: Posterior, data: Data, searches: Sequence[_Search], most_steps: int) -> None:
+    """Let descents go on side by side, so many steps at most; one that meets a better one is over."""
+    for _ in range(most_steps):
+        going, steps = [], []
+        for search in searches:
+            if search.is_over or search.is_settled:
+                continue
+            step = search.step()
+            promise = search.promise(step)
+            search.is_settled, search.is_over = promise < _SETTLED, not np.isfinite(promise)
+            if np.isfinite(promise) and not search.is_settled:
+                going.append(search)
+                steps.append(step)
+        if not going:
+            return
+        there = expand(posterior, data, [search.u + step for search, step in zip(going, steps, strict=True)])
+        for search, step, trial in zip(going, steps, there, strict=True):
+            search.judge(step, trial)
+        for search in going:
+            search.is_over = any(_has_met(search, other) for other in searches if other is not search)
+
+
+def _has_met(one: _Search, other: _Search) -> bool:
+    """Whether a descent has come to where a better one is."""
     # A bound lies at infinity of u, where distances mean nothing.
-    at = np.asarray(_held(u))
+    apart = _held(other.u) - _held(one.u)
+    behind = float(other.here.log_posterior - one.here.log_posterior)
+    return bool(
+        0 < behind < _LEAST_DIP and np.abs(apart).max() < _MET and apart @ other.here.curvature @ apart < _MET**2
+    )
+
+
+def _is_apart(u: Float[np.ndarray, " p"], modes: list[Maximum]) -> bool:
+    at = _held(u)
     return all(
         np.linalg.norm(np.linalg.solve(np.asarray(mode.whitening), at - np.asarray(mode.start))) > _APART
         for mode in modes
@@ -120,62 +201,52 @@ def _is_apart(u: Float[Array, " p"], modes: list[Maximum]) -> bool:
 
 def _dips(posterior: Posterior, data: Data, one: Maximum, other: Maximum) -> bool:
     """Whether the density falls between two modes; a long ridge has many ends and no dip."""
-    ends = [float(_expand(posterior, data, mode.start).log_density) for mode in (one, other)]
-    between = [float(_expand(posterior, data, one.start + t * (other.start - one.start)).log_density) for t in _BETWEEN]
-    return min(between) < min(ends) - _LEAST_DIP
+    begin, end = np.asarray(one.start), np.asarray(other.start)
+    points = [begin, end, *(begin + t * (end - begin) for t in _BETWEEN)]
+    at_one, at_other, *between = (float(found.log_density) for found in expand(posterior, data, points))
+    return min(between) < min(at_one, at_other) - _LEAST_DIP
 
 
-def _mode(posterior: Posterior, data: Data, start: Float[Array, " p"]) -> Maximum:
-    u, converged = _off_the_bounds(posterior, data, *_descend(posterior, data, start))
+def _mode(posterior: Posterior, data: Data, search: _Search) -> Maximum:
+    search.is_over = False
+    _descend(posterior, data, [search], _MOST_STEPS)
+    search = _off_the_bounds(posterior, data, search)
+    u, found = search.u, search.here
     if posterior.population.levels:
-        u = _settled(posterior, u)
-    center, log_density, whitening = _sampling_frame(posterior, data, u)
+        u = np.asarray(_settled(posterior, jnp.asarray(u)))
+        (found,) = expand(posterior, data, [u])
+    center, at_center = _sampling_frame(posterior, data, u, found)
     if posterior.population.levels:
-        u = center
-    theta, to_theta = _physical(posterior, u)
-    found = _expand(posterior, data, u)
+        u, found = center, at_center
+    theta, to_theta = _physical(posterior, jnp.asarray(u))
     covariance = to_theta @ np.linalg.inv(found.curvature) @ np.asarray(to_theta).T
-    log_evidence = log_density + 0.5 * u.size * LOG_2PI + jnp.linalg.slogdet(whitening)[1]
-    return Maximum(u, theta, found.log_posterior, covariance, log_evidence, center, whitening, converged)
+    whitening = np.linalg.inv(np.linalg.cholesky(at_center.curvature)).T
+    log_evidence = at_center.log_density + 0.5 * u.size * LOG_2PI + np.linalg.slogdet(whitening)[1]
+    known = (u, theta, found.log_posterior, covariance, log_evidence, center, whitening, search.is_settled)
+    return Maximum._make([*map(jnp.asarray, known), ()])
 
 
-def _off_the_bounds(
-    posterior: Posterior, data: Data, u: Float[Array, " p"], converged: Bool[Array, ""]
-) -> tuple[Float[Array, " p"], Bool[Array, ""]]:
+def _off_the_bounds(posterior: Posterior, data: Data, search: _Search) -> _Search:
     """The end of a descent, or a better one.
 
     A first step too long throws a coordinate against its bound, which lies at infinity of u and where no slope leads back:
     whoever ends there goes down once more from where there is one.
     """
     for _ in range(_MOST_RETURNS):
-        if np.array_equal(_held(u), u):
+        held = _held(search.u)
+        if np.array_equal(held, search.u):
             break
-        back = jnp.where(_held(u) == u, u, _RETURN * _held(u))
-        again, is_end = _descend(posterior, data, back)
-        before, after = (float(_expand(posterior, data, at).log_posterior) for at in (u, again))
-        if not after > before + _LEAST_GAIN:
+        (again,) = _begun(posterior, data, np.where(held == search.u, search.u, _RETURN * held)[None])
+        search.is_over = True
+        _descend(posterior, data, [again, search], _MOST_STEPS)
+        if not again.here.log_posterior > search.here.log_posterior + _LEAST_GAIN:
             break
-        u, converged = again, is_end
-    return u, converged
+        search = again
+    return search
 
 
-def _held(u: Float[Array, " p"]) -> Float[Array, " p"]:
-    return jnp.clip(u, -4.0, 4.0)
-
-
-@program
-def _race(posterior: Posterior, data: Data, starts: Float[Array, "s p"]) -> Float[Array, "s p"]:
-    return jax.vmap(lambda start: least_squares(posterior, data, start, _RACE)[0])(starts)
-
-
-@program
-def _descend(posterior: Posterior, data: Data, start: Float[Array, " p"]) -> tuple[Float[Array, " p"], Bool[Array, ""]]:
-    return least_squares(posterior, data, start, _MOST_STEPS)
-
-
-@program
-def _expand(posterior: Posterior, data: Data, u: Float[Array, " p"]) -> Expansion:
-    return posterior.expand(u, data)
+def _held(u: Float[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
+    return np.clip(u, -4.0, 4.0)
 
 
 @program
@@ -188,52 +259,29 @@ def _physical(posterior: Posterior, u: Float[Array, " p"]) -> tuple[Float[Array,
     return posterior.constrain(u), jax.jacfwd(posterior.constrain)(u)
 
 
-def least_squares(
-    posterior: Posterior, data: Data, start: Float[Array, " p"], most_steps: int, tolerance: float = 1e-6
-) -> tuple[Float[Array, " p"], Bool[Array, ""]]:
-    """Descend by Levenberg and Marquardt, without evidence or covariance.
-
-    Arguments:
-        posterior: to climb.
-        data: the measurements.
-        start: unconstrained parameters, (p,).
-        most_steps: the descent ends after so many.
-        tolerance: relative; a tenth of it absolute.
-
-    Returns:
-        Where it ended, and whether that is a minimum of the squares to the tolerance.
-    """
-    solution = optx.least_squares(
-        lambda u, _: posterior.residuals(u, data),
-        optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance / 10),
-        start,
-        max_steps=most_steps,
-        throw=False,
-    )
-    return solution.value, solution.result == optx.RESULTS.successful
-
-
 def _sampling_frame(
-    posterior: Posterior, data: Data, u: Float[Array, " p"]
-) -> tuple[Float[Array, " p"], Float[Array, ""], Float[Array, "p p"]]:
-    """The mode of the density in u, the log density and a whitening there.
+    posterior: Posterior, data: Data, u: Float[np.ndarray, " p"], around: Expansion
+) -> tuple[Float[np.ndarray, " p"], Expansion]:
+    """The mode of the density in u, and the posterior there.
 
     A MAP at a bound lies at infinity of u, the mode does not.  It is found by Newton's method with halved steps; where a kink of
     the response stops it early, what was reached serves as well.
     """
-    center = _held(u)
-    here = _expand(posterior, data, center)
+    center, here = _held(u), around
+    if not np.array_equal(center, u):
+        (here,) = expand(posterior, data, [center])
     for _ in range(_MOST_NEWTON_STEPS):
         step = np.linalg.solve(here.curvature, here.gradient)
         step = step * min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
-        if not np.isfinite(step).all() or float(step @ np.asarray(here.gradient)) < _LEAST_GAIN:
+        if not np.isfinite(step).all() or float(step @ here.gradient) < _LEAST_GAIN:
             break
         for _ in range(_MOST_HALVINGS):
-            trial = _expand(posterior, data, center + step)
-            if trial.log_density > here.log_density:
+            (trial,) = expand(posterior, data, [center + step])
+            gain = float(trial.log_density - here.log_density)
+            if gain > 0:
                 center, here = center + step, trial
                 break
             step = 0.5 * step
-        else:
+        if not gain >= _LEAST_GAIN:
             break
-    return center, here.log_density, jnp.asarray(np.linalg.inv(np.linalg.cholesky(here.curvature)).T)
+    return center, here

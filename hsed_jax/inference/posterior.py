@@ -6,7 +6,7 @@ there are: the data are padded and counted.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import equinox as eqx
 import jax
@@ -18,7 +18,6 @@ from hsed_jax.inference.likelihood import (
     Data,
     Error,
     compared,
-    decorrelated,
     log_likelihood,
     logarithmic,
     magnitudes,
@@ -28,33 +27,12 @@ from hsed_jax.inference.likelihood import (
 from hsed_jax.inference.population import Level, Population, spread_support
 from hsed_jax.inference.predict import Predictor
 from hsed_jax.inference.priors import Prior
-from hsed_jax.programs import program
 
 # Beyond this the logistic and the exponential are at their bounds to double precision.
 _FAR = 30.0
 # log(σ/σ_min) of an error that is as large as what was measured.
 _ROOM = 12.0
 _LEAST_CURVATURE = 1e-3
-# Coordinates are of order one, and so is their density where the Hessian does not say so.
-_LEAST_OF_POPULATION = 0.25
-
-
-class Expansion(NamedTuple):
-    """A posterior around one point of u.
-
-    Attributes:
-        log_posterior: log density in θ, unnormalised.
-        log_density: log density in u, unnormalised.
-        gradient: of `log_density`, (p,).
-        curvature: minus its Hessian, made positive, (p, p).
-        information: what of the curvature the measurements have told, (p, p).
-    """
-
-    log_posterior: Float[Array, ""]
-    log_density: Float[Array, ""]
-    gradient: Float[Array, " p"]
-    curvature: Float[Array, "p p"]
-    information: Float[Array, "p p"]
 
 
 @final
@@ -257,11 +235,7 @@ class Posterior(eqx.Module):
         theta = self.constrain(u)
         predicted, ok = self.predictions(u, data)
         z, log_sigma = self._compared(theta, predicted, ok, data)
-        parts = [standardised_residual(z, ok, data)]
-        for prior, x in zip(self._priors, theta, strict=False):
-            mode, highest = prior.mode
-            parts.append(jnp.sign(x - mode)[None] * _root(2 * (highest - prior.log_density(x)))[None])
-        parts.append(theta[len(self._priors) :])
+        parts = [standardised_residual(z, ok, data), self.prior_residuals(u)]
         inferred, members = ~self.is_declared, self._members
         if inferred.any():
             used = (data.weights > 0).astype(float)
@@ -271,39 +245,20 @@ class Posterior(eqx.Module):
             parts.append(_root(2 * excess @ members[:, inferred]).ravel())
         return jnp.concatenate(parts)
 
-    def expand(self, u: Float[Array, " p"], data: Data) -> Expansion:
-        r"""The posterior around u to second order, by one simulation of the experiments with their derivatives.
-
-        The curvature is the Gauss–Newton one (expected Fisher information, and of prior and transformation what is positive):
-        $F = \sum \frac{\partial f\,\partial f^\top}{\sigma^2} + 2\,\partial\log\sigma\,\partial\log\sigma^\top$.
-        """
-
-        def known(u):
-            return self._log_prior_of(u), self.log_prior(self.constrain(u))
-
-        z, log_sigma, ok, z_along, sigma_along = self.linearised(u, data)
-        likelihood, (by_z, by_sigma) = jax.value_and_grad(
-            lambda z, log_sigma: log_likelihood(z, log_sigma, ok, data), argnums=(0, 1)
-        )(z, log_sigma)
-        density, slope, prior = _value_and_jacobian(known, u)
-        gradient = jnp.einsum("nj,pnj->p", by_z, z_along) + jnp.einsum("nj,pnj->p", by_sigma, sigma_along) + slope
-        # Of the mean alone: what z owes to σ has its own term.
-        g = jax.vmap(lambda one: decorrelated(one, data))(z_along + z * sigma_along)
-        h = jnp.sqrt(2 * data.weights) * sigma_along
-        information = g @ g.T + jnp.einsum("pnj,qnj->pq", h, h)
-        if self.population.levels:
-            # Spreads and offsets bend each other's density, and not upwards everywhere.
-            values, axes = jnp.linalg.eigh(information - jax.hessian(self._log_prior_of)(u))
-            curvature = (axes * jnp.maximum(values, _LEAST_OF_POPULATION)) @ axes.T
-        else:
-            curvature = information + jnp.diag(self.stiffness(u))
-        return Expansion(likelihood + prior, likelihood + density, gradient, curvature, information)
+    def prior_residuals(self, u: Float[Array, " p"]) -> Float[Array, " p"]:
+        """The part of `residuals` that is told by the priors."""
+        theta, parts = self.constrain(u), []
+        for prior, x in zip(self._priors, theta, strict=False):
+            mode, highest = prior.mode
+            parts.append(jnp.sign(x - mode) * _root(2 * (highest - prior.log_density(x))))
+        return jnp.concatenate([jnp.stack(parts), theta[len(self._priors) :]])
 
     def stiffness(self, u: Float[Array, " p"]) -> Float[Array, " p"]:
         """Curvature of prior and transformation in u, what is positive of it."""
-        return jnp.maximum(-jnp.diag(jax.hessian(self._log_prior_of)(u)), _LEAST_CURVATURE)
+        return jnp.maximum(-jnp.diag(jax.hessian(self.log_prior_of)(u)), _LEAST_CURVATURE)
 
-    def _log_prior_of(self, u: Float[Array, " p"]) -> Float[Array, ""]:
+    def log_prior_of(self, u: Float[Array, " p"]) -> Float[Array, ""]:
+        """Log density of the prior *in u*."""
         return self.log_prior(self.constrain(u)) + self._log_jacobian(u)
 
     def linearised(self, u: Float[Array, " p"], data: Data) -> tuple[Any, Any, Any, Any, Any]:
@@ -313,11 +268,11 @@ class Posterior(eqx.Module):
         def comparison(u, predicted):
             return self._compared(self.constrain(u), predicted, ok, data)
 
-        def compared_along(direction, of_outputs):
+        def moved(direction, of_outputs):
             return jax.jvp(comparison, (u, predicted), (direction, of_outputs))[1]
 
         z, log_sigma = comparison(u, predicted)
-        return z, log_sigma, ok, *jax.vmap(compared_along, in_axes=(0, -1))(jnp.eye(u.size), along)
+        return z, log_sigma, ok, *jax.vmap(moved, in_axes=(0, -1))(jnp.eye(u.size), along)
 
     def sensitivities(
         self, u: Float[Array, " p"], data: Data
@@ -364,23 +319,9 @@ class Posterior(eqx.Module):
             return center[None]
         return self.population.own(theta, center, data.members, strangers)
 
-    def centred(self, theta: Float[Array, " p"], data: Data) -> "Posterior":
-        """The same posterior in coordinates that suit what the measurements tell of its offsets at θ."""
-        if not self.population.levels:
-            return self
-        plain = eqx.tree_at(lambda p: p.population, self, Population(self.population.levels, self.population.first))
-        theta = self.population.settled(theta)
-        u = plain.unconstrain(theta)
-        information = np.asarray(_expanded(plain, u, data).information)
-        population = plain.population.centred(np.asarray(theta), information)
-        return eqx.tree_at(lambda p: p.population, self, population)
-
     def _log_jacobian(self, u: Float[Array, " p"]) -> Float[Array, ""]:
         terms = [support.log_abs_det_jacobian(x, support(x)) for support, x in zip(self._supports, u, strict=False)]
         return sum(terms, start=self.population.log_jacobian(self._supported(u)))
-
-
-_expanded = program(Posterior.expand)
 
 
 def _value_and_jacobian(function: Callable, u: Float[Array, " p"]) -> tuple[Any, Any, Any]:

@@ -15,7 +15,10 @@ import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float, Int, PyTree
 
-from hsed_jax.physics.batch import tiled_map
+from hsed_jax.physics.batch import TILE, tiled_map
+
+# A lane with derivatives has several times the state of one without.
+_TILE_WITH_DERIVATIVES = TILE // 2
 
 Respond = Callable[[Float[Array, " p"], PyTree], tuple[Float[Array, " J"], Array]]
 
@@ -44,19 +47,20 @@ class Predictor(eqx.Module):
             count: how many experiments matter.
         """
         arrays, rest = eqx.partition(self.respond, eqx.is_array)
-        return _predict(rest, arrays, jnp.atleast_2d(theta), conditions, count)
+        return _predict(rest, arrays, jnp.atleast_2d(theta), conditions, jnp.asarray(count))
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _predict(rest, arrays, theta, conditions, count):
-    outputs, ok = _over_all(partial(_values, rest))(arrays, theta[None], conditions, count)
+    outputs, ok = _over_all(partial(_values, rest), TILE)(arrays, theta[None], conditions, count[None])
     return outputs[0], ok[0]
 
 
 @_predict.defjvp
 def _(rest, primals, tangents):
     arrays, theta, conditions, count = primals
-    outputs, ok, jacobian = _over_all(partial(_values_and_jacobian, rest))(arrays, theta[None], conditions, count)
+    over_all = _over_all(partial(_values_and_jacobian, rest), _TILE_WITH_DERIVATIVES)
+    outputs, ok, jacobian = over_all(arrays, theta[None], conditions, count[None])
     along = tangents[1]
     moved = jacobian[0] @ along[0] if len(along) == 1 else jnp.einsum("njp,np->nj", jacobian[0], along)
     return (outputs[0], ok[0]), (moved, jnp.zeros_like(ok[0]))
@@ -89,25 +93,34 @@ def _values_and_jacobian(rest, arrays, lanes):
     return outputs, ok, tangents
 
 
-def _over_all(tile_function: Callable) -> Callable:
-    """From a function of a tile of lanes to one of parameters (C, 1 or n, p) and conditions (n, …), flat whatever is vmapped."""
+def _over_all(tile_function: Callable, tile: int) -> Callable:
+    """From a function of a tile of lanes to one of parameters (C, 1 or n, p), conditions (n, …) and how many of these matter to
+    each of the C, flat whatever is vmapped."""
 
     @custom_vmap
-    def run(arrays, thetas, conditions, count):
+    def run(arrays, thetas, conditions, counts):
         size, chains = jax.tree.leaves(conditions)[0].shape[0], thetas.shape[0]
-        by_experiment = jnp.swapaxes(jnp.broadcast_to(thetas, (chains, size, thetas.shape[-1])), 0, 1)
-        lanes = (
-            by_experiment.reshape(size * chains, -1),
-            jax.tree.map(lambda values: jnp.repeat(values, chains, axis=0), conditions),
-        )
-        # Experiments vary slowest, so those that matter stay a prefix.
-        results = tiled_map(partial(tile_function, arrays), lanes, count=count * chains)
-        return jax.tree.map(lambda r: jnp.moveaxis(r.reshape(size, chains, *r.shape[1:]), 0, 1), results)
+        by_experiment = jnp.broadcast_to(thetas, (chains, size, thetas.shape[-1]))
+        # Lanes that matter come first, whatever each chain has of them; what fills the last tile repeats one that does.
+        ends = jnp.cumsum(counts)
+        lane = jnp.minimum(jnp.arange(chains * size), jnp.maximum(ends[-1] - 1, 0))
+        chain = jnp.minimum(jnp.sum(lane[:, None] >= ends, axis=1), chains - 1)
+        experiment = jnp.minimum(lane - (ends - counts)[chain], size - 1)
+        lanes = by_experiment[chain, experiment], jax.tree.map(lambda values: values[experiment], conditions)
+        results = tiled_map(partial(tile_function, arrays), lanes, count=ends[-1], tile=tile)
+        at = jnp.arange(size)
+        where = jnp.minimum((ends - counts)[:, None] + at, chains * size - 1)
+        matters = at < counts[:, None]
+
+        def back(values):
+            return jnp.where(matters.reshape(chains, size, *[1] * (values.ndim - 1)), values[where], 0)
+
+        return jax.tree.map(back, results)
 
     @run.def_vmap
     def _(axis_size, in_batched, *operands: Any):
-        batched_arrays, batched_thetas, batched_conditions, batched_count = in_batched
-        if any(jax.tree.leaves((batched_arrays, batched_conditions))) or batched_count:
+        batched_arrays, _, batched_conditions, _ = in_batched
+        if any(jax.tree.leaves((batched_arrays, batched_conditions))):
             results = jax.lax.map(
                 lambda i: run(
                     *(
@@ -118,10 +131,13 @@ def _over_all(tile_function: Callable) -> Callable:
                 jnp.arange(axis_size),
             )
             return results, jax.tree.map(lambda _: True, results)
-        assert batched_thetas
-        arrays, thetas, conditions, count = operands
+        arrays, thetas, conditions, counts = operands
+        thetas, counts = (
+            values if is_batched else jnp.broadcast_to(values, (axis_size, *values.shape))
+            for values, is_batched in ((thetas, in_batched[1]), (counts, in_batched[3]))
+        )
         chains = thetas.shape[1]
-        results = run(arrays, thetas.reshape(axis_size * chains, *thetas.shape[2:]), conditions, count)
+        results = run(arrays, thetas.reshape(-1, *thetas.shape[2:]), conditions, counts.reshape(-1))
         return (
             jax.tree.map(lambda r: r.reshape(axis_size, chains, *r.shape[1:]), results),
             jax.tree.map(lambda _: True, results),

@@ -1,0 +1,113 @@
+r"""A posterior around points of u to second order: what every search for its modes goes by.
+
+All of it follows from one simulation of each experiment with its derivatives.  The curvature is the Gauss–Newton one (expected
+Fisher information, and of priors and transformation what is positive):
+$F = \sum \frac{\partial f\,\partial f^\top}{\sigma^2} + 2\,\partial\log\sigma\,\partial\log\sigma^\top$.
+
+The simulation is most of what there is to compile, so one program serves starts side by side and a point alone.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from hsed_jax.inference.likelihood import Data, decorrelated, log_likelihood
+from hsed_jax.inference.population import Population
+from hsed_jax.inference.posterior import Posterior
+from hsed_jax.programs import program
+
+# Points of a call; those that are not asked for cost nothing.
+_WIDTH = 4
+# Coordinates are of order one, and so is their density where the Hessian does not say so.
+_LEAST_OF_POPULATION = 0.25
+
+
+class Expansion(NamedTuple):
+    """A posterior around one point of u.
+
+    Attributes:
+        log_posterior: log density in θ, unnormalised.
+        slope: its gradient, (p,).
+        bend: minus its Hessian, made positive semidefinite, (p, p).
+        log_density: log density in u, unnormalised.
+        gradient: of `log_density`, (p,).
+        curvature: minus its Hessian, made positive, (p, p).
+        information: what of the curvature the measurements have told, (p, p).
+    """
+
+    log_posterior: Float[Array | np.ndarray, ""]
+    slope: Float[Array | np.ndarray, " p"]
+    bend: Float[Array | np.ndarray, "p p"]
+    log_density: Float[Array | np.ndarray, ""]
+    gradient: Float[Array | np.ndarray, " p"]
+    curvature: Float[Array | np.ndarray, "p p"]
+    information: Float[Array | np.ndarray, "p p"]
+
+
+def expand(posterior: Posterior, data: Data, points: Sequence[np.ndarray] | np.ndarray) -> list[Expansion]:
+    """The posterior around each of some points, in NumPy."""
+    found: list[Expansion] = []
+    for at in range(0, len(points), _WIDTH):
+        block = np.stack([np.asarray(point) for point in points[at : at + _WIDTH]])
+        missing = _WIDTH - len(block)
+        counts = np.asarray(data.count) * (np.arange(_WIDTH) < len(block))
+        block = np.concatenate([block, np.repeat(block[-1:], missing, axis=0)])
+        leaves = [np.asarray(leaf) for leaf in _expansions(posterior, data, jnp.asarray(block), jnp.asarray(counts))]
+        found += [Expansion(*(leaf[i] for leaf in leaves)) for i in range(_WIDTH - missing)]
+    return found
+
+
+def centred(posterior: Posterior, data: Data, theta: Float[Array, " p"]) -> Posterior:
+    """The same posterior in coordinates that suit what the measurements tell of the offsets of a population at θ."""
+    levels, first = posterior.population.levels, posterior.population.first
+    if not levels:
+        return posterior
+    plain = eqx.tree_at(lambda p: p.population, posterior, Population(levels, first))
+    theta = posterior.population.settled(theta)
+    (around,) = expand(plain, data, [np.asarray(plain.unconstrain(theta))])
+    suited = plain.population.centred(np.asarray(theta), np.asarray(around.information))
+    return eqx.tree_at(lambda p: p.population, posterior, suited)
+
+
+@program
+def _expansions(posterior: Posterior, data: Data, points: Float[Array, "S p"], counts: Int[Array, " S"]) -> Expansion:
+    return jax.vmap(lambda u, count: expansion(posterior, data._replace(count=count), u))(points, counts)
+
+
+def expansion(posterior: Posterior, data: Data, u: Float[Array, " p"]) -> Expansion:
+    """The posterior around u."""
+    z, log_sigma, ok, z_along, sigma_along = posterior.linearised(u, data)
+    likelihood, (by_z, by_sigma) = jax.value_and_grad(
+        lambda z, log_sigma: log_likelihood(z, log_sigma, ok, data), argnums=(0, 1)
+    )(z, log_sigma)
+    told = jnp.einsum("nj,pnj->p", by_z, z_along) + jnp.einsum("nj,pnj->p", by_sigma, sigma_along)
+    # Of the mean alone: what z owes to σ has its own term.
+    g = jax.vmap(lambda one: decorrelated(one, data))(z_along + z * sigma_along)
+    h = jnp.sqrt(2 * data.weights) * sigma_along
+    information = g @ g.T + jnp.einsum("pnj,qnj->pq", h, h)
+
+    def known(u):
+        return jnp.stack([posterior.log_prior(posterior.constrain(u)), posterior.log_prior_of(u)])
+
+    (prior, density), (slope, gradient) = known(u), jax.jacfwd(known)(u)
+    of_priors = jax.jacfwd(posterior.prior_residuals)(u)
+    if posterior.population.levels:
+        # Spreads and offsets bend each other's density, and not upwards everywhere.
+        values, axes = jnp.linalg.eigh(information - jax.hessian(posterior.log_prior_of)(u))
+        curvature = (axes * jnp.maximum(values, _LEAST_OF_POPULATION)) @ axes.T
+    else:
+        curvature = information + jnp.diag(posterior.stiffness(u))
+    return Expansion(
+        likelihood + prior,
+        told + slope,
+        information + of_priors.T @ of_priors,
+        likelihood + density,
+        told + gradient,
+        curvature,
+        information,
+    )
