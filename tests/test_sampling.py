@@ -279,6 +279,14 @@ def test_draws_hold_both_modes_in_proportion(pair, pair_grid, sampler):
     assert fit.warning == maximum.warning(posterior.names) and "2 modes" in str(fit)
 
 
+def test_a_short_adaptation_ends_with_a_step_that_moves():
+    # Of a standard normal, in whitened coordinates, a step of about one is accepted four times of five.
+    posterior, data, maximum = ridge(0.0)
+    chains = drawn(posterior, data, maximum, Settings(4, 20, 20))
+    assert ((np.asarray(chains.step_size) > 0.4) & (np.asarray(chains.step_size) < 1.5)).all()
+    assert len(np.unique(np.asarray(chains.theta[..., 0]))) > 0.5 * 4 * 20
+
+
 def test_mixing_the_modes_hides_no_chain_that_has_not_converged():
     rng = np.random.default_rng(0)
 

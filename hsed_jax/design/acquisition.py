@@ -17,6 +17,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, ScalarLike
 
 from hsed_jax.design.kriging import Kriging
+from hsed_jax.programs import program
 
 Acquisition = Callable[[Kriging, Float[Array, "M d"], PRNGKeyArray], Float[Array, " M"]]
 
@@ -199,7 +200,7 @@ def choose(
     return choice
 
 
-@eqx.filter_jit
+@program
 def _choose(kriging, candidates, excluded, excluded_mask, acquisition, key) -> Choice:
     utilities = acquisition(kriging, candidates, key)
     # A utility that is not a number is a failure of the acquisition there, and no reason to experiment.

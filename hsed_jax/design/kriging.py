@@ -27,6 +27,7 @@ from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from hsed_jax.inference.correlation_functions import KERNELS, KernelName, correlation, log_prior_of_lengths
+from hsed_jax.programs import program
 
 TrendName = Literal["constant", "linear", "quadratic"]
 
@@ -137,7 +138,7 @@ class Kriging(eqx.Module):
         return jnp.where(self.mask, mean, 0.0), jnp.where(self.mask, variance, 0.0)
 
 
-@eqx.filter_jit
+@program
 def condition(
     inputs: Float[Array, "N d"],
     responses: Float[Array, " N"],
@@ -232,7 +233,7 @@ def fit_kriging(
     return _fit(inputs, responses, mask, key, previous, lower, upper, kernel, trend, starts, max_steps)
 
 
-@eqx.filter_jit
+@program
 def _fit(inputs, responses, mask, key, previous, lower, upper, kernel, trend, starts, max_steps) -> Kriging:
     x, y = jnp.where(mask[:, None], inputs, 0.0), jnp.where(mask, responses, 0.0)
     y, basis, count = _standardise(y, mask)[0], _masked_trend(x, mask, trend), jnp.sum(mask)

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,6 +31,7 @@ from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.sampling import draw
 from hsed_jax.physics.simulator import Conditions
+from hsed_jax.programs import program
 
 # Inputs that stand for the whole space in the variance of Eq. 12.
 _SPREAD = 256
@@ -346,7 +346,7 @@ class SequentialDesign:
         return Conditions({name: jnp.asarray(values) for name, values in inputs.items()})
 
 
-@eqx.filter_jit
+@program
 def _discrepancies(posterior, data, theta, thetas, spread):
     here, ok = posterior.predict(posterior.of_model(theta), data.conditions, data.count)
     there, good = jax.vmap(lambda t: posterior.predict(posterior.of_model(t), spread, jnp.asarray(_SPREAD)))(thetas)

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 from numpyro.infer.hmc import HMCState, hmc
+from numpyro.infer.hmc_util import build_adaptation_schedule
 from numpyro.infer.util import ParamInfo
 
 from hsed_jax.inference.emulator import Emulator
@@ -163,7 +164,7 @@ def _worth_keeping(state: HMCState) -> tuple[Array, ...]:
 
 
 def _started(start, at: ParamInfo, settings: Settings, step_size: Float[Array, ""], key, *data: Data) -> HMCState:
-    return start(
+    state = start(
         at,
         settings.warmup,
         step_size=step_size,
@@ -173,6 +174,11 @@ def _started(start, at: ParamInfo, settings: Settings, step_size: Float[Array, "
         model_args=data,
         rng_key=key,
     )
+    # numpyro forgets the step size where it would have learnt a mass matrix, shortly before the adaptation ends.  Here none is
+    # learnt: the adaptation is one window, its last.
+    adapted = state.adapt_state
+    last = jnp.full_like(adapted.window_idx, len(build_adaptation_schedule(settings.warmup)) - 1)
+    return state._replace(adapt_state=adapted._replace(window_idx=last))
 
 
 @eqx.filter_jit
