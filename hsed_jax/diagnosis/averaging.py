@@ -112,7 +112,7 @@ def averaged(problem: Problem, search: Search, models: Sequence[Model]) -> Avera
 
 def _moments(problem: Problem, model: Model, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Prediction of a model, its sd by the parameters, (r, J), and whether it converged, (r,)."""
-    mean, spread, ok = predictive(problem, model, rows)
+    mean, spread, ok = predictive(problem.models, model.fit, rows)
     return mean, np.sqrt(np.sum(spread**2, axis=2)), ok
 
 
