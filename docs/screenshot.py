@@ -1,4 +1,4 @@
-"""Draws the picture of a report that the README shows: `docs/images/report.png`.
+"""Draws the picture of a report that the documentation shows: `docs/images/report.png`.
 
 python docs/screenshot.py runs/hidden_effect
 """
@@ -16,7 +16,7 @@ IMAGE = Path(__file__).resolve().parent / "images" / "report.png"
 
 def main() -> None:
     """Open the report of a run in Chromium and keep what is seen of its verdict and of measured against predicted."""
-    parser = argparse.ArgumentParser(description="Draw the picture of a report that the README shows.")
+    parser = argparse.ArgumentParser(description="Draw the picture of a report that the documentation shows.")
     parser.add_argument("run", help="run folder")
     report = Path(parser.parse_args().run).resolve() / "report.html"
     with sync_playwright() as playwright:
