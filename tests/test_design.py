@@ -2,6 +2,7 @@
 
 import dataclasses
 from copy import deepcopy
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -11,8 +12,8 @@ from scipy import stats
 
 from hsed_jax.design.acquisition import SAME_POINT
 from hsed_jax.design.discrepancy import discrepancy, variance_over
-from hsed_jax.design.sequential import SequentialDesign
-from hsed_jax.design.space import InputSpace
+from hsed_jax.design.sequential import DesignState, SequentialDesign, Trial
+from hsed_jax.design.space import InputSpace, Point
 from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import Error
 from hsed_jax.inference.nuts import Settings
@@ -334,3 +335,12 @@ def test_the_surrogate_of_a_step_is_made_again_from_what_the_journal_keeps(campa
     points = jnp.asarray(np.random.default_rng(0).uniform(size=(20, 2)))
     for one, other in zip(again.predict(points), info.kriging.predict(points), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(("status", "advice"), [("pending", "tell first"), ("failed", "design.initial")])
+def test_a_design_with_too_little_to_go_on_says_what_to_do_about_it(status, advice):
+    point = Point(np.zeros(1), {"x": 0.0}, {"x": 0.0})
+    trials = (Trial(point, np.ones(1), "completed"), Trial(point, np.full(1, np.nan), status))
+    design = SimpleNamespace(space=SimpleNamespace(names=("x",)), kriging={})
+    with pytest.raises(UserError, match=f"only 1 of 2 experiments gave something to use.*{advice}"):
+        SequentialDesign._check_enough(design, DesignState(trials))

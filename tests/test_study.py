@@ -427,6 +427,10 @@ def test_code_of_the_user_that_leaves_by_an_exit_is_no_success(tmp_path, capsys,
     assert "sys.exit(0)" in message_of([str(file), "--output", str(tmp_path / "run")], capsys)
 
 
+def test_a_folder_is_no_study_and_the_one_in_it_is_named(tmp_path, capsys):
+    assert f"such as {tmp_path / 'study.yaml'}" in message_of([str(tmp_path), "--check"], capsys)
+
+
 def test_a_missing_file_is_named(tmp_path, capsys):
     line = message_of([str(tmp_path / "no.yaml"), "--check"], capsys)
     assert "no.yaml" in line and "no such file" in line

@@ -202,10 +202,11 @@ def test_a_folder_is_neither_overwritten_nor_mixed_into(file, study, tmp_path):
     other = tmp_path / "other"
     other.mkdir()
     (other / "thesis.tex").touch()
+    (other / "sweep.yaml").touch()  # the user's own, of --grid
     for flag in ({}, {"force": True}, {"resume": True}):
         with pytest.raises(UserError, match="is no folder of a sweep"):
             sweep(study, sentence, output=other, **flag)
-    assert [item.name for item in other.iterdir()] == ["thesis.tex"]
+    assert sorted(item.name for item in other.iterdir()) == ["sweep.yaml", "thesis.tex"]
     there, plan = tmp_path / "there", plan_of(study, sentence, (), {}, None)
     held = SweepFolder(there, plan, resume=False, force=False)
     with pytest.raises(UserError, match="in use by another running process"):
