@@ -2,6 +2,10 @@
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 def write_whole(path: Path, text: str, draft: str = ".part") -> None:
@@ -17,4 +21,15 @@ def write_whole(path: Path, text: str, draft: str = ".part") -> None:
         file.write(text)
         file.flush()
         os.fsync(file.fileno())
+    unfinished.replace(path)
+
+
+def write_netcdf(path: Path, content: "xr.Dataset | xr.DataTree") -> None:
+    """Write a NetCDF file so that a kill, or a full disk, leaves either the old or the new one."""
+    import dask
+
+    unfinished = path.with_name(path.name + ".part")
+    # Made in memory: HDF5 takes the process with it where a disk is full.  Nothing of it is a cluster's, whose locks want a path.
+    with dask.config.set(scheduler="synchronous"):
+        unfinished.write_bytes(content.to_netcdf(engine="h5netcdf"))
     unfinished.replace(path)

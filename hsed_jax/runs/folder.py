@@ -16,7 +16,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from hsed_jax.drafts import write_whole
+from hsed_jax.drafts import write_netcdf, write_whole
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import read_campaign
 from hsed_jax.plain import dump_yaml, parse_yaml
@@ -63,7 +63,7 @@ class RunFolder:
         try:
             occupied = self.path.exists() and (not self.path.is_dir() or any(map(_is_content, self.path.iterdir())))
             # A study alone is no sign of a run: `hsed init` writes one beside the measurements.
-            if occupied and not (self._journal.exists() or self._provenance.exists()):
+            if occupied and not (self._journal.exists() or (self.path / ".lock").exists()):
                 raise UserError(f"{self.path} exists and is no run folder; choose another --output")
             if resume and not self.path.exists():
                 raise UserError(f"{self.path}: there is no run to resume; leave out --resume to start one")
@@ -159,10 +159,7 @@ class RunFolder:
 
     def write_results(self, tree: "xr.DataTree") -> None:
         """Write `results.nc`."""
-        unfinished = self.path / "results.nc.part"
-        # Made in memory: HDF5 takes the process with it where a disk is full.
-        unfinished.write_bytes(tree.to_netcdf(engine="h5netcdf"))
-        unfinished.replace(self.path / "results.nc")
+        write_netcdf(self.path / "results.nc", tree)
 
     def write_report(self, page: str) -> None:
         """Write `report.html`."""

@@ -13,7 +13,7 @@ import xarray as xr
 from tqdm import tqdm
 
 from hsed_jax.config.schema import Study
-from hsed_jax.drafts import write_whole
+from hsed_jax.drafts import write_netcdf, write_whole
 from hsed_jax.errors import UserError
 from hsed_jax.reporting.style import Picture, save
 from hsed_jax.reporting.sweep_figures import comparison
@@ -164,9 +164,7 @@ def gather(folder: SweepFolder) -> Sweep:
     unfinished = folder.path / "unfinished.part"
     made.table.to_parquet(unfinished)
     unfinished.replace(folder.path / "table.parquet")
-    # Made in memory: HDF5 takes the process with it where a disk is full.
-    unfinished.write_bytes(made.dataset.to_netcdf(engine="h5netcdf"))
-    unfinished.replace(folder.path / "results.nc")
+    write_netcdf(folder.path / "results.nc", made.dataset)
     listed = "\n".join(f"{number}  {text}" for number, text in made.failures.items())
     write_whole(folder.path / "failures.txt", listed or "none\n")
     if made.count("complete"):
