@@ -4,6 +4,9 @@ A trajectory asks for dozens of densities, a draw for one.  So chains of an emul
 have draws, and weights $w = p(x)/\tilde p(x)$ make them draws of the posterior itself, whatever the emulator's error; the Pareto
 shape of the weights and what they leave of the draws say whether they may be believed (`hsed_jax.inference.importance`).
 
+Of where no draw is they say nothing, and a polynomial may end a posterior that goes on.  Metropolis steps from the draws, some
+of them long, look there: what the simulator would accept and the emulator has no share in is missing.
+
 Where the posterior is not where its mode would have it, the first emulator is wrong.  Short chains then say where the next one
 has to be right, and in which frame it is drawn from.
 """
@@ -19,15 +22,20 @@ from scipy.special import softmax
 from hsed_jax.inference.blocks import follow
 from hsed_jax.inference.emulator import Design, Emulator, degree_for, emulate, simulations
 from hsed_jax.inference.heights import heights, simulated
-from hsed_jax.inference.importance import TELLING, Proposal, flattened, systematic, weighted
+from hsed_jax.inference.importance import TELLING, Proposal, Weighted, flattened, systematic, weighted
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.maximum import Maximum
 from hsed_jax.inference.nuts import Chains, Settings, advance, arrived, begin
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.watch import Watch, fingerprint
+from hsed_jax.programs import program
 
 # Error of the emulated log density [nats] whose weights leave a third of the draws.
 _ACCURATE = 1.0
+# So many steps look for what draws of an emulator miss; their length is a Student t of few degrees of freedom, in sd.
+_LOOKS, _LENGTH, _DEGREES = 400, 2.0, 3.0
+# Missing is where the emulator has less than so much of the density [nats], and this share of the steps may end there.
+_LESS, _MAY_MISS = 2.0, 0.01
 # So many emulators learn, the first one from draws this much wider than the Gaussian around the mode.
 _ROUNDS, _SPREAD = 5, 1.3
 
@@ -91,7 +99,7 @@ def _by_emulators(
         asked = settings if is_accurate else learning
         chains, u, name = _chains(posterior, data, at, emulator, step_size, keys, asked, watch, half)
         if is_accurate and chains.theta.shape[1]:
-            found = _weighed(posterior, data, chains, u, name, random, watch, _left(seconds, began))
+            found = _weighed(posterior, data, emulator, chains, u, name, random, watch, _left(seconds, began))
             if found is not None:
                 return found._replace(emulator_error=float(emulator.error))
         drawn, height = u.reshape(-1, p), np.asarray(chains.log_density).ravel()
@@ -148,6 +156,7 @@ def _chains(
 def _weighed(
     posterior: Posterior,
     data: Data,
+    emulator: Emulator,
     chains: Chains,
     u: Float[np.ndarray, "chains draws p"],
     name: str,
@@ -171,5 +180,42 @@ def _weighed(
         return None
     rows = np.arange(len(u))[:, None]
     chosen = np.stack([systematic(shares, made, random) for shares in softmax(log_weight, axis=1)])
+    at, there = u[rows, chosen].reshape(-1, u.shape[-1]), height[rows, chosen].ravel()
+    if height.size >= TELLING and _missed(posterior, data, emulator, at, there, draws, name, random, watch) > _MAY_MISS:
+        return None
     of_draws = chains.theta, jnp.asarray(height), chains.diverging, chains.steps
     return Chains(*(values[rows, chosen] for values in of_draws), step_size=chains.step_size)
+
+
+def _missed(
+    posterior: Posterior,
+    data: Data,
+    emulator: Emulator,
+    points: Float[np.ndarray, "N p"],
+    height: Float[np.ndarray, " N"],
+    draws: Weighted,
+    name: str,
+    random: np.random.Generator,
+    watch: Watch,
+) -> float:
+    """Share of Metropolis steps from draws (log density `height`) that end where the emulator has hardly any density."""
+    count, p = min(_LOOKS, len(points)), points.shape[1]
+    values, axes = np.linalg.eigh(np.atleast_2d(np.cov(points.T)))
+    which = random.integers(p, size=count)
+    length = _LENGTH * random.standard_t(_DEGREES, count) * np.sqrt(np.maximum(values[which], 0.0))
+    rows = random.permutation(len(points))[:count]
+    looked = points[rows] + length[:, None] * axes[:, which].T
+    there = heights(posterior, data, looked, watch, f"looks-of-{name}")
+    emulated = np.asarray(_emulated(posterior, data, emulator, jnp.asarray(looked)))
+    accepted = np.exp(np.minimum(there - height[rows], 0.0))
+    # The evidence of the weights is what the two densities differ by throughout.
+    return float(np.mean(accepted * ~(there - draws.log_evidence - emulated < _LESS)))
+
+
+@program
+def _emulated(posterior: Posterior, data: Data, emulator: Emulator, u: Float[Array, "N p"]) -> Float[Array, " N"]:
+    def one(u):
+        predicted = emulator(posterior.by_experiment(posterior.constrain(u), data))
+        return posterior.log_density_of(u, predicted, jnp.ones(predicted.shape[0]), data)
+
+    return jax.lax.map(one, u)
