@@ -26,10 +26,10 @@ def write_whole(path: Path, text: str, draft: str = ".part") -> None:
 
 def write_netcdf(path: Path, content: "xr.Dataset | xr.DataTree") -> None:
     """Write a NetCDF file so that a kill, or a full disk, leaves either the old or the new one."""
-    import dask
+    from dask import config
 
     unfinished = path.with_name(path.name + ".part")
     # Made in memory: HDF5 takes the process with it where a disk is full.  Nothing of it is a cluster's, whose locks want a path.
-    with dask.config.set(scheduler="synchronous"):
+    with config.set(scheduler="synchronous"):
         unfinished.write_bytes(content.to_netcdf(engine="h5netcdf"))
     unfinished.replace(path)
