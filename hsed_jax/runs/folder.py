@@ -62,8 +62,9 @@ class RunFolder:
         self.path = Path(path)
         try:
             occupied = self.path.exists() and (not self.path.is_dir() or any(map(_is_content, self.path.iterdir())))
-            # A study alone is no sign of a run: `hsed init` writes one beside the measurements.
-            if occupied and not (self._journal.exists() or (self.path / ".lock").exists()):
+            # A study alone is no sign of a run, as `hsed init` writes one beside the measurements, nor a lock, as sweeps have.
+            begun = (self.path / "study.yaml").exists() and (self.path / ".lock").exists()
+            if occupied and not (begun or self._journal.exists() or self._provenance.exists()):
                 raise UserError(f"{self.path} exists and is no run folder; choose another --output")
             if resume and not self.path.exists():
                 raise UserError(f"{self.path}: there is no run to resume; leave out --resume to start one")
