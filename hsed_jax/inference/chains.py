@@ -214,8 +214,4 @@ def _missed(
 
 @program
 def _emulated(posterior: Posterior, data: Data, emulator: Emulator, u: Float[Array, "N p"]) -> Float[Array, " N"]:
-    def one(u):
-        predicted = emulator(posterior.by_experiment(posterior.constrain(u), data))
-        return posterior.log_density_of(u, predicted, jnp.ones(predicted.shape[0]), data)
-
-    return jax.lax.map(one, u)
+    return jax.lax.map(lambda x: emulator.log_density(posterior, x, data), u)

@@ -69,6 +69,11 @@ class Emulator(eqx.Module):
         amounts = jnp.einsum("mq,mqkc->mkc", terms, self.coefficients).reshape(len(self.middle), -1)
         return self.middle + jnp.einsum("nc,ncj->nj", amounts, self.components)
 
+    def log_density(self, posterior: Posterior, u: Float[Array, " p"], data: Data) -> Float[Array, ""]:
+        """Log density in u of the posterior with these predictions in place of the simulator's."""
+        predicted = self(posterior.by_experiment(posterior.constrain(u), data))
+        return posterior.log_density_of(u, predicted, jnp.ones(predicted.shape[0]), data)
+
 
 def simulations(parameters: int, degree: int) -> int:
     """How many simulations an emulator of this degree is learned from."""

@@ -131,8 +131,7 @@ def advance(
             u = place + frame @ w
             if emulator is None:
                 return -posterior.log_density(u, data)
-            predicted = emulator(posterior.by_experiment(posterior.constrain(u), data))
-            return -posterior.log_density_of(u, predicted, jnp.ones(predicted.shape[0]), data)
+            return -emulator.log_density(posterior, u, data)
 
         return potential
 
