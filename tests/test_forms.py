@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.stats import gennorm
 
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
@@ -170,8 +171,9 @@ EQUATIONS = {
         ),
         "in series": (
             "compliance",
+            # Of one to either side: twice a generalized normal distribution, whose scale is σ m^(1/m).
             lambda p, x, s: (
-                np.sqrt(2 / np.pi) * (p.delta * U / (w := p.play * STRENGTH)) * np.exp(-(s.z**2) / (2 * w**2))
+                2 * p.delta * U * gennorm.pdf(s.z, p.abruptness, scale=p.play * F * p.abruptness ** (1 / p.abruptness))
             ),
         ),
     },

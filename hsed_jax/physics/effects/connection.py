@@ -51,10 +51,10 @@ class Gap(AbstractSpringEffect):
         ),
         Form(
             "in series",
-            r"c(z) = \sqrt{2/\pi}\,\frac{\delta u_c}{\sigma}e^{-z^2/2\sigma^2},\ \sigma = w_z z_u",
+            r"c(z) \propto \delta u_c\,e^{-|z/\sigma|^m/m},\ \sigma = w_z F_c,\ \int_0^\infty c\,dz = \delta u_c",
             "Nordin & Gutman 2002 (backlash)",
             held={"in_series": 1.0},
-            free=("play",),
+            free=("play", "abruptness"),
         ),
     )
 
@@ -73,12 +73,15 @@ class Gap(AbstractSpringEffect):
     in_series: Scalar = share_parameter("w_s", "whether it goes along with the element")
     play: Scalar = shape_parameter(
         "w_z",
-        "force that closes it, over strength",
+        "force that closes it, over characteristic force",
         neutral=0.05,
         lower=0.01,
         # One that takes more force to close is no play, but a support that has yet to bed.
         upper=0.2,
         prior={"lognormal": [-3.0, 0.7]},
+    )
+    abruptness: Scalar = shape_parameter(
+        "m", "how abruptly it closes", neutral=2.0, lower=1.0, upper=6.0, prior={"lognormal": [0.7, 0.3]}
     )
 
     @property
@@ -99,7 +102,7 @@ class Gap(AbstractSpringEffect):
         if not is_number(self.in_series, 1):
             found["slack"] = (1 - self.in_series) * self.delta * width
         if not is_zero(self.in_series):
-            profile = near_no_force(point.hysteretic, self.play * point.strength)
+            profile = near_no_force(point.hysteretic, self.play * point.scales.force, self.abruptness)
             found["compliance"] = self.in_series * self.delta * fixed * profile
         return found
 
@@ -149,9 +152,10 @@ class SupportFlexibility(AbstractWornEffect):
     bedded: Scalar = shape_parameter(
         "w",
         "force at which it is bedded, over characteristic force",
-        neutral=0.2,
-        lower=0.02,
-        prior={"lognormal": [-1.6, 0.7]},
+        neutral=0.4,
+        # One that is bedded by less force is play, which the gap in series is.
+        lower=0.2,
+        prior={"lognormal": [-0.9, 0.5]},
     )
     abruptness: Scalar = shape_parameter(
         "m", "how abruptly it is bedded", neutral=1.0, lower=1.0, upper=6.0, prior={"uniform": [1.0, 6.0]}

@@ -10,6 +10,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax.numpy as jnp
+from jax.scipy.special import gammaln
 
 from hsed_jax.physics.parameters import Parameter, parameters_of, shape_parameter, share_parameter
 from hsed_jax.physics.scales import Scalar, is_number, is_zero
@@ -149,9 +150,14 @@ def raised(value: Scalar, power: Scalar) -> Scalar:
     return value * jnp.exp((power - 1) * jnp.log(jnp.maximum(jnp.abs(value), 1e-9)))
 
 
-def near_no_force(force: Scalar, width: Scalar) -> Scalar:
-    r"""A profile around no force, $\sqrt{2/\pi}\,e^{-z^2/2\sigma^2}/\sigma$, of one to either side."""
-    return jnp.sqrt(2 / jnp.pi) * jnp.exp(-0.5 * (force / width) ** 2) / width
+def near_no_force(force: Scalar, width: Scalar, abruptness: Scalar = 2.0) -> Scalar:
+    r"""A profile around no force, $e^{-|z/\sigma|^m/m}/[\sigma m^{1/m}\Gamma(1 + 1/m)]$, of one to either side: a normal one
+    for m = 2."""
+    if is_number(abruptness, 2):
+        return jnp.sqrt(2 / jnp.pi) * jnp.exp(-0.5 * (force / width) ** 2) / width
+    m = jnp.asarray(abruptness, dtype=float)
+    area = jnp.exp(jnp.log(m) / m + gammaln(1 + 1 / m))
+    return jnp.exp(-raised(jnp.abs(force / width), abruptness) / m) / (width * area)
 
 
 def one_side() -> Any:
