@@ -8,9 +8,10 @@ from scipy import stats
 from scipy.integrate import quad
 
 from hsed_jax.diagnosis.box import Box
+from hsed_jax.diagnosis.descent import Descent, Target, Task
 from hsed_jax.diagnosis.evidence import laplace, of_any_size, sample_posterior
 from hsed_jax.diagnosis.lanes import Lanes
-from hsed_jax.diagnosis.nested import Descent, NestedModels, Target, Task
+from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.inference.priors import Prior
 
 TIME = np.linspace(0.0, 3.0, 12)

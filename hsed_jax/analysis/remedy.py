@@ -18,8 +18,8 @@ from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.improve import Step, Trail, step_of
 from hsed_jax.design.acquisition import Given
 from hsed_jax.diagnosis import diagnose as diagnosing
+from hsed_jax.diagnosis.descent import Descent, Member, Target, Task
 from hsed_jax.diagnosis.findings import Diagnosis
-from hsed_jax.diagnosis.nested import Descent, Member, Target, Task
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.errors import UserError
 from hsed_jax.inference.watch import Watch

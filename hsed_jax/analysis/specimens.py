@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from hsed_jax.diagnosis.descent import Task
 from hsed_jax.diagnosis.diagnose import diagnose, noise_explains
 from hsed_jax.diagnosis.findings import Diagnosis
-from hsed_jax.diagnosis.nested import Task
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.diagnosis.specimens import Membership, judge_specimens
 from hsed_jax.measurements import Campaign

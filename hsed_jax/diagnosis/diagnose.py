@@ -10,11 +10,11 @@ import numpy as np
 from hsed_jax.criticism.compare import discrepancy_p_value, is_noise
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.diagnosis.averaging import averaged
+from hsed_jax.diagnosis.descent import Descent
 from hsed_jax.diagnosis.evidence import Sampled, gaussian, sample_posterior
 from hsed_jax.diagnosis.findings import Candidate, Diagnosis
 from hsed_jax.diagnosis.fits import Model, Set
 from hsed_jax.diagnosis.held_out import Gain
-from hsed_jax.diagnosis.nested import Descent
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.diagnosis.rivals import difference, joined, look_alikes_of, next_experiment, rivals_of, separation
 from hsed_jax.diagnosis.scores import score_p_value

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import log_ndtr
 
-from hsed_jax.diagnosis.nested import Descent, NestedModels, Target
+from hsed_jax.diagnosis.descent import Descent, Target
+from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.inference.importance import Proposal, weigh
 
 _FLOOR = 1e-6

@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import Int
 from scipy.special import logsumexp
 
+from hsed_jax.diagnosis.descent import Descent, Member, Target, Task
 from hsed_jax.diagnosis.evidence import laplace, of_any_size
-from hsed_jax.diagnosis.nested import Descent, Member, NestedModels, Target, Task
+from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import FormColumns, Forms
 
 # A fit that another one shows to be improvable by more nats than this goes on from there.
@@ -149,7 +150,11 @@ class Fits:
         return self.effects[effect][label]
 
     def _go_on(self, target: Target, starts: Mapping[Choice, np.ndarray]) -> dict[Choice, Descent]:
-        tasks = [Task(self.member(choice), start, known=self._known[choice]) for choice, start in starts.items()]
+        # Each is a start of its own, and ends where it cannot catch up with the others.
+        tasks = [
+            Task(self.member(choice), start, rivals=number, known=self._known[choice])
+            for number, (choice, start) in enumerate(starts.items())
+        ]
         return dict(zip(starts, self.models.fit(target, tasks), strict=True))
 
     def _reconcile(self, target: Target, choices: Sequence[Choice]) -> None:

@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from hsed_jax.diagnosis.descent import Descent, Target, Task
 from hsed_jax.diagnosis.measured import Measured
-from hsed_jax.diagnosis.nested import Descent, NestedModels, Target, Task
+from hsed_jax.diagnosis.nested import NestedModels
 
 _FOLDS = 6
 _BLOCKS = 4

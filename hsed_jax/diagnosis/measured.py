@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from hsed_jax.criticism.compare import HISTORY, normalised_error
-from hsed_jax.diagnosis.nested import Target
+from hsed_jax.diagnosis.descent import Target
 from hsed_jax.inference.correlation import Judged, judge
 from hsed_jax.inference.likelihood import Error, magnitudes
 

@@ -11,14 +11,12 @@ $$\varphi(x) = \tfrac12\sum_{ij} w_{ij}\Big(\frac{y_{ij}-f_{ij}(\theta(x))}{\sig
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from hsed_jax.diagnosis.box import Box
-from hsed_jax.inference.likelihood import whitened
+from hsed_jax.diagnosis.descent import Descent, Member, Target, Task
 from hsed_jax.inference.watch import Watch, fingerprint
 
 # Of a difference, in coordinates of order one: far above the rounding of a simulation, far below a prior's width.
@@ -37,112 +35,8 @@ _NUMBERS, _KEPT = 2**24, 2**17
 # So many steps in a row mend the derivatives, if each gains this share of what was expected of it.
 _MENDED, _EXPECTED = 3, 0.3
 
-
 Predictions = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Of parameters (L, P) and numbers of experiments (L,): outputs (L, J), and whether each converged (L,); `Lanes`, say."""
-
-
-class Target(NamedTuple):
-    """What is fitted: measured values and their errors, SI, and the weights of several uses of the same experiments.
-
-    Attributes:
-        values, sigma: (n, J).
-        weights: (M, n, J); a task says which of the M it fits.
-        memory: correlation of the noise with that of the sample before, (n, J).
-    """
-
-    values: Float[np.ndarray, "n J"]
-    sigma: Float[np.ndarray, "n J"]
-    weights: Float[np.ndarray, "M n J"]
-    memory: Float[np.ndarray, "n J"]
-
-    def rows(self, use: int) -> Int[np.ndarray, " r"]:
-        """The experiments that a use has weights for."""
-        return np.flatnonzero(self.weights[use].any(axis=1))
-
-    def misfit(self, use: int, outputs: Float[np.ndarray, "... r J"]) -> Float[np.ndarray, "..."]:
-        """Half the weighted sum of squares of outputs of those experiments, SI."""
-        rows = self.rows(use)
-        residual = self.standardised(use, rows, outputs - self.values[rows])
-        return np.asarray(0.5 * np.sum(residual**2, axis=(-2, -1)))
-
-    def standardised(
-        self, use: int, rows: Int[np.ndarray, " r"], difference: Float[np.ndarray, "... r J"]
-    ) -> Float[np.ndarray, "... r J"]:
-        """√w times what is new in differences of outputs, SI, in units of their errors."""
-        used = self.weights[use][rows]
-        return np.sqrt(used) * whitened((used > 0) * difference / self.sigma[rows], self.memory[rows])
-
-
-class Member(NamedTuple):
-    """One of the nested models.
-
-    Attributes:
-        free: the free coordinates, (p,).
-        held: parameters of the large model where they are not free, (P,).
-    """
-
-    free: Int[np.ndarray, " p"]
-    held: Float[np.ndarray, " P"]
-
-    def beside(self, more: Int[np.ndarray, " q"], held: Mapping[int, float]) -> "Member":
-        """The model with further coordinates free, and further parameters held."""
-        values = self.held.copy()
-        for column, value in held.items():
-            values[column] = value
-        return Member(np.append(self.free, more), values)
-
-
-class Task(NamedTuple):
-    """One fit to make.
-
-    Attributes:
-        member: the model.
-        start: where to start.
-        use: which of the target's weights to fit.
-        rivals: tasks of one number, if not negative, are starts of one fit: those that fall behind are given up.
-        known: a fit of the same model that ended at the start; its use has weights for these experiments, too.
-    """
-
-    member: Member
-    start: Float[np.ndarray, " P"]
-    use: int = 0
-    rivals: int = -1
-    known: "Descent | None" = None
-
-
-@dataclass
-class Descent:
-    """A fit, while it is made and afterwards.
-
-    Attributes:
-        member: the model.
-        x: where it is, (P,).
-        cost: φ there; infinite where the simulation diverged.
-        predicted: outputs of all experiments of the target, SI, (n, J); zero where the use has no weight.
-        gradient, hessian: of φ in the free coordinates (Gauss–Newton), (p,) and (p, p).
-        slopes: derivatives of what is predicted, in the same coordinates, (p, n, J); nothing where they are too many to be kept.
-        mended: so many steps were made since derivatives were differences, each of which mended them; −1: they are of no use.
-        races: it is one of several starts, and given up where it cannot catch up with other fits.
-    """
-
-    member: Member
-    x: Float[np.ndarray, " P"]
-    use: int
-    cost: float = np.inf
-    predicted: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-    gradient: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    hessian: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-    slopes: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0)))
-    damping: float = 1e-2
-    done: bool = False
-    mended: int = -1
-    races: bool = False
-
-    @property
-    def free(self) -> Int[np.ndarray, " p"]:
-        """Its free coordinates."""
-        return self.member.free
 
 
 class NestedModels:
@@ -227,6 +121,11 @@ class NestedModels:
         for one, cost, predicted in zip(unknown, *self._costs(target, [(f, f.x) for f in unknown]), strict=True):
             one.cost, one.predicted = cost, predicted
             one.done = not np.isfinite(cost)
+        lead = _lead(fits)
+        for one in (one for one, is_known in zip(fits, known, strict=True) if is_known):
+            # With other errors there may be nothing to gain where it is: that is seen without a simulation.
+            gain = self._expected(one, self._step(one))
+            one.done = gain < _GAIN or _is_beaten(one, gain, lead)
         for number in range(_MOST_STEPS):
             for stage, left in _RACE.items():
                 if number == stage:
@@ -236,8 +135,7 @@ class NestedModels:
             if not active:
                 break
             self._linearise(target, [f for f in active if f.mended < 0])
-            lead = {use: min(f.cost for f in fits if f.use == use) for use in {f.use for f in active}}
-            self._advance(target, active, lead)
+            self._advance(target, active, _lead(fits))
         _give_up(fits, tasks, 1)
         self._linearise(target, [f for f in fits if np.isfinite(f.cost) and f.mended])
         return fits
@@ -254,10 +152,6 @@ class NestedModels:
         self._derive(target, fit)
         return True
 
-    def standardised(self, target: Target, fit: Descent) -> Float[np.ndarray, "n J"]:
-        """√w (f − y)/σ of a fit."""
-        return target.standardised(fit.use, np.arange(len(target.values)), fit.predicted - target.values)
-
     def _advance(self, target: Target, active: list[Descent], lead: Mapping[int, float]) -> None:
         """Move each fit by one accepted step, or end it; `lead` is the least cost of each use."""
         pending = active
@@ -269,9 +163,8 @@ class NestedModels:
                 if gain > 0:
                     self._move(target, one, x, cost, predicted)
                     one.damping = max(one.damping / 5, 1e-9)
-                    behind = cost - lead[one.use]
                     is_settled = gain < _GAIN and not was_mended
-                    one.done = is_settled or (one.races and behind > _BEHIND and gain * _AS_MANY < behind)
+                    one.done = is_settled or _is_beaten(one, gain, lead)
                 elif was_mended:
                     one.mended = -1
                 else:
@@ -288,7 +181,7 @@ class NestedModels:
     def _move(self, target: Target, fit: Descent, x: np.ndarray, cost: float, predicted: np.ndarray) -> None:
         """Go to a better point, with derivatives that are right along the step that led there, if that is worth it."""
         step, gain, change = (x - fit.x)[fit.free], fit.cost - cost, predicted - fit.predicted
-        expected = -(fit.gradient @ step + 0.5 * step @ fit.hessian @ step)
+        expected = self._expected(fit, x)
         fit.x, fit.cost, fit.predicted = x, cost, predicted
         is_as_expected = gain > max(_GAIN, _EXPECTED * expected)
         fit.mended = fit.mended + 1 if fit.slopes.size and is_as_expected and fit.mended < _MENDED else -1
@@ -297,12 +190,18 @@ class NestedModels:
             fit.slopes = fit.slopes + (step / (step @ step))[:, None, None] * change
             self._derive(target, fit)
 
+    def _expected(self, fit: Descent, x: np.ndarray) -> float:
+        """What the cost would fall by on the way to a point, were it what its derivatives say."""
+        step = (x - fit.x)[fit.free]
+        return -float(fit.gradient @ step + 0.5 * step @ fit.hessian @ step)
+
     def _derive(self, target: Target, fit: Descent) -> None:
         """Gradient and Gauss–Newton Hessian of φ from the derivatives of what is predicted."""
         rows = target.rows(fit.use)
         jacobian = target.standardised(fit.use, rows, fit.slopes[:, rows]).reshape(len(fit.free), -1)
+        residual = target.standardised(fit.use, rows, (fit.predicted - target.values)[rows])
         terms = self.box.terms(fit.x, fit.free)
-        fit.gradient = jacobian @ self.standardised(target, fit)[rows].ravel() - terms.slope
+        fit.gradient = jacobian @ residual.ravel() - terms.slope
         fit.hessian = jacobian @ jacobian.T + np.diag(terms.curvature)
 
     def _step(self, fit: Descent) -> Float[np.ndarray, " P"]:
@@ -385,6 +284,17 @@ class NestedModels:
         outputs, ok = self.lanes(np.concatenate(thetas), np.concatenate([rows for _, _, rows in requests]))
         ends = np.cumsum([len(rows) for _, _, rows in requests])[:-1]
         return np.split(outputs, ends), np.split(ok, ends)
+
+
+def _lead(fits: Sequence[Descent]) -> dict[int, float]:
+    """The least cost of each use."""
+    return {use: min(f.cost for f in fits if f.use == use) for use in {f.use for f in fits}}
+
+
+def _is_beaten(fit: Descent, gain: float, lead: Mapping[int, float]) -> bool:
+    """Whether a fit that races would not catch up with the least cost of its use, at the pace of a step that gains so much."""
+    behind = fit.cost - lead[fit.use]
+    return fit.races and behind > _BEHIND and gain * _AS_MANY < behind
 
 
 def _give_up(fits: Sequence[Descent], tasks: Sequence[Task], left: int) -> None:

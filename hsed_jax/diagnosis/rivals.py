@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from hsed_jax.diagnosis.descent import Descent
 from hsed_jax.diagnosis.evidence import gaussian
 from hsed_jax.diagnosis.fits import Model, Set
-from hsed_jax.diagnosis.nested import Descent, NestedModels
+from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.diagnosis.search import Search
 

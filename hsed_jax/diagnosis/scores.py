@@ -20,7 +20,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import chdtrc
 
-from hsed_jax.diagnosis.nested import Descent, Member, NestedModels, Target
+from hsed_jax.diagnosis.descent import Descent, Member, Target
+from hsed_jax.diagnosis.nested import NestedModels
 
 # Of a difference, in coordinates of order one.
 _STEP = 1e-3

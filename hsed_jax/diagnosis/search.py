@@ -17,10 +17,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import softmax
 
+from hsed_jax.diagnosis.descent import Descent, Target, Task
 from hsed_jax.diagnosis.fits import Choice, Fits, Model, Set, names_of, spread
 from hsed_jax.diagnosis.held_out import Gain, HeldOut, by_prediction
 from hsed_jax.diagnosis.measured import WRONG, Measured
-from hsed_jax.diagnosis.nested import Descent, NestedModels, Target, Task
+from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Forms, amplitude_of, of_other_drivers, of_other_shapes
 from hsed_jax.diagnosis.scores import Around, Promise, Trial, score_p_value
 from hsed_jax.errors import UserError

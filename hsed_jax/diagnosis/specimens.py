@@ -20,9 +20,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import gammaln, logsumexp
 
+from hsed_jax.diagnosis.descent import Descent, Target, Task
 from hsed_jax.diagnosis.evidence import laplace
 from hsed_jax.diagnosis.findings import Judgement
-from hsed_jax.diagnosis.nested import Descent, Target, Task
 from hsed_jax.diagnosis.problem import Problem
 
 # Sizes that every member is fitted at, in units of the largest one found; the negative ones where an effect has two signs.

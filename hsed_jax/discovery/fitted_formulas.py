@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hsed_jax.diagnosis.descent import Descent, Target, Task
 from hsed_jax.diagnosis.evidence import laplace
-from hsed_jax.diagnosis.nested import Descent, NestedModels, Target, Task
+from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.discovery.effect_file import source_of
 from hsed_jax.discovery.formulas import Formula
