@@ -6,7 +6,7 @@
 
 `raw` writes what a laboratory would hand over: a cyclic test (`column`), a shaken frame (`frame`), ten coupons (`coupons`).
 `perform` answers the requests that are out in a run folder, as a rig would.  `pictures` keeps figures of `runs/column`,
-`runs/rig` and `runs/coupons` in `docs/images/guides`.
+`runs/frame`, `runs/rig` and `runs/coupons` in `docs/images/guides`.
 
 The specimens are a few lines of NumPy, which share no code with the package.  Each has something that the plain law lacks.
 """
@@ -23,6 +23,7 @@ G = 9.80665  # m/s²
 STEPS = 20  # of an integration, between two samples
 PICTURES = {
     "column": ("before_after", "cycles"),
+    "frame": ("ranking", "before_after"),
     "rig": ("ranking", "parameters_before_after", "fig6_exploration"),
     "coupons": ("population_bar", "before_after"),
 }

@@ -1,9 +1,14 @@
 """Plan experiments, calibrate a structural model against them, find the physical effect it lacks."""
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from __future__ import annotations
 
+from importlib import import_module
+
+# As `typing` has it, which every command would wait for before it can answer a Ctrl-C.
+TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Any
+
     from hsed_jax import plot as plot
     from hsed_jax.analysis.calibration import calibrate as calibrate
     from hsed_jax.analysis.calibration import campaign_of as campaign_of

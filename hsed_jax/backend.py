@@ -1,6 +1,8 @@
 """JAX as this package needs it: double precision, XLA options for small loops, a lasting compilation cache, one BLAS thread."""
 
+import logging
 import os
+import sys
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -36,7 +38,16 @@ def prepare() -> None:
     if "JAX_ENABLE_X64" not in os.environ:
         jax.config.update("jax_enable_x64", True)
     if not jax.config.jax_compilation_cache_dir:
-        jax.config.update("jax_compilation_cache_dir", str(cache_folder()))
+        if _can_be_written(folder := cache_folder()):
+            jax.config.update("jax_compilation_cache_dir", str(folder))
+        else:
+            print(
+                f"{folder} cannot be written, so that every command compiles its programs anew; XDG_CACHE_HOME names another "
+                "folder for what is kept",
+                file=sys.stderr,
+            )
+            # It has a folder of its own in the same place, and says the same of it at length.
+            logging.getLogger("matplotlib").setLevel(logging.ERROR)
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
         # Everything is worth keeping: a study is many programs of half a second each.
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
@@ -55,6 +66,14 @@ def _flags_are_known() -> bool:
     except (PackageNotFoundError, ValueError):
         return False
     return _TRIED_FROM <= release < _TRIED_TO
+
+
+def _can_be_written(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK | os.X_OK)
 
 
 def cache_folder() -> Path:

@@ -43,9 +43,11 @@ def ended(parser: Callable[[], argparse.ArgumentParser], arguments: Sequence[str
             raise
         return _told(f"error: {error.filename or 'what was made'} cannot be written ({error.strerror}); make room, and go on "
                      "with a run by --resume", 3)  # fmt: skip
-    except Exception as error:
-        # An extension that is being loaded when Ctrl-C comes makes an error of its own of it.
-        if not any(isinstance(cause, KeyboardInterrupt) for cause in _causes(error)):
+    except BaseException as error:
+        # An extension that is being loaded when Ctrl-C comes makes an error of its own of it, and one in Rust no Exception.
+        if not any(
+            isinstance(cause, KeyboardInterrupt) or "KeyboardInterrupt" in str(cause) for cause in _causes(error)
+        ):
             raise
         return _interrupted()
 

@@ -7,12 +7,13 @@ from hsed_jax.errors import UserError
 _UNITS = ("bytes", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB", "ZiB", "YiB")
 
 
-def check_memory(what: str, needed: int) -> None:
+def check_memory(what: str, needed: int, each: int = 0) -> None:
     """Refuse what takes more memory than this machine has.
 
     Arguments:
         what: subject of the message, such as `design.candidates: 10000000000 candidates`.
         needed: memory that it takes at least [bytes].
+        each: memory of one of them, where a number of something is refused [bytes].
 
     Raises:
         UserError: says how much it would take and how much there is.
@@ -21,7 +22,8 @@ def check_memory(what: str, needed: int) -> None:
 
     there = psutil.virtual_memory().total
     if needed > there:
-        raise UserError(f"{what} would take {_size(needed)} of memory; this machine has {_size(there)}")
+        most = f", enough for {there // each}" if each else ""
+        raise UserError(f"{what} would take {_size(needed)} of memory; this machine has {_size(there)}{most}")
 
 
 def _size(count: int) -> str:

@@ -86,6 +86,15 @@ def test_what_the_user_set_stays(environment, code, expected):
     assert ran(BUILD + code, **environment) == expected
 
 
+@pytest.mark.parametrize("name", ["HOME", "XDG_CACHE_HOME"])
+def test_without_a_cache_one_line_says_where_and_which_variable_sets_it(name):
+    code = BUILD + "import matplotlib\nassert hx.simulate(built.study, {'V_P': 2.25, 'T_P': 1.0}).ok\n"
+    settings = {"PATH": "/usr/bin:/bin", "PYTHONPATH": str(ROOT), "HOME": str(Path.home()), name: "/dev/null"}
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=settings, capture_output=True, text=True)
+    (line,) = done.stderr.splitlines()
+    assert done.returncode == 0 and line.startswith("/dev/null/") and "XDG_CACHE_HOME" in line
+
+
 def test_a_cache_that_was_chosen_in_the_program_stays():
     chosen = "import jax\njax.config.update('jax_compilation_cache_dir', '/tmp/mine')\n"
     assert ran(chosen + BUILD + "print(state()['jax_compilation_cache_dir'])") == "/tmp/mine"

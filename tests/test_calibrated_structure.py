@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import hsed_jax as hx
+from hsed_jax.analysis import remedy
 from hsed_jax.errors import UserError
 from hsed_jax.physics.simulator import Conditions
 from hsed_jax.study.build import Built
@@ -51,6 +52,22 @@ def test_they_are_recovered_with_the_law(tmp_path):
     for name, truth in TRUTH.items():
         assert abs(found[name]["mean"] - truth) < 4 * found[name]["sd"]
         assert found[name]["sd"] < 0.05 * truth
+
+
+@pytest.mark.whole
+def test_an_improved_model_is_calibrated_from_where_it_fits_best(tmp_path, monkeypatch):
+    begun = {}
+
+    def begins(built, campaign, start, watch):
+        begun.update(zip(built.parameters[0], np.asarray(start).tolist(), strict=True))
+        raise InterruptedError
+
+    calibration = hx.calibrate(study(tmp_path, "experiments.virtual.effects.viscous_damping={delta: 0.2}"))
+    monkeypatch.setattr(remedy, "calibrate_built", begins)
+    with pytest.raises(InterruptedError):
+        hx.improve(calibration, effects=["viscous_damping"])
+    # There is only noise between it and the truth, whatever comes first in the study and in the search.
+    assert begun == pytest.approx({**TRUTH, "viscous_damping.delta": 0.2}, rel=0.2)
 
 
 def test_their_derivatives_are_those_of_differences(tmp_path):

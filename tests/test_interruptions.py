@@ -22,6 +22,28 @@ except Interrupted as stopped:
     sys.exit(3)
 """
 
+# Ctrl-C as a module is looked for.
+LOADING = """
+import os, signal, sys
+wanted = sys.argv.pop(1)
+class Finder:
+    def find_spec(self, name, *_):
+        if name == wanted:
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+from hsed_jax.__main__ import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize(
+    "module", ["hsed_jax.run", "argparse", "hsed_jax.interruptions", "hsed_jax.app.command", "pydantic"]
+)
+def test_one_that_comes_while_the_command_is_loaded_ends_in_one_line(module):
+    words = [sys.executable, "-c", LOADING, module, "check", "nowhere.yaml"]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (3, "stopped before there was anything to keep\n")
+
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_process_that_is_busy_with_one_call_answers_in_time(number):

@@ -302,6 +302,8 @@ MISTAKES = {
     "true for an end": ("structure.specimen.between", [True, 2], "structure.specimen.between.0", "whole number", "True"),
     "1e10 candidates": ("design.candidates", 10**10, "design.candidates: 10000000000 would take 447 GiB of memory"),
     "1e9 initial experiments": ("design.initial", 10**9, "design.initial: 1000000000 would take 6.94 EiB of memory"),
+    "1e12 draws": ("calibration.draws", 1e12, "calibration.draws: 1000000000000 would take 43.7 TiB", "enough for"),
+    "1e12 draws of adaptation": ("calibration.warmup", 10**12, "calibration.warmup: 1000000000000 would take"),
     "1e9 chains": ("calibration.chains", 10**9, "calibration.chains: 1000000000 would take 894 GiB of memory"),
     "campaign with NUL": ("experiments", {"campaign": "a\0b"}, "no such folder"),
     "campaign of 300 characters": ("experiments", {"campaign": "a" * 300}, "no such folder"),

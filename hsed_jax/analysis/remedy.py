@@ -199,7 +199,9 @@ def improve(
     plain = _best(problem, target, models.member(problem.law), [], problem.start)
     notes = []
     if target.misfit(0, before.train_prediction.predicted) - target.misfit(0, plain.predicted) > _APART:
-        again = calibrate_built(calibration.built, campaign, start=_parameters(problem, plain), watch=watch)
+        again = calibrate_built(
+            calibration.built, campaign, start=_parameters(problem, plain, calibration.built), watch=watch
+        )
         # The posterior weighs residuals with a memory in its own way: its best fit may be that which was there.
         of, stood = again.fit.posterior, calibration.fit.maximum.theta
         if (
@@ -219,7 +221,7 @@ def improve(
         fit = _best(problem, target, member, added[-1].columns, fit.x, start if whole else None)
         steps.append(_between(problem, fit, effects[:count]))
     built = Built(study, calibration.built.campaign)
-    better = calibrate_built(built, campaign, start=_parameters(problem, fit), watch=watch)
+    better = calibrate_built(built, campaign, start=_parameters(problem, fit, built), watch=watch)
     after = compare(better)
     steps[-1] = step_of(effects, after, better.map)
     return Improvement(study, calibration, better, before, after, Trail(steps, after.train.noise_floor, notes))
@@ -257,9 +259,10 @@ def _best(
     return min(models.fit(target, tasks), key=lambda f: f.cost)
 
 
-def _parameters(problem: Problem, fit: Descent) -> Array:
-    """θ of a fit, in the order of the study that has its effects."""
-    return jnp.asarray(problem.models.theta(fit.x, fit.member)[fit.free])
+def _parameters(problem: Problem, fit: Descent, built: Built) -> Array:
+    """θ of a fit, in the order of the study that has its effects: those of a structure are after them."""
+    theta = problem.models.theta(fit.x, fit.member)
+    return jnp.asarray([theta[problem.names.index(name)] for name in built.parameters[0]])
 
 
 def _between(problem: Problem, fit: Descent, effects: Sequence[str]) -> Step:

@@ -8,7 +8,7 @@ import panel as pn
 
 from hsed_jax.app.explore import Dial, Explorer, Loop
 from hsed_jax.app.fitting import Fitting
-from hsed_jax.app.pieces import Loops, attempt, html, note, widget
+from hsed_jax.app.pieces import NONE_YET, Loops, attempt, html, note, widget
 from hsed_jax.app.session import Session
 from hsed_jax.physics.outputs import own_name, owner_of
 from hsed_jax.reporting.style import readable, words
@@ -36,7 +36,7 @@ class Effects:
         self._is_busy = self._is_filling = False
         self._values: dict[str, float] = {}
         self._dials: tuple[str, ...] | None = None
-        self._messages, self._error, self._loops = html(), html(), Loops(has_model=True, height=430)
+        self._messages, self._error, self._loops = html(NONE_YET), html(), Loops(has_model=True, height=430)
         self._start = widget(pn.widgets.Select, name="start from", width=260)
         self._start.param.watch(self._started, "value")
         self._experiment = widget(pn.widgets.Select, name="experiment", width=260)
@@ -70,7 +70,7 @@ class Effects:
         self._opened = run
         self._whole.visible, self._explorer = False, None
         if not run:
-            self._messages.object = note("There is no run yet.")
+            self._messages.object = NONE_YET
             return
         self._messages.object = note("building the model …")
         explorer = await attempt(self._messages, lambda: Explorer(self._session.folder.inside(run)))

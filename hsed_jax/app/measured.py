@@ -98,8 +98,9 @@ class Measured:
     def _clear(self) -> None:
         self._where, self._landed, self._tables, self._campaign = None, None, {}, None
         self._fresh_dropper()
-        self._existing.options = ["", *self._session.folder.campaigns()]
-        self._existing.value = ""
+        there = self._session.folder.campaigns()
+        self._existing.options = {"(choose)": "", **{name: name for name in there}}
+        self._existing.value, self._existing.visible = "", bool(there)
         self._messages.object = ""
         if hasattr(self, "_below"):
             self._below.visible = False

@@ -6,7 +6,7 @@ from typing import Any
 from urllib.parse import quote
 
 from hsed_jax.app.folder import OFFERED
-from hsed_jax.app.pieces import html, note
+from hsed_jax.app.pieces import NONE_YET, html, note
 from hsed_jax.app.session import Session
 
 _WHAT = {
@@ -29,12 +29,12 @@ class _OfRun:
 
     def __init__(self, session: Session):
         self._session = session
-        self.view = html(note("There is no run yet."))
+        self.view = html(NONE_YET)
         session.param.watch(self._show, ["run", "ended"])
 
     def _show(self, *_: Any) -> None:
         run = self._session.run
-        self.view.object = self._shown(run) if run else note("There is no run yet.")
+        self.view.object = self._shown(run) if run else NONE_YET
 
     @abstractmethod
     def _shown(self, run: str) -> str:

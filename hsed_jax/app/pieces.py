@@ -51,6 +51,9 @@ def note(text: str) -> str:
     return f'<p class="note">{escape(text)}</p>'
 
 
+NONE_YET = note("There is no run yet: choose measurements in part 1 and fit a model to them in part 2.")
+
+
 def widget(kind: Callable[..., Any], **settings: Any) -> Any:
     """A widget in the style of the page."""
     return kind(stylesheets=[WIDGETS], **settings)

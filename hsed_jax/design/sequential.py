@@ -274,10 +274,15 @@ class SequentialDesign:
             )
         return closed if closed.any() else None
 
-    def _check_enough(self, state: DesignState) -> None:
-        usable, terms = int(state.is_measured.sum()), len(self.space.names)
+    @property
+    def least(self) -> int:
+        """How many measured experiments a step needs."""
+        terms = len(self.space.names)
         needed = {"constant": 1, "linear": 1 + terms, "quadratic": (terms + 1) * (terms + 2) // 2}
-        least = 1 + needed[self.kriging.get("trend", "constant")]
+        return 1 + needed[self.kriging.get("trend", "constant")]
+
+    def _check_enough(self, state: DesignState) -> None:
+        usable, least = int(state.is_measured.sum()), self.least
         if usable < least:
             is_out = (state.status == "pending").any()
             mend = "perform more initial experiments (design.initial) or choose inputs that can be tested"

@@ -198,7 +198,8 @@ class Fit(Tabular):
                     rows.append((f"{name} of {level} {member}", "", *numbers, "", ""))
         notes = [] if self.doubt is None else [self.doubt]
         heads = ("parameter", "MAP", "mean", "sd", "5 %", "95 %", "ESS", "R-hat")
-        return Table(f"calibrated on {int(self.data.count)} experiments; {state}", heads, rows, notes)
+        count = int(self.data.count)
+        return Table(f"calibrated on {count} experiment{'s' if count > 1 else ''}; {state}", heads, rows, notes)
 
 
 def fit(

@@ -237,7 +237,9 @@ class Campaign(Tabular):
             ]
             rows.append([e.id, *values, "" if e.record is None else f"{len(e.record)} samples", e.status, e.split])
         channels = ", ".join(f"{k} [{c.unit}]" for k, c in self.channels.items()) or "no records"
-        counts = f"{len(self)} experiments, {len(self.train)} train, {len(self.test)} test"
+        counts = (
+            f"{len(self)} experiment{'' if len(self) == 1 else 's'}, {len(self.train)} train, {len(self.test)} test"
+        )
         return Table(f"{self.name} ({self.protocol}): {counts}; {channels}", heads, rows)
 
 

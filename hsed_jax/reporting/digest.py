@@ -32,7 +32,8 @@ def verdict(run: FinishedRun) -> str:
             if "compare" in run.study["steps"]
             else " Whether the model is right was not asked (steps: compare, diagnose)."
         )
-        return f"Calibrated on {len(run.campaign.train)} experiments: {said} (SI).{only}"
+        count = len(run.campaign.train)
+        return f"Calibrated on {count} experiment{'s' if count > 1 else ''}: {said} (SI).{only}"
     return "There is nothing to judge yet."
 
 

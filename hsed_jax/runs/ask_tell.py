@@ -86,10 +86,15 @@ class AskTell(Tabular):
             All that are out; fewer than `count` where the design is complete.
 
         Raises:
-            UserError: the design cannot go on, see `Conduct.ask`.
+            UserError: so many cannot be out before something is told, or the design cannot go on, see `Conduct.ask`.
         """
         if count < 1:
             raise UserError(f"{count} experiments cannot be asked; ask at least 1")
+        if (most := self.conduct.most_out) is not None and count > most:
+            raise UserError(
+                f"{count} experiments cannot be out now: the first {most} are those of design.initial, and further ones are "
+                f"chosen by what these tell; ask at most {most}"
+            )
         while len(self.conduct.pending) < count:
             self.conduct.choose()
             if self.conduct.stop_reason is not None:

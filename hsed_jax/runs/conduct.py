@@ -79,6 +79,13 @@ class Conduct:
         return [e.id for e in self.campaign if e.status == "pending"]
 
     @property
+    def most_out(self) -> int | None:
+        """How many experiments can be out before something is told; None where the design can choose further ones."""
+        left = len(self._initial) - len(self.campaign)
+        can_choose = int(self.state.is_measured.sum()) >= self.design.least or not self.built.study.design.iterations
+        return None if left <= 0 or can_choose else len(self.pending) + left
+
+    @property
     def stop_reason(self) -> str | None:
         """Why no further experiment is to be asked: `iterations` or the name of a stop rule; None while one is."""
         if not self._asked_initial:

@@ -8,8 +8,9 @@ import numpy as np
 
 from hsed_jax.measurements import Campaign, Record
 
-# Frequencies at which the ground has less than this share of its largest power say nothing about the building.
-_LEAST_POWER = 0.01
+# Frequencies at which the ground has less than this share of its largest power say nothing about the building, nor do those of
+# which the record has fewer periods than this.
+_LEAST_POWER, _LEAST_PERIODS = 0.01, 4
 
 
 class Floors(NamedTuple):
@@ -34,8 +35,10 @@ def floor_count(campaign: Campaign) -> int:
 def floors_of(campaign: Campaign) -> Floors | None:
     """Frequency, stiffness and strength by the highest sensor, medians over the training experiments; None without one.
 
-    The first frequency is where that floor follows the ground most.  All floors move in the first mode of a shear building of
-    n equal storeys, $\\phi_i = \\sin\\frac{i\\pi}{2n+1}$, $\\omega_1 = 2\\sqrt{k/m}\\sin\\frac{\\pi}{4n+2}$.
+    The first frequency is where the velocity of that floor, relative to the ground, follows the ground most: in accelerations a
+    first mode that yields is lower than the second, in displacements a drift is higher than either.  All floors move in the
+    first mode of a shear building of n equal storeys, $\\phi_i = \\sin\\frac{i\\pi}{2n+1}$,
+    $\\omega_1 = 2\\sqrt{k/m}\\sin\\frac{\\pi}{4n+2}$.
     """
     names = [name for name in campaign.channels if _floor(name)[0]]
     if not names:
@@ -63,6 +66,10 @@ def _floor(name: str) -> tuple[int, int]:
 def _top(record: Record, name: str) -> tuple[float, float]:
     """First frequency [Hz] by one sensor of a record, and the largest absolute acceleration there [m/s²]."""
     motion, ground = record[name], record.channels.get("ground_acceleration")
+    kind, is_absolute = name.partition("_")[0], name.endswith("_absolute")
+    # From a motion to a velocity, in powers of the frequency.
+    order = {"acceleration": -1, "velocity": 0}.get(kind, 1)
+    is_relative_known = kind == "acceleration" and is_absolute and ground is not None
     time = np.linspace(record.time[0], record.time[-1], len(record))
     interval = float(np.ptp(time)) / (len(record) - 1)
     frequencies = np.fft.rfftfreq(len(record), interval)[1:]
@@ -75,13 +82,13 @@ def _top(record: Record, name: str) -> tuple[float, float]:
         found[0] /= 2  # the mean has no frequency of the other sign
         return np.convolve(found, np.ones(5) / 5, "same")[1:]
 
-    response = power(motion)
+    response = power(motion - ground if is_relative_known else motion) * frequencies ** (2 * order)
     if ground is not None:
         shaken = power(ground)
         response = np.where(shaken > _LEAST_POWER * shaken.max(), response / np.maximum(shaken, 1e-300), 0.0)
-    frequency = float(frequencies[np.argmax(response)])
-    if name.startswith("acceleration"):
-        total = motion if name.endswith("_absolute") or ground is None else motion + ground
+    counts = frequencies * np.ptp(time) >= _LEAST_PERIODS
+    frequency = float(frequencies[np.argmax(np.where(counts, response, 0.0))])
+    if kind == "acceleration":
+        total = motion if is_absolute or ground is None else motion + ground
         return frequency, float(np.abs(total).max())
-    order = 1 if name.startswith("velocity") else 2
-    return frequency, float(np.abs(motion - motion[0]).max()) * (2 * math.pi * frequency) ** order
+    return frequency, float(np.abs(motion - motion[0]).max()) * (2 * math.pi * frequency) ** (1 + order)

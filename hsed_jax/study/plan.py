@@ -4,7 +4,7 @@ import difflib
 from collections.abc import Sequence
 from itertools import pairwise
 
-from hsed_jax.config.schema import Study
+from hsed_jax.config.schema import CalibrationEntry, Study
 from hsed_jax.design.cost import Cost
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
@@ -62,7 +62,7 @@ def check_plan(study: Study, space: InputSpace) -> None:
 
 def _check_sizes(study: Study) -> None:
     """Refuse sizes that memory cannot hold, by the arrays and objects that each is certain to need."""
-    design, sizes = study.design, study.calibration
+    design, sizes, usual = study.design, study.calibration, CalibrationEntry()
     given = [entry for model in study.models.values() for entry in model.parameters.values()]
     free = [entry for entry in given if not isinstance(entry, float)]
     test = 0 if study.experiments.virtual is None else study.experiments.virtual.test
@@ -77,11 +77,14 @@ def _check_sizes(study: Study) -> None:
         ("design.candidates", design.candidates, 8 * related),
         ("design.kriging.starts", design.kriging.starts, 8 * related**2),
         ("calibration.starts", sizes.starts, 8 * experiments * (1 + len(free))),
-        ("calibration.chains", sizes.chains, 8 * max(sizes.draws, experiments) * (1 + len(free))),
-        ("calibration.draws", sizes.chains * sizes.draws, 8 * (1 + len(free))),
-        ("calibration.step_draws", sizes.chains * sizes.step_draws, 8 * (1 + len(free))),
+        # Chains of a usual length first: then it is the length of a chain that is too large.
+        ("calibration.chains", sizes.chains, 8 * max(min(sizes.draws, usual.draws), experiments) * (1 + len(free))),
+        ("calibration.draws", sizes.draws, 8 * sizes.chains * (1 + len(free))),
+        ("calibration.step_draws", sizes.step_draws, 8 * sizes.chains * (1 + len(free))),
+        ("calibration.warmup", sizes.warmup, 8 * sizes.chains * (1 + len(free))),
+        ("calibration.step_warmup", sizes.step_warmup, 8 * sizes.chains * (1 + len(free))),
     ):
-        check_memory(f"{key}: {count}", count * each)
+        check_memory(f"{key}: {count}", count * each, each)
 
 
 def check_added(study: Study, effects: Sequence[str], naming: Naming, where: str = "") -> None:

@@ -38,7 +38,7 @@ def forecast(built: "Built", campaign: Campaign) -> str:
     if "diagnose" in built.study.steps:
         memory += min(_SEARCH * count * columns, _BATCH)
     duration = f"{seconds / 60:.0f} minutes" if seconds > 90 else "a minute"
+    experiments = f"{count} experiments of {steps} steps each" if count > 1 else f"1 experiment of {steps} steps"
     return (
-        f"{count} experiments of {steps} steps each: expect about {duration} on {available} cores, to a factor of three, and "
-        f"{memory / 1e9:.1f} GB"
+        f"{experiments}: expect about {duration} on {available} cores, to a factor of three, and {memory / 1e9:.1f} GB"
     )

@@ -1,0 +1,18 @@
+"""The `hsed` command, also `python -m hsed_jax`: a Ctrl-C is answered from here on, before anything else is loaded."""
+
+import sys
+
+
+def main() -> int:
+    """Load the command line and carry out what it says."""
+    try:
+        from hsed_jax.run import main as command
+
+        return command()
+    except KeyboardInterrupt:
+        print("stopped before there was anything to keep", file=sys.stderr)
+        return 3
+
+
+if __name__ == "__main__":
+    sys.exit(main())
