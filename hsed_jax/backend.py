@@ -51,9 +51,16 @@ def prepare() -> None:
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
         # Everything is worth keeping: a study is many programs of half a second each.
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+@cache
+def limit_threads() -> None:
+    """One thread for BLAS: called where a model is about to compute, as what is limited takes long to load.
+
+    The matrices here are small; on a machine that does other work as well, threads that wait for one another made a Kriging of
+    43 points forty times slower.  A limit that stands in the environment is left as it is.
+    """
     if not {"OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"} & set(os.environ):
-        # The matrices here are small; on a machine that does other work as well, threads that wait for one another made a
-        # Kriging of 43 points forty times slower.
         import scipy.linalg  # noqa: F401  (its BLAS is what JAX uses; a limit is one of what is loaded)
         from threadpoolctl import threadpool_limits
 

@@ -13,7 +13,7 @@ import pytest
 import shape_checks
 
 import hsed_jax
-from hsed_jax.backend import prepare
+from hsed_jax.backend import limit_threads, prepare
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.excitations import NearFaultPulse
 from hsed_jax.physics.scales import Scales
@@ -22,6 +22,7 @@ from hsed_jax.physics.structures import ModalDamping, Spring, Structure
 
 # Many tests build no study.
 prepare()
+limit_threads()
 
 # A process may map 65 530 pieces of memory on Linux, a compiled program is several, and beyond that the compiler crashes.
 MOST_PIECES = 25_000

@@ -163,8 +163,8 @@ def test_the_checker_catches_private_jax():
             "from hsed_jax.run import main\nassert main(['check', 'configs/paper.yaml']) == 0",
             {
                 "pint",
-                "scipy.stats",
-                "scipy.interpolate",
+                "scipy",
+                "numpyro",
                 "diffrax",
                 "optimistix",
                 "tinygp",

@@ -25,7 +25,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from numpyro.distributions.transforms import AffineTransform, ComposeTransform, SoftplusTransform
 
 from hsed_jax.inference.likelihood import LOG_2PI
 from hsed_jax.inference.priors import Prior
@@ -43,11 +42,12 @@ def spread_support(prior: Prior) -> Any:
     """
     if prior.bounds != (0.0, None):
         return prior.to_support
+    from hsed_jax.inference.distributions import scaled, soft  # loads numpyro, which a check of a study has no use for
+
     with jax.ensure_compile_time_eval():
-        size = float(prior.quantile(0.5))
-        soft = ComposeTransform([SoftplusTransform(), AffineTransform(0.0, size)])
-        below, middle, above = (float(np.asarray(soft.inv(prior.quantile(share)))) for share in (0.16, 0.5, 0.84))
-    return ComposeTransform([AffineTransform(middle, 0.5 * (above - below)), soft])
+        to_spread = soft(float(prior.quantile(0.5)))
+        below, middle, above = (float(np.asarray(to_spread.inv(prior.quantile(share)))) for share in (0.16, 0.5, 0.84))
+    return scaled(to_spread, middle, 0.5 * (above - below))
 
 
 class Varying(NamedTuple):

@@ -1,33 +1,80 @@
-"""Priors: a numpyro distribution by name, and what calibration needs of it."""
+"""Priors: a distribution by name, and what calibration needs of it.
 
-import inspect
-import re
-import warnings
-from collections.abc import Mapping
+What a check of a study asks, bounds and single quantiles, has a closed form for the usual families; numpyro, which takes as long
+to load as all the rest of a check, is loaded when more is asked for, or to say what is wrong.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Any
+from statistics import NormalDist
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hsed_jax.errors import UserError
-from hsed_jax.plain import in_range, shown
+from hsed_jax.plain import in_range
 
-with warnings.catch_warnings():
-    # numpyro loads tqdm's bar for notebooks, which without widgets is one for text and warns of it.
-    warnings.filterwarnings("ignore", "IProgress not found")
-    import numpyro.distributions as dist
-    from numpyro.distributions.transforms import AffineTransform, ComposeTransform, biject_to
+Bounds = tuple[float | None, float | None]
+_STANDARD = NormalDist()
 
-_SPELLINGS = {
-    "lognormal": "LogNormal",
-    "loguniform": "LogUniform",
-    "halfnormal": "HalfNormal",
-    "truncated": "TruncatedNormal",
+
+class _Family(NamedTuple):
+    """A family whose bounds and quantiles are told from its arguments.
+
+    Attributes:
+        arguments: their names, in numpyro's order.
+        is_one: whether there is a member of these arguments.
+        bounds: limits of the support.
+        quantile: from the arguments and a share between 0 and 1.
+    """
+
+    arguments: tuple[str, ...]
+    is_one: Callable[..., bool]
+    bounds: Callable[..., Bounds]
+    quantile: Callable[..., float]
+
+
+def _exponential(value: float) -> float:
+    with np.errstate(over="ignore"):
+        return float(np.exp(value))
+
+
+_FAMILIES = {
+    "uniform": _Family(
+        ("low", "high"),
+        lambda low, high: low < high,
+        lambda low, high: (low, high),
+        lambda low, high, share: low + share * (high - low),
+    ),
+    "normal": _Family(
+        ("loc", "scale"),
+        lambda loc, scale: scale > 0,
+        lambda loc, scale: (None, None),
+        lambda loc, scale, share: loc + scale * _STANDARD.inv_cdf(share),
+    ),
+    "lognormal": _Family(
+        ("loc", "scale"),
+        lambda loc, scale: scale > 0,
+        lambda loc, scale: (0.0, None),
+        lambda loc, scale, share: _exponential(loc + scale * _STANDARD.inv_cdf(share)),
+    ),
+    "half_normal": _Family(
+        ("scale",),
+        lambda scale: scale > 0,
+        lambda scale: (0.0, None),
+        lambda scale, share: scale * _STANDARD.inv_cdf(0.5 + 0.5 * share),
+    ),
 }
+
+
+class _Member(NamedTuple):
+    """One of a family, by its arguments."""
+
+    family: _Family
+    arguments: tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -47,18 +94,29 @@ class Prior:
     arguments: Any
 
     @cached_property
-    def distribution(self) -> dist.Distribution:
+    def distribution(self) -> Any:
         """numpyro's."""
-        return _build(self.name, self.arguments)
+        from hsed_jax.inference.distributions import distribution_of  # loads numpyro
+
+        return distribution_of(self.name, self.arguments)
 
     @cached_property
-    def bounds(self) -> tuple[float | None, float | None]:
+    def bounds(self) -> Bounds:
         """Limits of the support; None where there is none."""
-        return _limits(self.distribution)
+        if (member := self._member) is not None:
+            return member.family.bounds(*member.arguments)
+        from hsed_jax.inference.distributions import limits
+
+        return limits(self.distribution)
+
+    @cached_property
+    def _member(self) -> _Member | None:
+        """What it is of the usual families; None of another one, and where its arguments are not plainly right."""
+        return _usual(self.name, self.arguments)
 
     def __post_init__(self):
         # What is wrong with it is said where it is made.
-        assert self.distribution is not None
+        assert self._member is not None or self.distribution is not None
 
     def log_density(self, value: Float[Array, "..."]) -> Any:
         """Log of the density at a value within the support."""
@@ -68,11 +126,15 @@ class Prior:
         """The value below which this share of the prior lies; from samples where the distribution has no closed form."""
         if not isinstance(probability, float):
             return self._quantile(probability)
+        if (member := self._member) is not None and 0 < probability < 1:
+            return member.family.quantile(*member.arguments, probability)
         return _one_quantile(self, probability, jnp.result_type(float))
 
     def _quantile(self, probability: Any) -> Any:
+        from hsed_jax.inference.distributions import inverted
+
         try:
-            return _inverted(self.distribution, probability)
+            return inverted(self.distribution, probability)
         except (NotImplementedError, ImportError):  # numpyro takes some quantiles from a package that may be absent
             draws = self.distribution.sample(jax.random.key(0), (4096,))
             return jnp.quantile(draws, jnp.asarray(probability))
@@ -80,12 +142,14 @@ class Prior:
     @cached_property
     def to_support(self) -> Any:
         """The map from u to the support, with u of order one: an unbounded SI number may be 1e6, and so may its spread."""
-        to_support = biject_to(self.distribution.support)
+        from hsed_jax.inference.distributions import map_to, scaled
+
+        to_support = map_to(self.distribution)
         if None not in self.bounds:
             return to_support
         with jax.ensure_compile_time_eval():
             below, middle, above = (float(to_support.inv(self.quantile(share))) for share in (0.16, 0.5, 0.84))
-        return ComposeTransform([AffineTransform(middle, 0.5 * (above - below)), to_support])
+        return scaled(to_support, middle, 0.5 * (above - below))
 
     @cached_property
     def mode(self) -> tuple[float, float]:
@@ -106,85 +170,27 @@ class Prior:
         return hash(repr(self))
 
 
+def _usual(name: str, arguments: Any) -> _Member | None:
+    family = _FAMILIES.get(name)
+    if family is None:
+        return None
+    if isinstance(arguments, Mapping):
+        if set(arguments) != set(family.arguments):
+            return None
+        arguments = [arguments[key] for key in family.arguments]
+    given: list[Any] = (
+        list(arguments) if isinstance(arguments, Sequence) and not isinstance(arguments, str) else [arguments]
+    )
+    if len(given) != len(family.arguments) or any(type(number) not in (int, float) for number in given):
+        return None
+    if not all(in_range(number) for number in given) or not family.is_one(*given):
+        return None
+    return _Member(family, tuple(map(float, given)))
+
+
 @cache
 def _one_quantile(prior: Prior, probability: float, precision: Any) -> Any:
     """A number of a prior, which is asked for again and again: hundreds of operations, each by itself."""
     del precision  # another one is another number
     with jax.ensure_compile_time_eval():
         return prior._quantile(probability)
-
-
-def _inverted(distribution: dist.Distribution, probability: Any) -> Any:
-    """Inverse distribution function: hundreds of operations, compiled (for one size) where more than one number is asked for."""
-    asked = jnp.asarray(probability)
-    if not asked.ndim:
-        return distribution.icdf(asked)
-    padded = jnp.pad(asked.ravel(), (0, -asked.size % 512), constant_values=0.5)
-    return _inverse(distribution, padded)[: asked.size].reshape(asked.shape)
-
-
-@jax.jit
-def _inverse(distribution: dist.Distribution, probability: Any) -> Any:
-    return distribution.icdf(probability)
-
-
-def _build(name: str, arguments: Any) -> dist.Distribution:
-    camel = _SPELLINGS.get(
-        name.lower().replace("_", ""), "".join(part[:1].upper() + part[1:] for part in name.split("_"))
-    )
-    kind: Any = getattr(dist, camel, None)
-    if not (isinstance(kind, type) and issubclass(kind, dist.Distribution)) and not callable(kind):
-        raise UserError(
-            f"there is no distribution {name!r}; allowed are uniform, normal, lognormal, half_normal, truncated_normal "
-            "or any scalar continuous distribution of numpyro by its name"
-        )
-    made: Any
-    by_name = isinstance(arguments, Mapping)
-    given = list(arguments.values() if by_name else arguments if isinstance(arguments, list | tuple) else [arguments])
-    expected, required = _signature(kind)
-    allowed = f"its arguments are {', '.join(expected)}, as numbers" if expected else "it takes numbers"
-    wrong = UserError(f"{name}: {shown(arguments)} does not fit this distribution; {allowed}")
-    if any(isinstance(number, bool) for number in given) or not required <= len(given):
-        raise wrong
-    try:
-        numbers = [float(number) for number in given]
-    except (TypeError, ValueError, OverflowError):
-        raise wrong from None
-    if not all(in_range(number) for number in numbers):
-        raise UserError(f"{name}: {shown(arguments)} must be finite numbers of sensible size")
-    try:
-        if by_name:
-            made = kind(**dict(zip(map(str, arguments), numbers, strict=True)), validate_args=True)
-        else:
-            made = kind(*numbers, validate_args=True)
-    except TypeError:
-        raise wrong from None
-    except ValueError as error:
-        reason = re.sub(r"\s+", " ", str(error))
-        raise UserError(f"{name}: {shown(arguments)} does not fit this distribution ({reason})") from None
-    scalar = isinstance(made, dist.Distribution) and not made.batch_shape and not made.event_shape
-    if not scalar or made.support is None or made.support.is_discrete:
-        raise UserError(f"{name} is not a scalar continuous distribution")
-    if isinstance(made, dist.Delta):
-        raise UserError(f"{name}: a value that is known is written as a plain number")
-    low, high = _limits(made)
-    if low is not None and high is not None and not low < high:
-        raise UserError(f"{name}: the lower bound {low:g} must lie below the upper bound {high:g}")
-    return made
-
-
-def _signature(kind: Any) -> tuple[list[str], int]:
-    """Names of a distribution's arguments, and how many of them a location-scale or bounded family must be told."""
-    try:
-        parameters = inspect.signature(kind).parameters.values()
-    except (TypeError, ValueError):
-        return [], 1
-    names = [p.name for p in parameters if p.name != "validate_args"]
-    # numpyro has a default for nearly everything; a prior whose bounds or spread were forgotten is a mistake, though.
-    pairs = ({"low", "high"}, {"loc", "scale"})
-    return names, 2 if any(pair <= set(names) for pair in pairs) else 1
-
-
-def _limits(made: dist.Distribution) -> tuple[float | None, float | None]:
-    low, high = (getattr(made.support, side, None) for side in ("lower_bound", "upper_bound"))
-    return (None if low is None else float(low)), (None if high is None else float(high))

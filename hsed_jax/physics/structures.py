@@ -7,10 +7,11 @@ with b = +1 at a specimen's second end and −1 at its first (0 for the ground).
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import final
+from typing import Any, final
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
@@ -55,7 +56,9 @@ class ModalDamping(eqx.Module):
         """C [N·s/m] from the masses [kg] and the stiffness matrix with the specimen [N/m]."""
         root = jnp.sqrt(masses)
         eigenvalues, modes = jnp.linalg.eigh(stiffness / jnp.outer(root, root))
-        modal = 2 * jnp.asarray(self.ratios) * _circular(eigenvalues)
+        is_rigid = _is_rigid(eigenvalues)
+        circular = jnp.where(is_rigid, 0.0, jnp.sqrt(jnp.where(is_rigid, 1.0, eigenvalues)))
+        modal = 2 * jnp.asarray(self.ratios) * circular
         return jnp.outer(root, root) * ((modes * modal) @ modes.T)
 
     def told(self, values: Mapping[str, Scalar]) -> "ModalDamping":
@@ -129,24 +132,33 @@ class Structure(eqx.Module):
                 if end is not None and not 0 <= end < len(self.masses):
                     raise ValueError(f"An end of {what} is {_label(end)}, but there are {len(self.masses)} masses.")
 
-    def stiffness_matrix(self, specimen_stiffness: Scalar | Sequence[Scalar] = 0.0) -> Float[Array, "m m"]:
+    def stiffness_matrix(
+        self, specimen_stiffness: Scalar | Sequence[Scalar] = 0.0
+    ) -> Float[Array, "m m"] | Float[np.ndarray, "m m"]:
         """K [N/m], the specimens counted with the given stiffness [N/m], one for all or one for each."""
-        matrix = jnp.zeros((len(self.masses),) * 2)
-        of_specimens = jnp.broadcast_to(jnp.asarray(specimen_stiffness), len(self.specimens))
+        # Where a spring is is known: only what is traced becomes an operation of the program.
+        one = specimen_stiffness
+        of_specimens = one if isinstance(one, Sequence) else [one] * len(self.specimens)
+        matrix: Any = np.zeros((len(self.masses),) * 2)
         for spring in (*self.springs, *map(Spring, self.specimens, of_specimens)):
             b = self._incidence(spring.ends)
-            matrix = matrix + spring.stiffness * jnp.outer(b, b)
+            matrix = matrix + spring.stiffness * np.outer(b, b)
         return matrix
 
     def damping_matrix(self) -> Float[Array, "m m"]:
         """C [N·s/m]."""
-        return self.damping.matrix(jnp.asarray(self.masses), self.stiffness_matrix(self.damping.specimen_stiffness))
+        stiffness = self.stiffness_matrix(self.damping.specimen_stiffness)
+        return self.damping.matrix(jnp.asarray(self.masses), jnp.asarray(stiffness))
 
-    def frequencies(self, specimen_stiffness: Scalar | Sequence[Scalar]) -> Float[Array, " m"]:
-        """Undamped natural frequencies [Hz], lowest first, the specimens at the given stiffness [N/m], one or one for each."""
-        root = jnp.sqrt(jnp.asarray(self.masses))
-        eigenvalues = jnp.linalg.eigvalsh(self.stiffness_matrix(specimen_stiffness) / jnp.outer(root, root))
-        return _circular(eigenvalues) / (2 * jnp.pi)
+    def frequencies(self, specimen_stiffness: Scalar | Sequence[Scalar]) -> Float[np.ndarray, " m"]:
+        """Undamped natural frequencies [Hz], lowest first, the specimens at the given stiffness [N/m], one or one for each.
+
+        Of known numbers only, so that a study is checked without compiling anything.
+        """
+        root = np.sqrt(np.asarray(self.masses, dtype=float))
+        matrix = np.asarray(self.stiffness_matrix(specimen_stiffness), dtype=float)
+        eigenvalues = np.linalg.eigvalsh(matrix / np.outer(root, root))
+        return np.sqrt(np.where(_is_rigid(eigenvalues), 0.0, eigenvalues)) / (2 * np.pi)
 
     def told(self, values: Mapping[str, Scalar]) -> "Structure":
         """The structure with some of its numbers replaced.
@@ -178,20 +190,19 @@ class Structure(eqx.Module):
         changed = [mass * factor for mass, factor in zip(self.masses, of_mass, strict=True)]
         return Structure(changed, springs, self.specimens, self.damping)
 
-    def _incidence(self, ends: tuple[End, End]) -> Float[Array, " m"]:
-        b = jnp.zeros(len(self.masses))
+    def _incidence(self, ends: tuple[End, End]) -> Float[np.ndarray, " m"]:
+        b = np.zeros(len(self.masses))
         first, second = ends
         if first is not None:
-            b = b.at[first].add(-1.0)
+            b[first] -= 1.0
         if second is not None:
-            b = b.at[second].add(1.0)
+            b[second] += 1.0
         return b
 
 
-def _circular(eigenvalues: Float[Array, " m"]) -> Float[Array, " m"]:
-    """√λ [rad/s]; the eigenvalue of a rigid-body mode, zero but for rounding of either sign, gives zero."""
-    is_rigid = eigenvalues <= 1e-12 * eigenvalues[-1]
-    return jnp.where(is_rigid, 0.0, jnp.sqrt(jnp.where(is_rigid, 1.0, eigenvalues)))
+def _is_rigid(eigenvalues: Any) -> Any:
+    """Which are those of rigid-body modes, zero but for rounding of either sign."""
+    return eigenvalues <= 1e-12 * eigenvalues[-1]
 
 
 def difference(values: Sequence[Scalar], ends: tuple[End, End]) -> Scalar:

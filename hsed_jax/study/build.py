@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import jax.numpy as jnp
 import numpy as np
 
-from hsed_jax.backend import prepare
+from hsed_jax.backend import limit_threads, prepare
 from hsed_jax.config.functions import FunctionEntry
 from hsed_jax.config.mechanics import ModelEntry
 from hsed_jax.config.schema import Study
@@ -385,6 +385,7 @@ class Built:
     def _simulator(
         self, elements: tuple[Element, ...], effects: tuple[str, ...], constants: tuple[tuple[str, float], ...]
     ) -> Simulator:
+        limit_threads()
         follows = self.study.structure is not None and self.study.structure.damping.specimen_stiffness == "model"
         present = self.catalogue.only(effects)
         return Simulator(

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hsed_jax.backend import cores
+from hsed_jax.backend import cores, limit_threads
 from hsed_jax.config.functions import FunctionEntry
 from hsed_jax.config.sections import InputEntry
 from hsed_jax.errors import UserError
@@ -186,6 +186,7 @@ class BuiltOfFunction(Built):
         Raises:
             UserError: the file or function is missing, or what it returned cannot be used.
         """
+        limit_threads()
         self._check_names()
         function, name = self._program if self._entry.command is not None else self._function
         where = f"{self._where}: {name}"

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-import jax.numpy as jnp
+import numpy as np
 
 from hsed_jax.config.mechanics import StructureEntry
 from hsed_jax.errors import UserError
@@ -40,9 +40,9 @@ def structure(entry: StructureEntry) -> Structure:
             raise UserError(
                 f"structure.damping.modal: {len(ratios)} ratios for {len(entry.masses)} modes; give one, or one per mode"
             )
-        damping = ModalDamping(jnp.asarray([numbers[f"ratio_{i + 1}"] for i in range(len(ratios))]), reference)
+        damping = ModalDamping(np.asarray([numbers[f"ratio_{i + 1}"] for i in range(len(ratios))]), reference)
     else:
-        damping = ModalDamping(jnp.asarray(numbers["ratio"]), reference)
+        damping = ModalDamping(np.asarray(numbers["ratio"]), reference)
     masses = [numbers[f"mass_{i + 1}"] for i in range(len(entry.masses))]
     springs = [Spring(ends(s.between), numbers[f"stiffness_{i + 1}"]) for i, s in enumerate(entry.springs)]
     try:

@@ -4,9 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import jax
 import numpy as np
-from jaxtyping import Array, Float
 
 from hsed_jax.config.excitation_entry import ExcitationEntry
 from hsed_jax.design.space import InputSpace
@@ -16,7 +14,6 @@ from hsed_jax.measurements import Characteristics, Record
 from hsed_jax.physics.excitations.base import AbstractImposedElongation
 from hsed_jax.physics.laws import AbstractSpringLaw
 from hsed_jax.physics.outputs import driven_mass
-from hsed_jax.physics.scales import Scalar
 from hsed_jax.physics.simulator import Parametrised
 from hsed_jax.physics.structures import Structure
 from hsed_jax.physics.systems import RESOLVED
@@ -47,16 +44,10 @@ def longest_step(
 ) -> float:
     """The step that resolves the structure, its specimens at the upper ends of their stiffness, and the excitation [s]."""
     stiffest = [float(law.stiffness) for law in steepest]
-    periods = [1 / float(_frequencies(structure, stiffest)[-1])]
+    periods = [1 / float(structure.frequencies(stiffest)[-1])]
     if excitation is not None:
         periods.append(float(excitation(_end(space, LOWEST)).shortest_period))
     return min(periods) / _STEPS_PER_PERIOD
-
-
-@jax.jit
-def _frequencies(structure: Structure, stiffest: list[Scalar]) -> Float[Array, " m"]:
-    # Compiled once for all structures of this shape: sooner than each of its operations.
-    return structure.frequencies(stiffest)
 
 
 def planned_timeline(built: "Built") -> Timeline:

@@ -1,0 +1,123 @@
+"""numpyro's distributions by name, their inverse distribution functions, and maps to their supports."""
+
+import inspect
+import re
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from hsed_jax.errors import UserError
+from hsed_jax.plain import in_range, shown
+
+with warnings.catch_warnings():
+    # numpyro loads tqdm's bar for notebooks, which without widgets is one for text and warns of it.
+    warnings.filterwarnings("ignore", "IProgress not found")
+    import numpyro.distributions as dist
+    from numpyro.distributions.transforms import AffineTransform, ComposeTransform, SoftplusTransform, biject_to
+
+_SPELLINGS = {
+    "lognormal": "LogNormal",
+    "loguniform": "LogUniform",
+    "halfnormal": "HalfNormal",
+    "truncated": "TruncatedNormal",
+}
+
+
+def inverted(distribution: dist.Distribution, probability: Any) -> Any:
+    """Inverse distribution function: hundreds of operations, compiled (for one size) where more than one number is asked for."""
+    asked = jnp.asarray(probability)
+    if not asked.ndim:
+        return distribution.icdf(asked)
+    padded = jnp.pad(asked.ravel(), (0, -asked.size % 512), constant_values=0.5)
+    return _inverse(distribution, padded)[: asked.size].reshape(asked.shape)
+
+
+@jax.jit
+def _inverse(distribution: dist.Distribution, probability: Any) -> Any:
+    return distribution.icdf(probability)
+
+
+def distribution_of(name: str, arguments: Any) -> dist.Distribution:
+    """The distribution of a name and arguments as a study gives them.
+
+    Raises:
+        UserError: no such distribution, wrong arguments, or not scalar and continuous.
+    """
+    camel = _SPELLINGS.get(
+        name.lower().replace("_", ""), "".join(part[:1].upper() + part[1:] for part in name.split("_"))
+    )
+    kind: Any = getattr(dist, camel, None)
+    if not (isinstance(kind, type) and issubclass(kind, dist.Distribution)) and not callable(kind):
+        raise UserError(
+            f"there is no distribution {name!r}; allowed are uniform, normal, lognormal, half_normal, truncated_normal "
+            "or any scalar continuous distribution of numpyro by its name"
+        )
+    made: Any
+    by_name = isinstance(arguments, Mapping)
+    given = list(arguments.values() if by_name else arguments if isinstance(arguments, list | tuple) else [arguments])
+    expected, required = _signature(kind)
+    allowed = f"its arguments are {', '.join(expected)}, as numbers" if expected else "it takes numbers"
+    wrong = UserError(f"{name}: {shown(arguments)} does not fit this distribution; {allowed}")
+    if any(isinstance(number, bool) for number in given) or not required <= len(given):
+        raise wrong
+    try:
+        numbers = [float(number) for number in given]
+    except (TypeError, ValueError, OverflowError):
+        raise wrong from None
+    if not all(in_range(number) for number in numbers):
+        raise UserError(f"{name}: {shown(arguments)} must be finite numbers of sensible size")
+    try:
+        if by_name:
+            made = kind(**dict(zip(map(str, arguments), numbers, strict=True)), validate_args=True)
+        else:
+            made = kind(*numbers, validate_args=True)
+    except TypeError:
+        raise wrong from None
+    except ValueError as error:
+        reason = re.sub(r"\s+", " ", str(error))
+        raise UserError(f"{name}: {shown(arguments)} does not fit this distribution ({reason})") from None
+    scalar = isinstance(made, dist.Distribution) and not made.batch_shape and not made.event_shape
+    if not scalar or made.support is None or made.support.is_discrete:
+        raise UserError(f"{name} is not a scalar continuous distribution")
+    if isinstance(made, dist.Delta):
+        raise UserError(f"{name}: a value that is known is written as a plain number")
+    low, high = limits(made)
+    if low is not None and high is not None and not low < high:
+        raise UserError(f"{name}: the lower bound {low:g} must lie below the upper bound {high:g}")
+    return made
+
+
+def _signature(kind: Any) -> tuple[list[str], int]:
+    """Names of a distribution's arguments, and how many of them a location-scale or bounded family must be told."""
+    try:
+        parameters = inspect.signature(kind).parameters.values()
+    except (TypeError, ValueError):
+        return [], 1
+    names = [p.name for p in parameters if p.name != "validate_args"]
+    # numpyro has a default for nearly everything; a prior whose bounds or spread were forgotten is a mistake, though.
+    pairs = ({"low", "high"}, {"loc", "scale"})
+    return names, 2 if any(pair <= set(names) for pair in pairs) else 1
+
+
+def limits(made: dist.Distribution) -> tuple[float | None, float | None]:
+    """Limits of the support; None where there is none."""
+    low, high = (getattr(made.support, side, None) for side in ("lower_bound", "upper_bound"))
+    return (None if low is None else float(low)), (None if high is None else float(high))
+
+
+def map_to(distribution: dist.Distribution) -> Any:
+    """The map from a number to the support of a distribution."""
+    return biject_to(distribution.support)
+
+
+def scaled(to_support: Any, middle: float, spread: float) -> Any:
+    """A map to a support from numbers of order one."""
+    return ComposeTransform([AffineTransform(middle, spread), to_support])
+
+
+def soft(size: float) -> Any:
+    """The map to the positive numbers that is a logarithm's inverse far below a size, and straight far above."""
+    return ComposeTransform([SoftplusTransform(), AffineTransform(0.0, size)])
