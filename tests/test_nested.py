@@ -209,7 +209,8 @@ def test_a_fit_ends_where_scipys_does(decays):
         constant = 2 * stats.norm.logpdf(0) + 2 * np.log(0.99446)
         assert fit.cost + constant == pytest.approx(cost, abs=0.03)
         np.testing.assert_allclose(fit.predicted, [decay(theta, e) for e in range(3)], rtol=1e-12)
-        np.testing.assert_allclose(target.standardised(0, np.arange(len(decays)), fit.predicted - decays), (fit.predicted - decays) / SIGMA, rtol=1e-12)
+        residual = fit.predicted - decays
+        np.testing.assert_allclose(target.standardised(0, np.arange(3), residual), residual / SIGMA, rtol=1e-12)
 
 
 def test_gradient_and_hessian_are_those_of_the_cost(decays):
