@@ -38,7 +38,7 @@ class Gain(NamedTuple):
 
     @property
     def standard_error(self) -> float:
-        """Of the mean."""
+        """Of the mean; infinite where that is."""
         return _standard_error(self.parts)
 
     def is_as_good_as(self, lead: "Gain") -> bool:
@@ -47,6 +47,8 @@ class Gain(NamedTuple):
 
 
 def _standard_error(parts: np.ndarray) -> float:
+    if not np.isfinite(parts).all():
+        return math.inf
     return float(np.std(parts, ddof=1) / math.sqrt(len(parts))) if len(parts) > 1 else 0.0
 
 
