@@ -342,5 +342,6 @@ def test_a_design_with_too_little_to_go_on_says_what_to_do_about_it(status, advi
     point = Point(np.zeros(1), {"x": 0.0}, {"x": 0.0})
     trials = (Trial(point, np.ones(1), "completed"), Trial(point, np.full(1, np.nan), status))
     design = SimpleNamespace(space=SimpleNamespace(names=("x",)), kriging={})
+    design.least = SequentialDesign.least.fget(design)
     with pytest.raises(UserError, match=f"only 1 of 2 experiments gave something to use.*{advice}"):
         SequentialDesign._check_enough(design, DesignState(trials))

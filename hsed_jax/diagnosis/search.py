@@ -379,14 +379,13 @@ class Search:
         return [best, *fewer, *exchanged, *more]
 
     def is_open(self) -> bool:
-        """Whether there is anything left for a further effect to explain, by size or by a score test."""
+        """Whether anything is left for a further effect to explain, by size or by a score test."""
         return not self._is_explained(self._fits.best(self.best)) or bool(self.pointed_at(self.best))
 
     def _around(self) -> list[Set]:
         """The fitted sets around the best; of a candidate that none of them has, the set of it alone."""
-        sets = [
-            s for s in dict.fromkeys([frozenset(), *self.path, *self._neighbours(), *self._pairs]) if s in self._fits
-        ]
+        near = dict.fromkeys([frozenset(), *self.path, *self._neighbours(), *self._pairs])
+        sets = [s for s in near if s in self._fits]
         alone = [frozenset({e}) for e in self.effects if not any(e in s for s in sets)]
         return [*sets, *(s for s in alone if s in self._fits)]
 
