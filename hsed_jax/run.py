@@ -138,7 +138,8 @@ def _add_ask_and_tell(commands: Any) -> None:
     _add_design(ask)
     ask.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="override a key by its dotted path")
     which = ask.add_mutually_exclusive_group()
-    which.add_argument("--count", type=int, default=1, metavar="N", help="have N experiments out at once (default: 1)")
+    out = "have N experiments out at once, chosen for what they tell together (default: 1)"
+    which.add_argument("--count", "--batch", type=int, default=1, metavar="N", help=out)
     which.add_argument("--again", metavar="ID", help="ask an experiment that failed once more")
     ask.set_defaults(command=_ask)
     text = "tell what was measured, or that an experiment failed"

@@ -273,6 +273,7 @@ def test_a_second_process_is_refused(tmp_path):
         (["ask", "RUN", "--again", "E01"], "only one that failed"),
         (["ask", "RUN", "--again", "E07"], "there is no experiment 'E07'"),
         (["ask", "RUN", "--count", "0"], "at least 1"),
+        (["ask", "RUN", "--batch", "0"], "at least 1"),
         (["ask", "RUN", "--count", "1000000000"], "ask at most 3"),
         (["ask", "RUN", "seed=3"], "its study is fixed"),
         (["ask", "nowhere.yaml"], "nowhere.yaml"),
