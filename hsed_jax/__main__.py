@@ -10,6 +10,7 @@ def main() -> int:
 
         return command()
     except KeyboardInterrupt:
+        # The words and the status of `exit_status`, which may not be loaded yet.
         print("stopped before there was anything to keep", file=sys.stderr)
         return 3
 

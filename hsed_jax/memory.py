@@ -1,7 +1,5 @@
-"""Memory: what would not fit into this machine is refused before anything is allocated, and garbage is looked for seldom."""
+"""What would not fit into the memory of this machine is refused before anything is allocated."""
 
-import atexit
-import gc
 import math
 
 from hsed_jax.errors import UserError
@@ -26,15 +24,6 @@ def check_memory(what: str, needed: int, each: int = 0) -> None:
     if needed > there:
         most = f", enough for {there // each}" if each else ""
         raise UserError(f"{what} would take {_size(needed)} of memory; this machine has {_size(there)}{most}")
-
-
-def look_for_garbage_seldom() -> None:
-    """For the process of a command: nearly all that it loads and traces lives as long as it does.
-
-    To look through all of that again and again, and once more at the end, takes a third of the time of a short command.
-    """
-    gc.set_threshold(100_000, 20, 100)
-    atexit.register(gc.freeze)
 
 
 def _size(count: int) -> str:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from hsed_jax.errors import UserError
 from hsed_jax.exit_status import ended
 from hsed_jax.interruptions import Interrupted, ended_in_time
-from hsed_jax.memory import look_for_garbage_seldom
 
 if TYPE_CHECKING:
     from hsed_jax.config.schema import Study
@@ -50,8 +49,6 @@ _PARTS = (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The `hsed` command."""
-    if arguments is None:  # the process is ours
-        look_for_garbage_seldom()
     return ended(command_line, arguments)
 
 
@@ -63,8 +60,6 @@ def run_main(arguments: Sequence[str] | None = None) -> int:
         _add_run(made)
         return made
 
-    if arguments is None:
-        look_for_garbage_seldom()
     return ended(parser, arguments)
 
 

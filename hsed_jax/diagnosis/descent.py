@@ -91,7 +91,7 @@ class Descent:
         gradient, hessian: of φ in the free coordinates (Gauss–Newton), (p,) and (p, p).
         slopes: derivatives of what is predicted, in the same coordinates, (p, n, J); nothing where they are too many to be kept.
         mended: so many steps were made since derivatives were differences, each of which mended them; −1: they are of no use.
-        races: it is one of several starts, and given up where it cannot catch up with other fits.
+        races: it is given up where it cannot catch up with other fits.
     """
 
     member: Member

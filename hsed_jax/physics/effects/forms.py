@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
-from jax.scipy.special import gammaln
 
 from hsed_jax.physics.parameters import Parameter, parameters_of, shape_parameter, share_parameter
 from hsed_jax.physics.scales import Scalar, is_number, is_zero
@@ -156,7 +156,7 @@ def near_no_force(force: Scalar, width: Scalar, abruptness: Scalar = 2.0) -> Sca
     if is_number(abruptness, 2):
         return jnp.sqrt(2 / jnp.pi) * jnp.exp(-0.5 * (force / width) ** 2) / width
     m = jnp.asarray(abruptness, dtype=float)
-    area = jnp.exp(jnp.log(m) / m + gammaln(1 + 1 / m))
+    area = jnp.exp(jnp.log(m) / m + jax.lax.lgamma(1 + 1 / m))
     return jnp.exp(-raised(jnp.abs(force / width), abruptness) / m) / (width * area)
 
 
