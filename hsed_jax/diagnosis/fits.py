@@ -23,8 +23,8 @@ from hsed_jax.diagnosis.problem import FormColumns, Forms
 _CAUGHT = 0.1
 # An amplitude this close to its neutral value, in coordinates of order one, is none.
 _ABSENT = 1e-3
-# Forms no more nats below the best one of their set than this are about as probable.
-_ALIKE = 4.0
+# Another shape may make good what a form lacks of the best one of its set: so much of what that gains over an effect less.
+_SHAPE = 0.5
 # Forms this many nats below the best one of their set are given up.
 _HOPELESS = 8.0
 
@@ -87,10 +87,17 @@ class Fits:
         return max(self.of(effects), key=self._worth)
 
     def leading(self, effects: Set, most: int) -> list[Choice]:
-        """The most probable forms of a set that was fitted, at most so many, as far as they are about as probable."""
+        """The most probable forms of a set that was fitted, one of each driver and at most so many, as far as another shape may
+        make them the best."""
         worths = {choice: self._worth(choice) for choice in self.of(effects)}
-        ranked = sorted(worths, key=lambda choice: -worths[choice])[:most]
-        return [choice for choice in ranked if worths[choice] >= worths[ranked[0]] - _ALIKE]
+        ranked = sorted(worths, key=lambda choice: -worths[choice])
+        of_drivers: dict[Choice, Choice] = {}
+        for choice in ranked:
+            of_drivers.setdefault(self._drivers(choice), choice)
+        fewer = [effects - {e} for e in effects if effects - {e} in self]
+        below = max((self._worth(self.top(less)) for less in fewer), default=-math.inf)
+        least = worths[ranked[0]] - _SHAPE * (worths[ranked[0]] - below)
+        return [choice for choice in list(of_drivers.values())[:most] if worths[choice] >= least]
 
     def best(self, effects: Set) -> Descent:
         """The fit of the most probable forms of a set."""
@@ -145,6 +152,9 @@ class Fits:
         held = {column: value for form in forms for column, value in form.held.items()}
         return self.models.member(np.concatenate([self.law, *(form.columns for form in forms)]).astype(int), held)
 
+    def _drivers(self, choice: Choice) -> Choice:
+        return frozenset((pair[0], self._form(pair).form.driver) for pair in choice)
+
     def _form(self, pair: tuple[str, str]) -> FormColumns:
         effect, label = pair
         return self.effects[effect][label]
@@ -190,7 +200,7 @@ class Fits:
         several values."""
         same = [c for c in self.of(names_of(choice)) if len(c - choice) == 1]
         if same:
-            near = min(same, key=lambda c: self._known[c].cost)
+            near = min(same, key=lambda c: (self._drivers(c) != self._drivers(choice), self._known[c].cost))
             x = self._known[near].x
             (changed,) = choice - near
             (instead,) = near - choice

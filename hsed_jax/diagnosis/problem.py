@@ -40,8 +40,9 @@ def amplitude_of(forms: Forms) -> tuple[int, Mapping[int, float]]:
 
 
 def of_other_drivers(forms: Forms, label: str) -> list[str]:
-    """The forms of the same shape, with whatever driver."""
-    return [other for other, form in forms.items() if form.form.name == forms[label].form.name]
+    """The forms with whatever driver: of the same shape, and of the simplest one, whose fit misses no driver for its shape."""
+    simplest = min(forms.values(), key=lambda form: len(form.columns)).form.name
+    return [other for other, form in forms.items() if form.form.name in (forms[label].form.name, simplest)]
 
 
 def of_other_shapes(forms: Forms, label: str) -> list[str]:

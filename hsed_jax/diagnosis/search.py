@@ -55,8 +55,8 @@ _OTHERS, _BESIDE = 4, 2
 # All forms are fitted of so many sets (of twice as many of one effect), if they are no more nats below the most probable one
 # than this, or gain half as much as it.
 _DEEP, _NEAR = 4, 10.0
-# With so many drivers the shapes of a form are fitted, where these are about as probable.
-_DRIVERS = 3
+# With so many drivers the shapes of a form are fitted, where these may be the most probable.
+_DRIVERS = 7
 
 
 class Search:

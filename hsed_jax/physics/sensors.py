@@ -1,6 +1,7 @@
 r"""What the test rig makes of a response: gains, zero shifts and delays of the measured force and elongation.
 
-$$F_{meas}(t) = g_F\,r(t-\tau_F) + F_0 + \dot F_0\max(t - t_0, 0),\qquad \Delta u_{meas}(t) = g_u\,\Delta u(t-\tau_u)$$
+$$F_{meas}(t) = g_F\,r(t-\tau_F) + F_0 + F_1 e^{-\lambda t} + \dot F_0\max(t - t_0, 0),\qquad
+  \Delta u_{meas}(t) = g_u\,\Delta u(t-\tau_u)$$
 
 In a component test the imposed elongation is the measured one: what is known is $\Delta u_{meas}$, and the specimen feels
 $\Delta u_{meas}(t-\tau_F+\tau_u)/g_u$, on the clock of the force.  Gains act on the quantities as well; shifts of time and of
@@ -61,7 +62,8 @@ def measured(
         if own != "force":
             return values
         drifting = jnp.maximum(time - slots("drift_onset", owner), 0.0)
-        return values + slots("force_offset", owner) + slots("force_drift", owner) * drifting
+        settling = slots("settling_offset", owner) * jnp.exp(-slots("settling_rate", owner) * time)
+        return values + slots("force_offset", owner) + settling + slots("force_drift", owner) * drifting
 
     quantities = {name: value * gain(name) for name, value in response.quantities.items()}
     channels = {name: sensed(name, values) for name, values in response.channels.items()}

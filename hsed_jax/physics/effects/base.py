@@ -26,7 +26,15 @@ MULTIPLIED = (
 )
 ADDED = (
     *("force", "n", "gamma", "compliance", "slack", "plastic"),
-    *("force_offset", "force_drift", "drift_onset", "elongation_delay", "force_delay"),
+    *(
+        "force_offset",
+        "settling_offset",
+        "settling_rate",
+        "force_drift",
+        "drift_onset",
+        "elongation_delay",
+        "force_delay",
+    ),
 )
 
 
@@ -149,8 +157,9 @@ class AbstractSetupEffect(AbstractEffect):
 
     Slots: factors on `mass` (one per mass, shape (masses,)), on `support` (one per spring that goes to the ground, in order,
     shape (supports,)), on `damping` (all of C), on `ground_motion`, and on the measured force and elongation (`force_gain`,
-    `elongation_gain`); addends `force_offset` [N], `force_drift` [N/s], `drift_onset` [s] (when that begins), `elongation_delay`
-    [s] and `force_delay` [s] (by how much the measured signal is late; `hsed_jax.physics.sensors`).
+    `elongation_gain`); addends `force_offset` [N], `settling_offset` [N] and `settling_rate` [1/s] (an offset that vanishes),
+    `force_drift` [N/s], `drift_onset` [s] (when that begins), `elongation_delay` [s] and `force_delay` [s] (by how much the
+    measured signal is late; `hsed_jax.physics.sensors`).
     """
 
     @abstractmethod

@@ -63,15 +63,15 @@ COORDINATES: Mapping[str, Coordinate] = {
         lambda s: s.force, lambda p: p.hysteretic / p.scales.force * direction(p),
     ),
     "energy": Coordinate(
-        "absorbed energy", "e/E_c", "e/E_c", "J", lambda s: s.energy, lambda p: DRIVERS["energy"].value(p, 0.0)
+        "absorbed energy", "e/E_c", "e/E_c", "J", lambda s: s.energy, lambda p: DRIVERS["energy"].value(p)
     ),
     "path": Coordinate(
         "the length of the path of the elongation", "s F_c/E_c", "sF_c/E_c", "m", lambda s: s.energy / s.force,
-        lambda p: DRIVERS["path"].value(p, 0.0), TRAVEL,
+        lambda p: DRIVERS["path"].value(p), TRAVEL,
     ),
     "largest_elongation": Coordinate(
         "the largest elongation reached", "max|u|/u_c", r"\max|\Delta u|/u_c", "m", lambda s: s.elongation,
-        lambda p: DRIVERS["largest_elongation"].value(p, 0.0), LARGEST_ELONGATION,
+        lambda p: DRIVERS["largest_elongation"].value(p), LARGEST_ELONGATION,
     ),
     "time": Coordinate(
         "time", "t v_c/u_c", "t\\,v_c/u_c", "s", lambda s: s.elongation / s.rate,

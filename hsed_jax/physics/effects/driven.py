@@ -12,8 +12,14 @@ from hsed_jax.physics.states import TRAVEL, SharedState
 
 
 def index_share() -> Any:
-    """The parameter that says what a damage index is made of."""
-    return share_parameter("w_d", "share of the largest elongation in the damage index", neutral=0.5)
+    """The parameter that says what a driver of two measures is made of."""
+    return share_parameter("w_d", "share of the largest elongation in what drives it", neutral=0.5)
+
+
+def power_of(symbol: str, of: str) -> Any:
+    """The parameter that says how a measure counts in a driver of two."""
+    return shape_parameter(symbol, f"power of {of} in what drives it", neutral=1.0, lower=0.2, upper=4.0,
+                           prior={"lognormal": [0.0, 0.7]})  # fmt: skip
 
 
 class AbstractDrivenEffect(AbstractSpringEffect):
@@ -58,26 +64,30 @@ class AbstractDrivenEffect(AbstractSpringEffect):
 
     def _driver(self, name: str, point: SpringPoint) -> Scalar:
         driver = DRIVERS[name]
-        return driver.value(point, getattr(self, driver.free[0]) if driver.free else 0.0)
+        return driver.value(point, *(getattr(self, own) for own in driver.free))
 
 
 class AbstractDamagedEffect(AbstractDrivenEffect):
     """An effect of damage, which is measured in more ways than one.
 
     Attributes:
-        driver_3, driver_4, driver_5: one for the driver that counts in place of the first.
-        driver_share: share of the largest elongation in a damage index.
+        driver_3, driver_4, driver_5, driver_6: one for the driver that counts in place of the first.
+        driver_share: share of the largest elongation in a driver of two measures.
+        driver_power, driver_other: powers of the path and of the largest elongation there.
     """
 
     drivers: ClassVar[tuple[str, ...]] = (
         *AbstractDrivenEffect.drivers,
-        *("hysteretic_energy", "reversals", "damage_index"),
+        *("hysteretic_energy", "reversals", "damage_index", "path_and_elongation"),
     )
 
     driver_3: Scalar = share_parameter("w_3", "share of another driver")
     driver_4: Scalar = share_parameter("w_4", "share of another driver")
     driver_5: Scalar = share_parameter("w_5", "share of another driver")
+    driver_6: Scalar = share_parameter("w_6", "share of another driver")
     driver_share: Scalar = index_share()
+    driver_power: Scalar = power_of("p_s", "the path")
+    driver_other: Scalar = power_of("p_u", "the largest elongation")
 
 
 class AbstractWornEffect(AbstractSpringEffect):
@@ -108,7 +118,7 @@ class AbstractWornEffect(AbstractSpringEffect):
         """The factor at one instant."""
         if is_zero(self.worn):
             return 1.0
-        path, energy = (DRIVERS[name].value(point, 0.0) for name in ("path", "energy"))
+        path, energy = (DRIVERS[name].value(point) for name in ("path", "energy"))
         x = energy if is_number(self.heats, 1) else path if is_zero(self.heats) else path + self.heats * (energy - path)
         return 1 - self.worn * jnp.expm1(-jnp.maximum(x, 0.0) / self.wears)
 

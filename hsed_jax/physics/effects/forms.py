@@ -75,44 +75,49 @@ class Driver(NamedTuple):
     Attributes:
         words: in a sentence.
         measure: LaTeX; it over its characteristic value, the x of equations.
-        value: it at one instant, from the point and the share of the second of two that it is made of.
+        value: it at one instant, from the point and its own parameters.
         states: of the spring that it looks at, besides the absorbed energy, which every spring has.
-        free: the parameter that says the share, where it is made of two.
+        free: its own parameters, where it is made of two measures.
     """
 
     words: str
     measure: str
-    value: "Callable[[SpringPoint, Scalar], Scalar]"
+    value: "Callable[..., Scalar]"
     states: tuple[SharedState, ...] = ()
     free: tuple[str, ...] = ()
 
 
-def _energy(point: "SpringPoint", share: Scalar) -> Scalar:
+def _energy(point: "SpringPoint") -> Scalar:
     return point.memory["energy"] / point.scales.energy
 
 
-def _dissipated(point: "SpringPoint", share: Scalar) -> Scalar:
+def _dissipated(point: "SpringPoint") -> Scalar:
     return (point.memory["energy"] - 0.5 * point.hysteretic**2 / point.stiffness) / point.scales.energy
 
 
-def _path(point: "SpringPoint", share: Scalar) -> Scalar:
+def _path(point: "SpringPoint") -> Scalar:
     return point.memory["travel"] * (point.scales.force / point.scales.energy)
 
 
-def _largest(point: "SpringPoint", share: Scalar) -> Scalar:
+def _largest(point: "SpringPoint") -> Scalar:
     return point.memory["largest_elongation"] / point.scales.elongation
 
 
 def _damage(point: "SpringPoint", share: Scalar) -> Scalar:
-    energy = _energy(point, share)
-    return energy + share * (_largest(point, share) - energy)
+    energy = _energy(point)
+    return energy + share * (_largest(point) - energy)
 
 
-def _fatigue(point: "SpringPoint", share: Scalar) -> Scalar:
+def _worn_and_stretched(point: "SpringPoint", share: Scalar, power: Scalar, other: Scalar) -> Scalar:
+    worn = raised(_path(point), power)
+    return worn + share * (raised(_largest(point), other) - worn)
+
+
+def _fatigue(point: "SpringPoint") -> Scalar:
     return point.memory["fatigue"] * (point.scales.force / (point.scales.energy * point.scales.elongation))
 
 
-def _reversals(point: "SpringPoint", share: Scalar) -> Scalar:
+def _reversals(point: "SpringPoint") -> Scalar:
     return point.memory["reversals"] / _REVERSALS
 
 
@@ -138,6 +143,13 @@ DRIVERS = {
         _damage,
         (LARGEST_ELONGATION,),
         ("driver_share",),
+    ),
+    "path_and_elongation": Driver(
+        "length of the path and largest elongation together, each with a power of its own",
+        r"(1-w_d)(sF_c/E_c)^{p_s} + w_d(\max|\Delta u|/u_c)^{p_u}",
+        _worn_and_stretched,
+        (TRAVEL, LARGEST_ELONGATION),
+        ("driver_share", "driver_power", "driver_other"),
     ),
 }
 
@@ -206,12 +218,16 @@ def forms_of(effect: "type[AbstractEffect]") -> dict[str, Form]:
     for number, driver in enumerate(drivers):
         # Which driver is a parameter each, but for the first.
         held = {} if number == 0 else {chosen(number): 1.0}
+        own = DRIVERS[driver].free if driver else ()
         for first, shape in enumerate(shapes):
+            # One that has powers of its own needs none of the shape.
+            if "driver_power" in own and "power" in shape.free:
+                continue
             form = replace(
                 shape,
                 driver=driver if number else "",
                 held={**shape.held, **held},
-                free=(*shape.free, *(DRIVERS[driver].free if driver else ())),
+                free=(*shape.free, *own),
                 is_default=number == first == 0,
             )
             found[form.label] = form

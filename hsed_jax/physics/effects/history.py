@@ -1,19 +1,16 @@
 """Effects that remember more than absorbed energy: the largest elongation, the length of the path, a relaxing force."""
 
-import math
 from typing import ClassVar, final
 
 import jax
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
-from hsed_jax.physics.effects.driven import AbstractDrivenEffect, index_share
+from hsed_jax.physics.effects.driven import AbstractDrivenEffect, index_share, power_of
 from hsed_jax.physics.effects.forms import FREE, Form, near_no_force, raised
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_zero
 
-# ∫ exp(−x⁶) dx to one side: a slip as long as the Gaussian one.
-_OF_WINDOW = math.gamma(7 / 6)
 # Creep is activated between these, as arguments of its hyperbolic sine.
 _LINEAR, _FASTEST = 1e-4, 6.0
 
@@ -30,13 +27,19 @@ class Slip(AbstractDrivenEffect):
     name: ClassVar[str] = "slip"
     family: ClassVar[str] = "pinching"
     reference: ClassVar[str] = "Baber & Noori 1985; Madan, Reinhorn, Mander & Valles 1997"
-    drivers: ClassVar[tuple[str, ...]] = ("largest_elongation", "energy", "damage_index", "reversals")
+    drivers: ClassVar[tuple[str, ...]] = (
+        "largest_elongation",
+        "energy",
+        "damage_index",
+        "reversals",
+        "path_and_elongation",
+    )
     forms: ClassVar[tuple[Form, ...]] = (
         Form("gaussian"),
-        Form("window", r"c(z) = \frac{\delta\max|\Delta u|}{0.928\,\sigma}e^{-(z/\sigma)^6}",
-             "Sivaselvan & Reinhorn 2000", held={"flat": 1.0}),
-        Form(FREE, r"c(z) = (1 - w_f)c_\mathrm{gaussian} + w_f c_\mathrm{window},"
-             r"\ \text{with } \max(x - x_0, 0)^p \text{ for } x", free=("flat", "onset", "power")),
+        Form("window", r"c(z) \propto e^{-|z/\sigma|^6/6},\ \int_0^\infty c\,dz = \delta\max|\Delta u|",
+             "Sivaselvan & Reinhorn 2000", held={"abruptness": 6.0}),
+        Form(FREE, r"c(z) \propto e^{-|z/\sigma|^m/m},\ \int_0^\infty c\,dz = \delta u_c\max(x - x_0, 0)^p",
+             free=("abruptness", "onset", "power")),
     )  # fmt: skip
 
     delta: Scalar = parameter(
@@ -52,7 +55,10 @@ class Slip(AbstractDrivenEffect):
         "w", "1", "force that locks, over strength", neutral=0.1, lower=0.01, prior={"lognormal": [-2.3, 0.7]}
     )
 
-    flat: Scalar = share_parameter("w_f", "whether the force that locks has a sharp limit")
+    # Below one it has tails, and little by little locks.
+    abruptness: Scalar = shape_parameter(
+        "m", "how abruptly it locks", neutral=2.0, lower=0.5, upper=8.0, prior={"lognormal": [0.7, 0.6]}
+    )
     onset: Scalar = shape_parameter(
         "x_0", "driver at which it begins", neutral=0.0, lower=0.0, prior={"half_normal": 0.2}
     )
@@ -61,15 +67,14 @@ class Slip(AbstractDrivenEffect):
         "p", "power of the driver", neutral=1.0, lower=0.3, upper=6.0, prior={"lognormal": [0.0, 0.5]}
     )
     driver_3: Scalar = share_parameter("w_3", "share of another driver")
+    driver_4: Scalar = share_parameter("w_4", "share of another driver")
     driver_share: Scalar = index_share()
+    driver_power: Scalar = power_of("p_s", "the path")
+    driver_other: Scalar = power_of("p_u", "the largest elongation")
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `compliance`."""
-        sigma = self.width * point.strength
-        shape = near_no_force(point.hysteretic, sigma)
-        if not is_zero(self.flat):
-            place = (point.hysteretic / sigma) ** 2
-            shape = shape + self.flat * (jnp.exp(-place * place * place) / (_OF_WINDOW * sigma) - shape)
+        shape = near_no_force(point.hysteretic, self.width * point.strength, self.abruptness)
         length = raised(jnp.maximum(self.driven(point) - self.onset, 0.0), self.power) * point.scales.elongation
         return {"compliance": self.delta * length * shape}
 

@@ -257,7 +257,7 @@ class Pinching(AbstractDrivenEffect):
     name: ClassVar[str] = "pinching"
     family: ClassVar[str] = "pinching"
     reference: ClassVar[str] = "Baber & Noori 1985; Foliente 1995"
-    drivers: ClassVar[tuple[str, ...]] = ("energy", "largest_elongation")
+    drivers: ClassVar[tuple[str, ...]] = ("energy", "largest_elongation", "reversals")
     forms: ClassVar[tuple[Form, ...]] = (
         Form("foliente"),
         Form("gaussian", r"h = 1 - \zeta_s(1 - e^{-px})\exp(-(z/\psi_0 z_u)^2)", "Baber & Noori 1985",
@@ -267,9 +267,9 @@ class Pinching(AbstractDrivenEffect):
         Form("elongation", r"h = 1 - \zeta_s(1 - e^{-px})\exp(-(\Delta u/\psi_0 \max|\Delta u|)^2)",
              "Lowes & Altoontash 2003",
              held={"q": 0.0, "spread": 0.0, "ratio": 1.0, "widening": 0.0, "of_elongation": 1.0}),
-        Form(FREE, r"h = 1 - \zeta_s(1 - e^{-px})\exp(-(y/\psi_0)^{2m}),\ "
+        Form(FREE, r"h = 1 - \zeta_s(1 - e^{-px^k})\exp(-(y/\psi_0)^{2m}),\ "
              r"y = (1 - w_u)(z\,\mathrm{sign}\,\Delta\dot u/z_u - q) + w_u\Delta u/\max|\Delta u|",
-             held={"spread": 0.0, "ratio": 1.0, "widening": 0.0}, free=("flatness", "of_elongation")),
+             held={"spread": 0.0, "ratio": 1.0, "widening": 0.0}, free=("flatness", "of_elongation", "power")),
     )  # fmt: skip
 
     zeta: Scalar = parameter(
@@ -302,8 +302,11 @@ class Pinching(AbstractDrivenEffect):
 
     widening: Scalar = share_parameter(r"w_\zeta", "whether the width grows with the severity", neutral=1.0)
     flatness: Scalar = shape_parameter(
-        "m", "how flat and sharp the window is", neutral=1.0, lower=1.0, upper=4.0, prior={"uniform": [1.0, 4.0]}
-    )
+        "m", "how flat and sharp the window is", neutral=1.0, lower=0.3, upper=4.0,
+        prior={"truncated_normal": {"loc": 1.0, "scale": 1.0, "low": 0.3, "high": 4.0}},
+    )  # fmt: skip
+    power: Scalar = shape_parameter("k", "power of the driver", neutral=1.0, lower=0.2, upper=6.0,
+                                    prior={"lognormal": [0.0, 0.5]})  # fmt: skip
     of_elongation: Scalar = share_parameter("w_u", "whether the tangent drops around no elongation")
 
     @property
@@ -314,7 +317,7 @@ class Pinching(AbstractDrivenEffect):
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """A factor on `h`."""
         worked = jnp.maximum(self.driven(point), 0.0)
-        severity = self.zeta * -jnp.expm1(-self.p * worked)
+        severity = self.zeta * -jnp.expm1(-self.p * raised(worked, self.power))
         width = (self.psi + self.spread * worked) * (self.ratio + self.widening * severity)
         place = point.hysteretic * jnp.sign(point.rate) / point.strength - self.q
         if not is_zero(self.of_elongation):

@@ -93,6 +93,11 @@ class ForceOffset(_AbstractRigEffect):
     family: ClassVar[str] = "test rig"
     reference: ClassVar[str] = "JCGM 100:2008 (GUM)"
     histories_only: ClassVar[bool] = True
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("constant", r"\delta F_c"),
+        Form("settling", r"\delta F_c\left[1 - \rho(1 - e^{-x/x_w})\right],\ x = \frac{t}{100\,u_c/v_c}",
+             free=("settling", "settles")),
+    )  # fmt: skip
 
     delta: Scalar = parameter(
         r"\delta_0",
@@ -102,10 +107,22 @@ class ForceOffset(_AbstractRigEffect):
         prior={"normal": [0.0, 0.1]},
         physical=PhysicalForm("offset", "N", lambda scales: scales.force),
     )
+    settling: Scalar = shape_parameter(
+        r"\rho", "share that is gone in the end", neutral=0.0, prior={"normal": [0.0, 1.0]}
+    )
+    settles: Scalar = shape_parameter(
+        "x_w", "time by which two thirds of that are gone, over 100 characteristic times", neutral=0.3, lower=0.01,
+        prior={"lognormal": [-1.2, 1.0]},
+    )  # fmt: skip
 
     def contribute(self, setup: Setup) -> dict[str, Any]:
-        """An addend to `force_offset`."""
-        return {"force_offset": self.delta * setup.scales.force}
+        """An addend to `force_offset`, and to what is gone in the end."""
+        offset = self.delta * setup.scales.force
+        if is_zero(self.settling):
+            return {"force_offset": offset}
+        rate = 1 / (self.settles * _DRIFTING * _time(setup.scales))
+        gone = self.settling * offset
+        return {"force_offset": offset - gone, "settling_offset": gone, "settling_rate": rate}
 
 
 @register
