@@ -10,14 +10,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
 from scipy.stats import gennorm
 
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
 from hsed_jax.physics.effects import EFFECTS
-from hsed_jax.physics.effects.base import AbstractSpringEffect, Setup, SpringPoint
+from hsed_jax.physics.effects.base import ADDED, AbstractSpringEffect, Setup, SpringPoint
 from hsed_jax.physics.effects.forms import DRIVERS, forms_of, raised
 from hsed_jax.physics.excitations import Imposed, Tabulated
 from hsed_jax.physics.parameters import parameters_of
@@ -123,6 +123,11 @@ def rate_to(p, s):
     """The rate to the power of a damper, linear next to rest."""
     at = np.abs(s.v / V)
     return np.where(at > 1e-3, at**p.alpha, at * 1e-3 ** (p.alpha - 1))
+
+
+def around_no_force(z, width, m):
+    """A profile in force with an area of one to either side."""
+    return np.exp(-(np.abs(z / width) ** m) / m) / quad(lambda q: width * np.exp(-(q**m) / m), 0, np.inf)[0]
 
 
 def lasting(p, x):
@@ -313,21 +318,14 @@ EQUATIONS = {
                 np.sqrt(2 / np.pi) * (p.delta * x * U / (w := p.width * STRENGTH)) * np.exp(-(s.z**2) / (2 * w**2))
             ),
         ),
-        "window": (
-            "compliance",
-            lambda p, x, s: p.delta * x * U / (0.92771933 * (w := p.width * STRENGTH)) * np.exp(-((s.z / w) ** 6)),
-        ),
+        "window": ("compliance", lambda p, x, s: p.delta * x * U * around_no_force(s.z, p.width * STRENGTH, 6)),
         "free": (
             "compliance",
             lambda p, x, s: (
                 p.delta
                 * np.maximum(x - p.onset, 0) ** p.power
                 * U
-                / (w := p.width * STRENGTH)
-                * (
-                    (1 - p.flat) * np.sqrt(2 / np.pi) * np.exp(-0.5 * (s.z / w) ** 2)
-                    + p.flat / 0.92771933 * np.exp(-((s.z / w) ** 6))
-                )
+                * around_no_force(s.z, p.width * STRENGTH, p.abruptness)
             ),
         ),
     },
@@ -370,7 +368,7 @@ EQUATIONS = {
             "h",
             lambda p, x, s: (
                 1
-                - severity(p, x)
+                - severity(p, x**p.power)
                 * np.exp(
                     -(
                         np.abs(
@@ -409,6 +407,19 @@ DRIVEN = {
 }
 
 
+def of_two(p):
+    """Drivers of two measures."""
+
+    def index(s):
+        return (1 - p.driver_share) * s.energy / E + p.driver_share * s.largest_elongation / U
+
+    def each_with_a_power(s):
+        worn, stretched = (s.travel * F / E) ** p.driver_power, (s.largest_elongation / U) ** p.driver_other
+        return (1 - p.driver_share) * worn + p.driver_share * stretched
+
+    return {"damage_index": index, "path_and_elongation": each_with_a_power}
+
+
 def test_every_form_has_its_equation_here():
     assert {name: list(forms) for name, forms in EQUATIONS.items()} == {
         name: [shape.name for shape in EFFECTS[name].forms] for name in SEVERAL
@@ -422,9 +433,11 @@ def test_a_form_is_its_equation(name, label):
     s = SimpleNamespace(**at)
     for quantile in (0.3, 0.8):
         values = drawn(name, label, quantile)
-        share = values.get("driver_share")
-        indexed = {"damage_index": lambda s, w=share: (1 - w) * s.energy / E + w * s.largest_elongation / U}
-        x = (DRIVEN | indexed)[form.driver or effect.drivers[0]](s) if effect.drivers else None
+        x = (
+            (DRIVEN | of_two(SimpleNamespace(**values)))[form.driver or effect.drivers[0]](s)
+            if effect.drivers
+            else None
+        )
         found = jax.vmap(effect(**form.held, **values).contribute)(point(at))
         equations = EQUATIONS[name][form.name]
         equations = equations if isinstance(equations, list) else [equations]
@@ -454,9 +467,21 @@ def test_a_late_drift_begins_when_its_form_says():
     assert found == pytest.approx({"force_drift": 0.2 * F / span, "drift_onset": 0.3 * span})
     time = np.linspace(0.0, span, 101)
     response = Response({}, {"force": jnp.zeros(101)}, jnp.asarray(True))
-    sensed = measured(response, lambda slot, owner="": found.get(slot, 0.0 if "force" in slot else 1.0), span / 100, 1,
+    sensed = measured(response, lambda slot, owner="": found.get(slot, 0.0 if slot in ADDED else 1.0), span / 100, 1,
                       is_imposed=False)  # fmt: skip
     np.testing.assert_allclose(sensed.channels["force"], 0.2 * F * np.maximum(time / span - 0.3, 0), atol=1e-9 * F)
+
+
+def test_an_offset_settles_as_its_form_says():
+    values = {"delta": 0.2, "settling": 0.7, "settles": 0.1}
+    found = EFFECTS["force_offset"](**values).contribute(Setup(SCALES, 1, 1))
+    span = 100 * U / V
+    time = np.linspace(0.0, span, 101)
+    response = Response({}, {"force": jnp.zeros(101)}, jnp.asarray(True))
+    sensed = measured(response, lambda slot, owner="": found.get(slot, 0.0 if slot in ADDED else 1.0), span / 100, 1,
+                      is_imposed=False)  # fmt: skip
+    expected = 0.2 * F * (1 - 0.7 * (1 - np.exp(-time / span / 0.1)))
+    np.testing.assert_allclose(sensed.channels["force"], expected, atol=1e-9 * F)
 
 
 def test_a_bristle_follows_dahls_equation_along_a_path():
@@ -485,6 +510,8 @@ def test_the_length_of_slip_is_what_its_name_says(label):
         driver = 0.5 * (driver + at["energy"][0] / E * U)
     if form.driver == "reversals":
         driver = at["reversals"][0] / 10 * U
+    if form.driver == "path_and_elongation":
+        driver = 0.5 * (driver + at["travel"][0] * F / E * U)
     assert np.trapezoid(compliance, force) == pytest.approx(2 * 0.4 * driver)
 
 

@@ -286,7 +286,10 @@ class Pinching(AbstractDrivenEffect):
     q: Scalar = parameter(
         "q", "1", "centre over strength", neutral=0.0, lower=-0.5, upper=0.8, prior={"uniform": [-0.2, 0.5]}
     )
-    psi: Scalar = parameter(r"\psi_0", "1", "width", neutral=0.3, lower=0.01, prior={"lognormal": [-1.2, 0.7]})
+    # What softens most of the loop is a loss of stiffness.
+    psi: Scalar = parameter(
+        r"\psi_0", "1", "width", neutral=0.3, lower=0.01, upper=0.5, prior={"lognormal": [-1.2, 0.7]}
+    )
     spread: Scalar = parameter(
         r"\delta_\psi",
         "1",
@@ -296,7 +299,7 @@ class Pinching(AbstractDrivenEffect):
         prior={"half_normal": 0.1},
     )
     ratio: Scalar = parameter(
-        r"\lambda", "1", "share of the width that does not wait for the severity", neutral=0.5, lower=0.01,
+        r"\lambda", "1", "share of the width that does not wait for the severity", neutral=0.5, lower=0.01, upper=1.0,
         prior={"lognormal": [-0.7, 0.5]},
     )  # fmt: skip
 
