@@ -146,6 +146,20 @@ class Fits:
         self._known |= self._go_on(target, {choice: self._known[choice].x for choice in kept})
         self._reconcile(target, kept)
 
+    def look_again(self, target: Target, choices: Sequence[Choice]) -> None:
+        """Fit choices from points all over the priors of their effects: what was best with other errors need not be so now."""
+        tasks, owners = [], []
+        for number, choice in enumerate(choices):
+            columns = np.concatenate([self._form(pair).columns for pair in sorted(choice)])
+            shares = spread(len(columns))
+            starts = np.tile(self._known[choice].x, (len(shares), 1))
+            starts[:, columns] = self.models.box.quantiles(columns, shares)
+            tasks += [Task(self.member(choice), start, rivals=number) for start in starts]
+            owners += [choice] * len(starts)
+        for owner, fit in zip(owners, self.models.fit(target, tasks), strict=True):
+            if fit.cost < self._known[owner].cost:
+                self._known[owner] = fit
+
     def member(self, choice: Choice) -> Member:
         """The nested model of a choice."""
         forms = [self._form(pair) for pair in sorted(choice)]

@@ -55,6 +55,8 @@ _OTHERS, _BESIDE = 4, 2
 # All forms are fitted of so many sets (of twice as many of one effect), if they are no more nats below the most probable one
 # than this, or gain half as much as it.
 _DEEP, _NEAR = 4, 10.0
+# Of so many sets that rank first so many forms are fitted anew, once the errors are known.
+_AGAIN = 3
 # With so many drivers the shapes of a form are fitted, where these may be the most probable.
 _DRIVERS = 7
 
@@ -342,6 +344,9 @@ class Search:
             lowest = min(around, key=lambda s: self._fits.best(s).cost - self._log_prior(len(s)))
             self._judge_by(self._fits.best(lowest))
             self._fits.judge(self.target, around)
+        if self.best or self.is_open():
+            first = [m.effects for m in self.all() if m.effects][:_AGAIN]
+            self._fits.look_again(self.target, [choice for s in first for choice in self._fits.leading(s, _AGAIN)])
 
     def _next(self) -> Set:
         """The set to go on from: the first that is supported and predicts what was not used."""
