@@ -21,12 +21,16 @@ from jaxtyping import Float
 from scipy.special import chdtrc
 
 from hsed_jax.diagnosis.descent import Descent, Member, Target
+from hsed_jax.diagnosis.fits import spread
 from hsed_jax.diagnosis.nested import NestedModels
+from hsed_jax.diagnosis.problem import Forms
 
 # Of a difference, in coordinates of order one.
 _STEP = 1e-3
 # A fit starts no closer to nothing than this share of a size that was tried.
 _LEAST = 0.05
+# Sizes at which forms beside the default one are tried.
+_SIZES = 4
 
 
 class Trial(NamedTuple):
@@ -103,6 +107,27 @@ class Around:
             start[k] = self._models.neutral[k] + max(size, _LEAST) * (trial.x[k] - self._models.neutral[k])
             found.append(Promise(size * along - 0.5 * size**2 * power, start))
         return found
+
+    def of_forms(self, effects: Mapping[str, Forms], only_default: bool) -> dict[str, dict[str, list[Promise]]]:
+        """Of each effect and form what several sizes of it promise, the best first.
+
+        Arguments:
+            effects: the forms of each.
+            only_default: no other form.
+        """
+        trials: list[tuple[str, str, Trial]] = []
+        for effect, forms in effects.items():
+            for number, (label, form) in enumerate(list(forms.items())[: 1 if only_default else None]):
+                shares = spread(len(form.columns))
+                for x in self._models.box.quantiles(form.columns, shares[:_SIZES] if number else shares):
+                    start = self._fit.x.copy()
+                    start[form.columns] = x
+                    member = self._fit.member.beside(form.columns, form.held)
+                    trials.append((effect, label, Trial(member, start, int(form.columns[0]))))
+        found: dict[str, dict[str, list[Promise]]] = {}
+        for (effect, label, _), promise in zip(trials, self.promises([t for *_, t in trials]), strict=True):
+            found.setdefault(effect, {}).setdefault(label, []).append(promise)
+        return {e: {f: sorted(ps, key=lambda p: -p.gain) for f, ps in forms.items()} for e, forms in found.items()}
 
     def across(self, points: Sequence[tuple[np.ndarray, Member]]) -> tuple[np.ndarray, np.ndarray]:
         """Standardised differences of models at points from the fit, zero where one diverges, and what of them its parameters

@@ -18,12 +18,12 @@ from jaxtyping import Float, Int
 from scipy.special import softmax
 
 from hsed_jax.diagnosis.descent import Descent, Target, Task
-from hsed_jax.diagnosis.fits import Choice, Fits, Model, Set, names_of, spread
+from hsed_jax.diagnosis.fits import Choice, Fits, Model, Set, names_of
 from hsed_jax.diagnosis.held_out import Gain, HeldOut, by_prediction
 from hsed_jax.diagnosis.measured import WRONG, Measured
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Forms, amplitude_of, of_other_drivers, of_other_shapes
-from hsed_jax.diagnosis.scores import Around, Promise, Trial, score_p_value
+from hsed_jax.diagnosis.scores import Around, score_p_value
 from hsed_jax.errors import UserError
 
 MOST_EFFECTS = 4
@@ -46,8 +46,6 @@ _POOL = 24
 _TRIED = 5
 # Of the forms of an effect, the default one and so many that promise more are fitted first, each from so many starts.
 _PROMISING, _STARTS = 2, 2
-# Sizes at which forms beside the default one are tried.
-_SIZES = 4
 # Beside a set so many effects are fitted: those that promise most.
 _REACH = 8
 # In place of an effect so many others, the most probable ones, are tried with so many beside each that promise most.
@@ -274,8 +272,9 @@ class Search:
             others = [e for e in self.effects if e not in self.best]
             singles = [self.model(base | {one}) for one in others if base | {one} in self._fits]
             for single in sorted(singles, key=lambda m: -m.log_posterior)[:_OTHERS]:
-                further = [e for e in others if e not in single.effects]
-                promises = self._promises(single.fit, further, only_default=True)
+                further = {e: self.effects[e] for e in others if e not in single.effects}
+                around = Around(self.models, self.target, single.fit)
+                promises = around.of_forms(further, only_default=True)
                 defaults = [(effect, *one) for effect, forms in promises.items() for one in forms.items()]
                 for effect, label, found in sorted(defaults, key=lambda one: -one[2][0].gain)[:_BESIDE]:
                     choice = self._fits.top(single.effects) | {(effect, label)}
@@ -287,7 +286,8 @@ class Search:
         """Choices of one effect beside a fitted set, in the forms that promise most, and where to fit each from."""
         top, is_open = self._fits.top(base), bool(base) or self.is_open()
         chosen: dict[Choice, list[np.ndarray]] = {}
-        promises = self._promises(self._fits.best(base), others, only_default=not is_open)
+        around = Around(self.models, self.target, self._fits.best(base))
+        promises = around.of_forms({e: self.effects[e] for e in others}, only_default=not is_open)
         ranked = sorted(promises.items(), key=lambda item: -max(found[0].gain for found in item[1].values()))
         for effect, forms in ranked[: _REACH if base else None]:
             default, *further = forms
@@ -297,25 +297,6 @@ class Search:
             for label in (default, *better[:_PROMISING]):
                 chosen[top | {(effect, label)}] = [p.start for p in forms[label][: _STARTS if is_open else 1]]
         return chosen
-
-    def _promises(self, fit: Descent, others: Sequence[str], only_default: bool) -> dict[str, dict[str, list[Promise]]]:
-        """Of each effect and form what several sizes of it promise beside a fit, the best first."""
-        trials: list[tuple[str, str, Trial]] = []
-        for effect in others:
-            for number, (label, form) in enumerate(self.effects[effect].items()):
-                if number and only_default:
-                    break
-                shares = spread(len(form.columns))
-                for x in self.models.box.quantiles(form.columns, shares[:_SIZES] if number else shares):
-                    start = fit.x.copy()
-                    start[form.columns] = x
-                    member = fit.member.beside(form.columns, form.held)
-                    trials.append((effect, label, Trial(member, start, int(form.columns[0]))))
-        found: dict[str, dict[str, list[Promise]]] = {}
-        promises = Around(self.models, self.target, fit).promises([trial for *_, trial in trials])
-        for (effect, label, _), promise in zip(trials, promises, strict=True):
-            found.setdefault(effect, {}).setdefault(label, []).append(promise)
-        return {e: {f: sorted(ps, key=lambda p: -p.gain) for f, ps in forms.items()} for e, forms in found.items()}
 
     def _in_forms(self, effects: Set) -> Choice:
         """Effects of the best set in its forms."""
