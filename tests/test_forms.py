@@ -233,6 +233,10 @@ EQUATIONS = {
         "sharp": ("force", lambda p, x, s: p.delta * F * np.tanh(s.v / (0.02 * V))),
         "regularised": ("force", lambda p, x, s: p.delta * F * np.tanh(s.v / (p.sticking * V))),
         "bristle": ("force", lambda p, x, s: p.delta * F * bent(p, s)),
+        "free": (
+            "force",
+            lambda p, x, s: p.delta * F * np.tanh(np.abs(s.v / (p.sticking * V)) ** p.roundness) * np.sign(s.v),
+        ),
         "wearing": ("force", lambda p, x, s: p.delta * F * np.tanh(s.v / (0.02 * V)) * lasting(p, s.travel * F / E)),
         "heating": ("force", lambda p, x, s: p.delta * F * np.tanh(s.v / (0.02 * V)) * lasting(p, s.energy / E)),
     },
@@ -280,7 +284,10 @@ EQUATIONS = {
             lambda p, x, s: (
                 p.delta
                 * F
-                * (p.remaining + (1 - p.remaining) * np.exp(-((np.abs(s.v) / (p.falling * V)) ** p.steepness)))
+                * (
+                    p.remaining
+                    + (1 - p.remaining) * np.exp(-((np.abs(s.v) / (max(p.falling, 3 * p.sticking) * V)) ** p.steepness))
+                )
                 * np.tanh(s.v / (p.sticking * V))
             ),
         )

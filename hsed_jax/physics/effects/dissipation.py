@@ -23,6 +23,8 @@ from hsed_jax.physics.scales import is_zero
 _STICKING = 0.02
 # A force that takes a larger share of it to turn over follows the rate: that of a damper.
 _SLOWEST = 0.1
+# Friction falls at so many times the rate at which it turns over, or more.
+_SLID = 3.0
 
 
 def _sticking() -> Any:
@@ -177,6 +179,7 @@ class CoulombFriction(AbstractWornEffect):
         Form("regularised", r"\delta F_c\tanh(\Delta\dot u/w v_c)", free=("sticking",)),
         Form("bristle", r"\delta F_c q,\ dq/d\Delta u = (1 - q\,\mathrm{sign}\,\Delta\dot u)/b u_c", "Dahl 1968",
              held={"of_bristle": 1.0}, free=("bristle",)),
+        Form(FREE, r"\delta F_c\tanh(|\Delta\dot u/w v_c|^p)\,\mathrm{sign}\,\Delta\dot u", free=("sticking", "roundness")),
         wearing(r"\delta F_c\tanh(\Delta\dot u/v_s)", "Mokha, Constantinou & Reinhorn 1990"),
         heating(r"\delta F_c\tanh(\Delta\dot u/v_s)", "Lomiento, Bonessio & Benzoni 2013"),
     )  # fmt: skip
@@ -191,6 +194,14 @@ class CoulombFriction(AbstractWornEffect):
         physical=PhysicalForm("force", "N", lambda scales: scales.force),
     )
     sticking: Scalar = _sticking()
+    roundness: Scalar = shape_parameter(
+        "p",
+        "power of the rate that it turns over with",
+        neutral=1.0,
+        lower=0.6,
+        upper=3.0,
+        prior={"lognormal": [0.0, 0.4]},
+    )
     bristle: Scalar = shape_parameter(
         "b", "elongation at which it slides over characteristic elongation", neutral=0.05, lower=0.005,
         prior={"lognormal": [-3.0, 0.8]},
@@ -199,7 +210,7 @@ class CoulombFriction(AbstractWornEffect):
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
-        slid = jnp.tanh(point.rate / (self.sticking * point.scales.rate))
+        slid = jnp.tanh(raised(point.rate / (self.sticking * point.scales.rate), self.roundness))
         if not is_zero(self.of_bristle):
             slid = slid + self.of_bristle * (self._bent(point) - slid)
         return {"force": self.delta * point.scales.force * slid * self.lasting(point)}
@@ -238,7 +249,7 @@ class StribeckFriction(AbstractSpringEffect):
         Form("of any speed", r"v_r = r\,v_c", free=("falling",)),
         Form(
             FREE,
-            r"\delta F_c\left[\mu + (1-\mu)e^{-(|\Delta\dot u|/r v_c)^m}\right]\tanh(\Delta\dot u/w v_c)",
+            r"\delta F_c\left[\mu + (1-\mu)e^{-(|\Delta\dot u|/r v_c)^m}\right]\tanh(\Delta\dot u/w v_c),\ r \ge 3w",
             "Bo & Pavelescu 1982",
             free=("falling", "steepness", "sticking"),
         ),
@@ -274,5 +285,7 @@ class StribeckFriction(AbstractSpringEffect):
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
         ratio = point.rate / point.scales.rate
-        share = self.remaining + (1 - self.remaining) * jnp.exp(-raised(jnp.abs(ratio) / self.falling, self.steepness))
+        # What falls before it slides is friction that turns over slowly.
+        falling = jnp.maximum(self.falling, _SLID * self.sticking)
+        share = self.remaining + (1 - self.remaining) * jnp.exp(-raised(jnp.abs(ratio) / falling, self.steepness))
         return {"force": self.delta * point.scales.force * share * jnp.tanh(ratio / self.sticking)}

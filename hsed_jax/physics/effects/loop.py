@@ -284,11 +284,11 @@ class Pinching(AbstractDrivenEffect):
         prior={"lognormal": [1.6, 1.0]},
     )
     q: Scalar = parameter(
-        "q", "1", "centre over strength", neutral=0.0, lower=-0.5, upper=0.8, prior={"uniform": [-0.2, 0.5]}
+        "q", "1", "centre over strength", neutral=0.0, lower=-0.3, upper=0.3, prior={"uniform": [-0.2, 0.3]}
     )
     # What softens most of the loop is a loss of stiffness.
     psi: Scalar = parameter(
-        r"\psi_0", "1", "width", neutral=0.3, lower=0.01, upper=0.5, prior={"lognormal": [-1.2, 0.7]}
+        r"\psi_0", "1", "width", neutral=0.3, lower=0.01, upper=0.4, prior={"lognormal": [-1.2, 0.7]}
     )
     spread: Scalar = parameter(
         r"\delta_\psi",

@@ -4,7 +4,7 @@ from typing import Any, ClassVar, Literal, final
 
 from hsed_jax.physics.effects.base import AbstractSetupEffect, Scalar, Setup, register
 from hsed_jax.physics.effects.forms import Form
-from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
+from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import Scales, is_zero
 
 # A drift is told by what it adds up to over this many characteristic times.
@@ -107,9 +107,8 @@ class ForceOffset(_AbstractRigEffect):
         prior={"normal": [0.0, 0.1]},
         physical=PhysicalForm("offset", "N", lambda scales: scales.force),
     )
-    settling: Scalar = shape_parameter(
-        r"\rho", "share that is gone in the end", neutral=0.0, prior={"normal": [0.0, 1.0]}
-    )
+    # One that grows is a drift.
+    settling: Scalar = share_parameter(r"\rho", "share that is gone in the end")
     settles: Scalar = shape_parameter(
         "x_w", "time by which two thirds of that are gone, over 100 characteristic times", neutral=0.3, lower=0.01,
         prior={"lognormal": [-1.2, 1.0]},
