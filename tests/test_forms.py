@@ -784,6 +784,10 @@ MISTAKES = {
         {"stiffness_degradation": {"driver": "time"}},
         ("model.effects.stiffness_degradation.driver", "'time'", "energy, path, largest_elongation"),
     ),
+    "a power of a driver of powers": (
+        {"stiffness_degradation": {"form": "power", "driver": "path_and_elongation"}},
+        ("model.effects.stiffness_degradation.form", "'power'", "linear, exponential, saturating, threshold"),
+    ),
     "no word": (
         {"stiffness_degradation": {"form": 3}},
         ("model.effects.stiffness_degradation", "form", "must be a word"),

@@ -71,13 +71,19 @@ class Naming:
         driver = entries.get(DRIVER, drivers[0] if drivers else "")
         for key, word, allowed in ((FORM, shape, shapes), (DRIVER, driver, drivers)):
             if key in entries and word not in allowed:
-                known = f"it has {', '.join(allowed)}" if allowed else f"it has no choice of a {key}"
-                raise UserError(f"{where}.{effect}.{key}: there is no {key} {shown(word)} of {effect}; {known}")
+                having = f"it has {', '.join(allowed)}" if allowed else f"it has no choice of a {key}"
+                raise UserError(f"{where}.{effect}.{key}: there is no {key} {shown(word)} of {effect}; {having}")
         label = Form(shape, driver="" if not drivers or driver == drivers[0] else driver).label
-        found = forms_of(kind)[label]
+        known = forms_of(kind)
+        if label not in known:
+            able = [one.name for one in known.values() if one.driver == driver]
+            raise UserError(
+                f"{where}.{effect}.{FORM}: {effect} of {driver} has no form {shown(shape)}, as its driver has powers of its own; "
+                f"it has {', '.join(able)}"
+            )
         if missing := self.unserved(effect, label):
             raise UserError(f"{where}.{effect}: {missing}")
-        return found
+        return known[label]
 
     @property
     def candidates(self) -> list[str]:

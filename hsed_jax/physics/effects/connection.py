@@ -51,7 +51,7 @@ class Gap(AbstractSpringEffect):
         ),
         Form(
             "in series",
-            r"c(z) \propto \delta u_c\,e^{-|z/\sigma|^m/m},\ \sigma = w_z F_c,\ \int_0^\infty c\,dz = \delta u_c",
+            r"c(z) \propto \delta u_c\,e^{-|z/\sigma|^m/m},\ \sigma = w_z F_c",
             "Nordin & Gutman 2002 (backlash)",
             held={"in_series": 1.0},
             free=("play", "abruptness"),

@@ -22,6 +22,7 @@ class Slip(AbstractDrivenEffect):
 
     Its compliance is $c(z) = \sqrt{2/\pi}\,\frac{\delta\max|\Delta u|}{\sigma}e^{-z^2/2\sigma^2}$ with $\sigma = w z_u$,
     $z_u$ the strength of the element: δ max|Δu| is the length of slip near zero force, $\delta u_c x$ with another driver x.
+    Every form is a profile of force over which that length is slipped through.
     """
 
     name: ClassVar[str] = "slip"
@@ -36,9 +37,9 @@ class Slip(AbstractDrivenEffect):
     )
     forms: ClassVar[tuple[Form, ...]] = (
         Form("gaussian"),
-        Form("window", r"c(z) \propto e^{-|z/\sigma|^6/6},\ \int_0^\infty c\,dz = \delta\max|\Delta u|",
+        Form("window", r"c(z) \propto \delta\max|\Delta u|\,e^{-|z/\sigma|^6/6}",
              "Sivaselvan & Reinhorn 2000", held={"abruptness": 6.0}),
-        Form(FREE, r"c(z) \propto e^{-|z/\sigma|^m/m},\ \int_0^\infty c\,dz = \delta u_c\max(x - x_0, 0)^p",
+        Form(FREE, r"c(z) \propto \delta\max(x - x_0, 0)^p\,e^{-|z/\sigma|^m/m}",
              free=("abruptness", "onset", "power")),
     )  # fmt: skip
 
