@@ -82,7 +82,10 @@ def degradation(slot, turned=lambda factor: factor):
         "power": lambda p, x: 1 + p.delta * x**p.power,
         "threshold": lambda p, x: 1 + p.delta * np.maximum(x - p.onset, 0),
         "free": lambda p, x: (
-            1 + (1 - np.exp(-p.saturation * p.delta * np.maximum(x - p.onset, 0) ** p.power)) / p.saturation
+            1
+            + p.delta
+            * (1 - np.exp(-((p.soonness * np.maximum(x - p.onset, 0)) ** p.power)))
+            / (1 - np.exp(-(p.soonness**p.power)))
         ),
     }
     return {name: (slot, lambda p, x, s, shape=shape: turned(shape(p, x))) for name, shape in shapes.items()}
@@ -479,6 +482,16 @@ def test_a_late_drift_begins_when_its_form_says():
     np.testing.assert_allclose(sensed.channels["force"], 0.2 * F * np.maximum(time / span - 0.3, 0), atol=1e-9 * F)
 
 
+def test_a_drift_slows_down_as_its_form_says():
+    found = EFFECTS["force_drift"](delta=0.2, slowing=4.0).contribute(Setup(SCALES, 1, 1))
+    span = 100 * U / V
+    time = np.linspace(0.0, span, 101)
+    response = Response({}, {"force": jnp.zeros(101)}, jnp.asarray(True))
+    sensed = measured(response, lambda slot, owner="": found.get(slot, 0.0 if slot in ADDED else 1.0), span / 100, 1,
+                      is_imposed=False)  # fmt: skip
+    np.testing.assert_allclose(sensed.channels["force"], 0.2 * F * np.log(1 + 4 * time / span) / 4, atol=1e-9 * F)
+
+
 def test_an_offset_settles_as_its_form_says():
     values = {"delta": 0.2, "settling": 0.7, "settles": 0.1}
     found = EFFECTS["force_offset"](**values).contribute(Setup(SCALES, 1, 1))
@@ -487,7 +500,7 @@ def test_an_offset_settles_as_its_form_says():
     response = Response({}, {"force": jnp.zeros(101)}, jnp.asarray(True))
     sensed = measured(response, lambda slot, owner="": found.get(slot, 0.0 if slot in ADDED else 1.0), span / 100, 1,
                       is_imposed=False)  # fmt: skip
-    expected = 0.2 * F * (1 - 0.7 * (1 - np.exp(-time / span / 0.1)))
+    expected = 0.2 * F * (1 - 0.7 * np.exp(-time / span / 0.1))
     np.testing.assert_allclose(sensed.channels["force"], expected, atol=1e-9 * F)
 
 

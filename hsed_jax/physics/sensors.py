@@ -1,6 +1,6 @@
 r"""What the test rig makes of a response: gains, zero shifts and delays of the measured force and elongation.
 
-$$F_{meas}(t) = g_F\,r(t-\tau_F) + F_0 + F_1 e^{-\lambda t} + \dot F_0\max(t - t_0, 0),\qquad
+$$F_{meas}(t) = g_F\,r(t-\tau_F) + F_0 + F_1 e^{-\lambda t} + \dot F_0\tfrac1s\ln[1 + s\max(t - t_0, 0)],\qquad
   \Delta u_{meas}(t) = g_u\,\Delta u(t-\tau_u)$$
 
 In a component test the imposed elongation is the measured one: what is known is $\Delta u_{meas}$, and the specimen feels
@@ -61,13 +61,21 @@ def measured(
         values = values * gain(name)
         if own != "force":
             return values
-        drifting = jnp.maximum(time - slots("drift_onset", owner), 0.0)
+        drifting = _slowing(jnp.maximum(time - slots("drift_onset", owner), 0.0), slots("drift_slowing", owner))
         settling = slots("settling_offset", owner) * jnp.exp(-slots("settling_rate", owner) * time)
         return values + slots("force_offset", owner) + settling + slots("force_drift", owner) * drifting
 
     quantities = {name: value * gain(name) for name, value in response.quantities.items()}
     channels = {name: sensed(name, values) for name, values in response.channels.items()}
     return response._replace(quantities=quantities, channels=channels)
+
+
+def _slowing(time: Float[Array, " samples"], slowing: Scalar) -> Float[Array, " samples"]:
+    """ln(1 + s t)/s; the time itself where s is none."""
+    if isinstance(slowing, int | float) and slowing == 0:
+        return time
+    s = jnp.where(slowing == 0, 1.0, slowing)
+    return jnp.where(slowing == 0, time, jnp.log1p(s * time) / s)
 
 
 def felt(forcing: Tabulated, slots: Callable[[str], Any], step_length: Float[Array, " steps"]) -> Tabulated:

@@ -19,22 +19,15 @@ from hsed_jax.physics.structures import OWNER
 
 Scalar = Float[Array, ""] | float
 
-# The first line of each belongs to the spring, the second to structure and test rig.
+# The first line of each belongs to the spring, the others to structure and test rig.
 MULTIPLIED = (
     *("a", "nu", "eta", "h"),
     *("mass", "support", "damping", "ground_motion", "force_gain", "elongation_gain"),
 )
 ADDED = (
     *("force", "n", "gamma", "compliance", "slack", "plastic"),
-    *(
-        "force_offset",
-        "settling_offset",
-        "settling_rate",
-        "force_drift",
-        "drift_onset",
-        "elongation_delay",
-        "force_delay",
-    ),
+    *("force_offset", "settling_offset", "settling_rate", "force_drift", "drift_onset", "drift_slowing"),
+    *("elongation_delay", "force_delay"),
 )
 
 
@@ -158,8 +151,8 @@ class AbstractSetupEffect(AbstractEffect):
     Slots: factors on `mass` (one per mass, shape (masses,)), on `support` (one per spring that goes to the ground, in order,
     shape (supports,)), on `damping` (all of C), on `ground_motion`, and on the measured force and elongation (`force_gain`,
     `elongation_gain`); addends `force_offset` [N], `settling_offset` [N] and `settling_rate` [1/s] (an offset that vanishes),
-    `force_drift` [N/s], `drift_onset` [s] (when that begins), `elongation_delay` [s] and `force_delay` [s] (by how much the
-    measured signal is late; `hsed_jax.physics.sensors`).
+    `force_drift` [N/s], `drift_onset` [s] (when that begins) and `drift_slowing` [1/s], `elongation_delay` [s] and
+    `force_delay` [s] (by how much the measured signal is late; `hsed_jax.physics.sensors`).
     """
 
     @abstractmethod

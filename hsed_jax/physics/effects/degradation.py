@@ -12,6 +12,8 @@ from hsed_jax.physics.scales import is_zero
 
 # Far beyond anything that is left of a specimen.
 _GONE = 30.0
+# What takes more than a hundred times the characteristic driver does not saturate.
+_SOON = 0.01
 
 
 class AbstractDegradation(AbstractDamagedEffect):
@@ -28,8 +30,8 @@ class AbstractDegradation(AbstractDamagedEffect):
         Form("power", r"1 + \delta x^p", "Park & Ang 1985; Kunnath, Mander & Fang 1997", free=("power",),
              in_units=False),
         Form("threshold", r"1 + \delta\max(x - x_0, 0)", "Ibarra, Medina & Krawinkler 2005 (onset)", free=("onset",)),
-        Form(FREE, r"1 + (1 - e^{-sy})/s,\ y = \delta\max(x - x_0, 0)^p", free=("saturation", "power", "onset"),
-             in_units=False),
+        Form(FREE, r"1 + \delta\,\frac{1 - e^{-(qy)^p}}{1 - e^{-q^p}},\ y = \max(x - x_0, 0)",
+             free=("soonness", "power", "onset"), in_units=False),
     )  # fmt: skip
 
     growth: Scalar = share_parameter("g", "whether it grows exponentially")
@@ -38,6 +40,10 @@ class AbstractDegradation(AbstractDamagedEffect):
     )
     power: Scalar = shape_parameter("p", "power of the driver", neutral=1.0, lower=0.1, upper=6.0,
                                     prior={"truncated_normal": {"loc": 1.0, "scale": 1.0, "low": 0.1, "high": 6.0}})  # fmt: skip
+    soonness: Scalar = shape_parameter(
+        "q", "inverse of the driver by which two thirds of it have come", neutral=0.0, lower=0.0, upper=50.0,
+        prior={"half_normal": 3.0},
+    )  # fmt: skip
     onset: Scalar = shape_parameter(
         "x_0", "driver at which it begins", neutral=0.0, lower=0.0, prior={"half_normal": 0.4}
     )
@@ -48,12 +54,21 @@ class AbstractDegradation(AbstractDamagedEffect):
         if not is_zero(self.onset):
             # Energy can dip below zero by elastic energy given back; there the onset changes nothing.
             x = jnp.maximum(x - self.onset, 0.0) + jnp.minimum(x, 0.0)
-        y = delta * raised(x, self.power)
+        y = delta * self._come(x)
         if is_zero(curvature):
             return 1 + y
         is_straight = jnp.abs(curvature) < 1e-6
         bent = jnp.where(is_straight, 1.0, curvature)
         return 1 + jnp.where(is_straight, y, (jnp.exp(jnp.minimum(bent * y, _GONE)) - 1) / bent)
+
+    def _come(self, x: Scalar) -> Scalar:
+        """What has come of it at a driver x, over what has at x = 1: a power that may saturate."""
+        power = raised(x, self.power)
+        if is_zero(self.soonness):
+            return power
+        soon = jnp.maximum(self.soonness, _SOON)
+        come, at_one = (-jnp.expm1(-raised(soon * at, self.power)) for at in (x, 1.0))
+        return jnp.where(self.soonness < _SOON, power, come / at_one)
 
 
 @register

@@ -4,7 +4,7 @@ from typing import Any, ClassVar, Literal, final
 
 from hsed_jax.physics.effects.base import AbstractSetupEffect, Scalar, Setup, register
 from hsed_jax.physics.effects.forms import Form
-from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
+from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
 from hsed_jax.physics.scales import Scales, is_zero
 
 # A drift is told by what it adds up to over this many characteristic times.
@@ -95,7 +95,7 @@ class ForceOffset(_AbstractRigEffect):
     histories_only: ClassVar[bool] = True
     forms: ClassVar[tuple[Form, ...]] = (
         Form("constant", r"\delta F_c"),
-        Form("settling", r"\delta F_c\left[1 - \rho(1 - e^{-x/x_w})\right],\ x = \frac{t}{100\,u_c/v_c}",
+        Form("settling", r"\delta F_c\left[1 - \rho e^{-x/x_w}\right],\ x = \frac{t}{100\,u_c/v_c}",
              free=("settling", "settles")),
     )  # fmt: skip
 
@@ -107,21 +107,23 @@ class ForceOffset(_AbstractRigEffect):
         prior={"normal": [0.0, 0.1]},
         physical=PhysicalForm("offset", "N", lambda scales: scales.force),
     )
-    # One that grows is a drift.
-    settling: Scalar = share_parameter(r"\rho", "share that is gone in the end")
+    settling: Scalar = shape_parameter(
+        r"\rho", "what it lacks at first, over what it is in the end", neutral=0.0, lower=-1.0, upper=1.0,
+        prior={"uniform": [-1.0, 1.0]},
+    )  # fmt: skip
     settles: Scalar = shape_parameter(
-        "x_w", "time by which two thirds of that are gone, over 100 characteristic times", neutral=0.3, lower=0.01,
-        prior={"lognormal": [-1.2, 1.0]},
+        "x_w", "time by which two thirds of that have come, over 100 characteristic times", neutral=0.03, lower=0.005,
+        # What takes longer is a drift.
+        upper=0.1, prior={"lognormal": [-3.5, 0.7]},
     )  # fmt: skip
 
     def contribute(self, setup: Setup) -> dict[str, Any]:
-        """An addend to `force_offset`, and to what is gone in the end."""
+        """An addend to `force_offset`, and to what it lacks at first."""
         offset = self.delta * setup.scales.force
         if is_zero(self.settling):
             return {"force_offset": offset}
         rate = 1 / (self.settles * _DRIFTING * _time(setup.scales))
-        gone = self.settling * offset
-        return {"force_offset": offset - gone, "settling_offset": gone, "settling_rate": rate}
+        return {"force_offset": offset, "settling_offset": -self.settling * offset, "settling_rate": rate}
 
 
 @register
@@ -137,6 +139,7 @@ class ForceDrift(_AbstractRigEffect):
     forms: ClassVar[tuple[Form, ...]] = (
         Form("steady", r"\delta F_c\,x"),
         Form("late", r"\delta F_c\max(x - x_0, 0)", free=("onset",)),
+        Form("slowing", r"\delta F_c\ln(1 + sx)/s", free=("slowing",)),
     )
 
     delta: Scalar = parameter(
@@ -151,11 +154,20 @@ class ForceDrift(_AbstractRigEffect):
         "x_0", "when it begins, over 100 characteristic times", neutral=0.0, lower=0.0, prior={"half_normal": 0.3}
     )
 
+    slowing: Scalar = shape_parameter(
+        "s", "inverse of the time by which it slows down, over 100 characteristic times", neutral=0.0, lower=0.0,
+        prior={"half_normal": 30.0},
+    )  # fmt: skip
+
     def contribute(self, setup: Setup) -> dict[str, Any]:
-        """An addend to `force_drift`, and to when that begins."""
+        """An addend to `force_drift`, to when that begins, and to how it slows down."""
         span = _DRIFTING * _time(setup.scales)
         found = {"force_drift": self.delta * setup.scales.force / span}
-        return found if is_zero(self.onset) else {**found, "drift_onset": self.onset * span}
+        if not is_zero(self.onset):
+            found["drift_onset"] = self.onset * span
+        if not is_zero(self.slowing):
+            found["drift_slowing"] = self.slowing / span
+        return found
 
 
 @register
