@@ -25,7 +25,6 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jax import export
 
 # What a trace depends on besides the sources here.
 _PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpyro", "tinygp", "numpy", "scipy")
@@ -68,7 +67,7 @@ class Program[**P, R]:
         operands = [leaf for leaf, one in zip(leaves, is_operand, strict=True) if one]
         if any(isinstance(leaf, jax.core.Tracer) for leaf in operands) or not _is_kept():
             return self._traced(*args, **kwargs)
-        operands = [jnp.asarray(leaf) for leaf in operands]
+        operands = [leaf if isinstance(leaf, jax.Array) else jax.device_put(leaf) for leaf in operands]
         static = tuple(None if one else leaf for leaf, one in zip(leaves, is_operand, strict=True))
         key = structure, is_operand, static, tuple(leaf.aval for leaf in operands)
         if key not in self._made:
@@ -77,6 +76,10 @@ class Program[**P, R]:
                     self._made[key] = self._make(structure, is_operand, static, operands)
         made = self._made[key]
         return self._traced(*args, **kwargs) if made is None else made(*operands)
+
+    def __get__(self, instance: Any, owner: type | None = None) -> Any:
+        """As a method of an object, which is its first argument."""
+        return self if instance is None else functools.partial(self, instance)
 
     def lower(self, *args: P.args, **kwargs: P.kwargs) -> Any:
         """The program before it is compiled, traced anew."""
@@ -89,6 +92,8 @@ class Program[**P, R]:
             name = hashlib.blake2b(repr(parts).encode(), digest_size=16).hexdigest()
         except _UnspelledError:
             return None
+        from jax import export  # which a check of a study has no need to load
+
         file = _folder() / f"{self._function.__qualname__}-{name}"
         kept = _read(file)
         if kept is None:
@@ -102,6 +107,8 @@ class Program[**P, R]:
 
     def _lowered(self, structure, is_operand, static, operands) -> tuple[Any, bytearray] | None:
         """The results' tree, and the lowered program as bytes; None where it has a part that cannot be kept."""
+        from jax import export
+
         skeletons: list[Any] = []
 
         def flat(*operands):

@@ -78,7 +78,7 @@ class Kriging(eqx.Module):
     kernel: KernelName = eqx.field(static=True)
     trend: TrendName = eqx.field(static=True)
 
-    @eqx.filter_jit
+    @program
     def predict(self, x: Float[Array, "M d"]) -> tuple[Float[Array, " M"], Float[Array, " M"]]:
         """Mean (Eq. 10) and variance (Eq. 11) of the response at new points, in chunks of bounded memory.
 
@@ -227,9 +227,7 @@ def fit_kriging(
         raise ValueError(f"Argument `starts` must be at least 1, but is {starts}.")
     if not any(isinstance(array, Tracer) for array in (inputs, responses, mask)):
         _check_training_set(np.asarray(inputs), np.asarray(responses), np.asarray(mask), trend)
-    lower, upper = jnp.log(
-        jnp.array([(low, high) for low, high in [length_bounds] * inputs.shape[1] + [nugget_bounds]])
-    ).T
+    lower, upper = np.log([length_bounds] * inputs.shape[1] + [nugget_bounds]).T
     return _fit(inputs, responses, mask, key, previous, lower, upper, kernel, trend, starts, max_steps)
 
 

@@ -175,9 +175,9 @@ def surrogate(design: SequentialDesign, state: DesignState, step: Mapping[str, A
         return xr.Dataset(hyper, {"input": list(space.names)})
     axis = (np.arange(_GRID) + 0.5) / _GRID
     mesh = np.stack(np.meshgrid(*[axis] * len(space.names), indexing="ij"), axis=-1)
-    mean, variance = kriging.predict(jnp.asarray(mesh.reshape(-1, len(space.names))))
+    mean, variance = kriging.predict(jax.device_put(mesh.reshape(-1, len(space.names))))
     shape = (_GRID,) * len(space.names)
-    mean, sd = (np.asarray(values).reshape(shape) for values in (mean, jnp.sqrt(variance)))
+    mean, sd = (np.asarray(values).reshape(shape) for values in (mean, np.sqrt(np.asarray(variance))))
     said = {"units": "1", "long_name": "Kriging mean of the discrepancy (Eq. 12)"}
     maps = {
         "discrepancy_mean": (space.names, mean, said),

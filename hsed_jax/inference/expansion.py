@@ -57,7 +57,7 @@ def expand(posterior: Posterior, data: Data, points: Sequence[np.ndarray] | np.n
         missing = _WIDTH - len(block)
         counts = np.asarray(data.count) * (np.arange(_WIDTH) < len(block))
         block = np.concatenate([block, np.repeat(block[-1:], missing, axis=0)])
-        leaves = [np.asarray(leaf) for leaf in _expansions(posterior, data, jnp.asarray(block), jnp.asarray(counts))]
+        leaves = [np.asarray(leaf) for leaf in _expansions(posterior, data, block, counts)]
         found += [Expansion(*(leaf[i] for leaf in leaves)) for i in range(_WIDTH - missing)]
     return found
 
@@ -75,7 +75,9 @@ def centred(posterior: Posterior, data: Data, theta: Float[Array, " p"]) -> Post
 
 
 @program
-def _expansions(posterior: Posterior, data: Data, points: Float[Array, "S p"], counts: Int[Array, " S"]) -> Expansion:
+def _expansions(
+    posterior: Posterior, data: Data, points: Float[Array | np.ndarray, "S p"], counts: Int[Array | np.ndarray, " S"]
+) -> Expansion:
     return jax.vmap(lambda u, count: expansion(posterior, data._replace(count=count), u))(points, counts)
 
 

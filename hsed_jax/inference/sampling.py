@@ -171,8 +171,11 @@ def _independent(
 ) -> Chains:
     """Independent draws in the shape of chains."""
     shape = (settings.chains, settings.draws)
-    theta = _constrained(posterior, u).reshape(*shape, -1)
-    none = jnp.zeros(shape, dtype=int)
-    return Chains(
-        theta, height.reshape(shape), none > 0, none, jnp.full(settings.chains, step_size), settings.sampler, worth
+    arrays = (
+        np.asarray(_constrained(posterior, u)).reshape(*shape, -1),
+        np.asarray(height).reshape(shape),
+        np.zeros(shape, dtype=bool),
+        np.zeros(shape, dtype=int),
+        np.full(settings.chains, float(step_size)),
     )
+    return Chains(*jax.device_put(arrays), sampler=settings.sampler, worth=worth)

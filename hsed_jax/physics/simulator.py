@@ -29,6 +29,7 @@ from hsed_jax.physics.specimen import Specimen
 from hsed_jax.physics.structures import OWNER, Structure
 from hsed_jax.physics.systems import AbstractSystem, DrivenSpring, ShakenStructure
 from hsed_jax.physics.timeline import Timeline, times
+from hsed_jax.programs import program
 
 Scalar = Float[Array, ""] | float
 
@@ -116,7 +117,7 @@ class AbstractModel(eqx.Module):
         assert self.excitation is not None and self.timeline is not None
         return times(self.excitation(inputs).step_length(self.timeline), self.timeline.every, self.timeline.samples)
 
-    @eqx.filter_jit
+    @program
     def quantities(self, parameters: Mapping[str, Scalar], conditions: Conditions, names: tuple[str, ...]):
         """The named quantities of one experiment, shape (len(names),), and whether it converged."""
         response = self.respond(parameters, conditions, quantities=further(names))
@@ -190,7 +191,7 @@ class Simulator(AbstractModel):
         }
         return ShakenStructure(altered, specimens, self.owners, damping, yielding)
 
-    @eqx.filter_jit
+    @program
     def respond(
         self,
         parameters: Mapping[str, Scalar],
