@@ -190,9 +190,10 @@ class Posterior(eqx.Module):
         size = magnitudes(predicted, (data.weights > 0).astype(float), self._members)
         return self.errors(theta) * jnp.where(self._is_relative, size, 1.0)
 
-    def standardised(self, theta: Float[Array, " p"], data: Data) -> Float[Array, "n J"]:
-        """(f − y)/σ at parameters, neither weighed nor whitened; zero where there are no data."""
-        predicted, ok = self.predict(self.by_experiment(theta, data), data.conditions, data.count)
+    def standardised(
+        self, theta: Float[Array, " p"], predicted: Float[Array, "n J"], ok: Float[Array, " n"], data: Data
+    ) -> Float[Array, "n J"]:
+        """(f − y)/σ of predictions at parameters, neither weighed nor whitened; zero where there are no data."""
         return (data.weights > 0) * (predicted - data.values) / self.sigma(theta, predicted, ok, data)
 
     def compared(self, theta: Float[Array, " p"], data: Data) -> Float[Array, "n J"]:
@@ -262,8 +263,8 @@ class Posterior(eqx.Module):
         """Log density of the prior *in u*."""
         return self.log_prior(self.constrain(u)) + self._log_jacobian(u)
 
-    def linearised(self, u: Float[Array, " p"], data: Data) -> tuple[Any, Any, Any, Any, Any]:
-        """z and log σ, 1 where the simulation converged, and the derivatives of the first two along u, (p, n, J)."""
+    def linearised(self, u: Float[Array, " p"], data: Data) -> tuple[Any, Any, Any, Any, Any, Any]:
+        """Outputs, SI, 1 where the simulation converged, z and log σ, and the derivatives of these two along u, (p, n, J)."""
         predicted, ok, along = self.sensitivities(u, data)
 
         def comparison(u, predicted):
@@ -273,7 +274,7 @@ class Posterior(eqx.Module):
             return jax.jvp(comparison, (u, predicted), (direction, of_outputs))[1]
 
         z, log_sigma = comparison(u, predicted)
-        return z, log_sigma, ok, *jax.vmap(moved, in_axes=(0, -1))(jnp.eye(u.size), along)
+        return predicted, ok, z, log_sigma, *jax.vmap(moved, in_axes=(0, -1))(jnp.eye(u.size), along)
 
     def sensitivities(
         self, u: Float[Array, " p"], data: Data
