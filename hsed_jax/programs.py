@@ -10,6 +10,7 @@ as ever.
 import dataclasses
 import functools
 import hashlib
+import inspect
 import pickle
 import shutil
 import sys
@@ -56,20 +57,23 @@ class Program[**P, R]:
     def __init__(self, function: Callable[P, R]):
         functools.update_wrapper(self, function)
         self._function: Callable[..., Any] = function
+        self._signature = inspect.signature(function)
         self._traced = eqx.filter_jit(function)
         self._made: dict[Any, Callable[..., Any] | None] = {}
         self._lock = threading.Lock()
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
         """Run the program; within another one, be a part of it."""
-        leaves, structure = jax.tree.flatten((args, kwargs))
+        # However it is called, it is the same program.
+        given = self._signature.bind(*args, **kwargs)
+        given.apply_defaults()
+        leaves, structure = jax.tree.flatten((given.args, given.kwargs))
         is_operand = tuple(isinstance(leaf, jax.Array | np.ndarray | np.generic) for leaf in leaves)
         operands = [leaf for leaf, one in zip(leaves, is_operand, strict=True) if one]
         if any(isinstance(leaf, jax.core.Tracer) for leaf in operands) or not _is_kept():
             return self._traced(*args, **kwargs)
-        operands = [leaf if isinstance(leaf, jax.Array) else jax.device_put(leaf) for leaf in operands]
         static = tuple(None if one else leaf for leaf, one in zip(leaves, is_operand, strict=True))
-        key = structure, is_operand, static, tuple(leaf.aval for leaf in operands)
+        key = structure, is_operand, static, tuple(map(_kind, operands))
         if key not in self._made:
             with self._lock:
                 if key not in self._made:
@@ -87,8 +91,10 @@ class Program[**P, R]:
 
     def _make(self, structure, is_operand, static, operands) -> Callable[..., Any] | None:
         """The program for arguments of one kind, as a function of its operands; None where it cannot be kept."""
+        # By their kind alone: where an array comes from would be a part of the program otherwise.
+        operands = [jax.ShapeDtypeStruct(a.shape, a.dtype, weak_type=a.weak_type) for a in map(jax.typeof, operands)]
         try:
-            parts = _spelled(jax.tree.unflatten(structure, static)), is_operand, [_spelled(a.aval) for a in operands]
+            parts = _spelled(jax.tree.unflatten(structure, static)), is_operand, [_spelled(a) for a in operands]
             name = hashlib.blake2b(repr(parts).encode(), digest_size=16).hexdigest()
         except _UnspelledError:
             return None
@@ -102,7 +108,8 @@ class Program[**P, R]:
                 return None
             _write(file, kept)
         skeleton, lowered = kept
-        call, shape = jax.jit(export.deserialize(lowered).call), jax.tree.structure(skeleton)
+        # Compiled here and once: by itself JAX would compile again for arrays that another kept program has made.
+        call, shape = jax.jit(export.deserialize(lowered).call).lower(*operands).compile(), jax.tree.structure(skeleton)
         return lambda *operands: jax.tree.unflatten(shape, call(*operands))
 
     def _lowered(self, structure, is_operand, static, operands) -> tuple[Any, bytearray] | None:
@@ -131,6 +138,11 @@ class Program[**P, R]:
         return skeletons[0], lowered
 
 
+def _kind(operand: Any) -> tuple[Any, ...]:
+    """What of an array a program depends on; those of NumPy are as those of JAX, which takes them as they are."""
+    return operand.shape, operand.dtype, getattr(operand, "weak_type", False)
+
+
 def _is_kept() -> bool:
     config = jax.config
     is_kept = config.jax_enable_compilation_cache and bool(config.jax_compilation_cache_dir)
@@ -152,7 +164,7 @@ def _spelled(part: Any) -> Any:
         return _known_by_name(part)
     if isinstance(part, functools.partial):
         return "partial", _spelled(part.func), _spelled(part.args), _spelled(part.keywords)
-    if isinstance(part, jax.core.ShapedArray):
+    if isinstance(part, jax.ShapeDtypeStruct):
         return str(part.dtype), part.shape, part.weak_type
     if isinstance(part, np.ndarray):
         return str(part.dtype), part.shape, hashlib.blake2b(part.tobytes()).hexdigest()

@@ -254,7 +254,7 @@ def _likeliest(
         logs = jnp.log(jnp.append(previous[0], previous[1]))
         # Exactly on a bound the sine is flat and no descent would leave it.
         fractions = jnp.concatenate([fractions, jnp.clip((logs - lower) / (upper - lower), 0.01, 0.99)[None]])
-    ends, values = jax.vmap(lambda at: _descend(objective, at, max_steps))(jnp.arcsin(2.0 * fractions - 1.0))
+    ends, values = jax.lax.map(lambda at: _descend(objective, at, max_steps), jnp.arcsin(2.0 * fractions - 1.0))
     best = jnp.exp(bounded(ends[jnp.nanargmin(values)]))
     return best[:-1], best[-1]
 
