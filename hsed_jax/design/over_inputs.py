@@ -12,7 +12,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 import xarray as xr
 from jaxtyping import Array, Float
 
@@ -125,6 +124,8 @@ def estimates_alone(design: SequentialDesign, laboratory: VirtualLaboratory, uni
     Returns:
         `map` (parameter, first input, second input), SI: a calibration for each point of the grid.
     """
+    import optimistix as optx  # here: a run without figures does not wait for it
+
     axis = (np.arange(_MAP_SIDE) + 0.5) / _MAP_SIDE
     space, posterior, alone = design.space, design.posterior, replace(design, size=1)
     starts, nothing = posterior.starts(4), alone.init()
