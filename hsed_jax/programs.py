@@ -68,12 +68,14 @@ class Program[**P, R]:
         given = self._signature.bind(*args, **kwargs)
         given.apply_defaults()
         leaves, structure = jax.tree.flatten((given.args, given.kwargs))
-        is_operand = tuple(isinstance(leaf, jax.Array | np.ndarray | np.generic) for leaf in leaves)
-        operands = [leaf for leaf, one in zip(leaves, is_operand, strict=True) if one]
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in operands) or not _is_kept():
+        # By their types: this is done some thousand times in a study.
+        types = [type(leaf) for leaf in leaves]
+        if any(map(_is_tracer, types)) or not _is_kept():
             return self._traced(*args, **kwargs)
-        static = tuple(None if one else leaf for leaf, one in zip(leaves, is_operand, strict=True))
-        key = structure, is_operand, static, tuple(map(_kind, operands))
+        is_operand = tuple(map(_is_array, types))
+        operands = [leaf for leaf, one in zip(leaves, is_operand, strict=True) if one]
+        static = tuple([None if one else leaf for leaf, one in zip(leaves, is_operand, strict=True)])
+        key = structure, is_operand, static, tuple([_kind(operand) for operand in operands])
         if key not in self._made:
             with self._lock:
                 if key not in self._made:
@@ -136,6 +138,16 @@ class Program[**P, R]:
         except (ValueError, NotImplementedError, pickle.PicklingError, AttributeError):
             return None
         return skeletons[0], lowered
+
+
+@functools.cache
+def _is_tracer(kind: type) -> bool:
+    return issubclass(kind, jax.core.Tracer)
+
+
+@functools.cache
+def _is_array(kind: type) -> bool:
+    return issubclass(kind, jax.Array | np.ndarray | np.generic)
 
 
 def _kind(operand: Any) -> tuple[Any, ...]:
