@@ -18,12 +18,14 @@ from jaxtyping import Array, Float
 from hsed_jax.design.sequential import DesignState, SequentialDesign
 from hsed_jax.design.space import InputSpace
 from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.posterior import Posterior
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.physics.excitations import channels_of
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.physics.simulator import AbstractModel, Conditions
 from hsed_jax.physics.spectra import response_spectrum
 from hsed_jax.physics.timeline import Timeline, times
+from hsed_jax.programs import program
 
 _REALISATIONS = 200
 _PERIODS = np.linspace(0.05, 3.0, 60)
@@ -124,8 +126,6 @@ def estimates_alone(design: SequentialDesign, laboratory: VirtualLaboratory, uni
     Returns:
         `map` (parameter, first input, second input), SI: a calibration for each point of the grid.
     """
-    import optimistix as optx  # here: a run without figures does not wait for it
-
     axis = (np.arange(_MAP_SIDE) + 0.5) / _MAP_SIDE
     space, posterior, alone = design.space, design.posterior, replace(design, size=1)
     starts, nothing = posterior.starts(4), alone.init()
@@ -133,6 +133,23 @@ def estimates_alone(design: SequentialDesign, laboratory: VirtualLaboratory, uni
     def data(cube: tuple[float, float]) -> Data:
         point = space.point(np.asarray(cube))
         return alone.data(alone.tell(nothing, cube, list(laboratory.exact(point.si).values())))
+
+    everywhere = jax.tree.map(lambda *leaves: np.stack(leaves), *(data(cube) for cube in product(axis, axis)))
+    thetas = np.asarray(_estimates(posterior, everywhere, starts))
+    values = thetas.T.reshape(-1, _MAP_SIDE, _MAP_SIDE)
+    said = {"long_name": "most probable value from one experiment alone, in the unit of the parameter"}
+    names = list(posterior.names)
+    coords = _grid(space, axis) | {
+        "parameter": names,
+        "unit": ("parameter", [units.get(name, "1") for name in names]),
+    }
+    return xr.Dataset({"map": (("parameter", *space.names), values, said)}, coords)
+
+
+@program
+def _estimates(posterior: Posterior, experiments: Data, starts: Float[Array, "s p"]) -> Float[Array, "m p"]:
+    """The MAP of each of m experiments by itself."""
+    import optimistix as optx  # here: who draws no figures does not wait for it
 
     # Three digits make a contour, and no evidence or covariance: this costs a tenth of `maximise`.
     def descend(data: Data, start: Array) -> tuple[Array, Array]:
@@ -146,16 +163,7 @@ def estimates_alone(design: SequentialDesign, laboratory: VirtualLaboratory, uni
         ends, squares = jax.lax.map(lambda start: descend(data, start), starts)
         return posterior.constrain(ends[jnp.nanargmin(squares)])
 
-    everywhere = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(data(cube) for cube in product(axis, axis)))
-    thetas = np.asarray(jax.jit(lambda experiments: jax.lax.map(estimate, experiments))(everywhere))
-    values = thetas.T.reshape(-1, _MAP_SIDE, _MAP_SIDE)
-    said = {"long_name": "most probable value from one experiment alone, in the unit of the parameter"}
-    names = list(posterior.names)
-    coords = _grid(space, axis) | {
-        "parameter": names,
-        "unit": ("parameter", [units.get(name, "1") for name in names]),
-    }
-    return xr.Dataset({"map": (("parameter", *space.names), values, said)}, coords)
+    return jax.lax.map(estimate, experiments)
 
 
 def surrogate(design: SequentialDesign, state: DesignState, step: Mapping[str, Any]) -> xr.Dataset:
