@@ -26,7 +26,6 @@ _PACKAGES = (
     "hsed_jax",
     "jax",
     "jaxlib",
-    "diffrax",
     "equinox",
     "numpyro",
     "numpy",

@@ -49,8 +49,8 @@ def prepare() -> None:
             # It has a folder of its own in the same place, and says the same of it at length.
             logging.getLogger("matplotlib").setLevel(logging.ERROR)
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
-        # Everything is worth keeping: a study is many programs of half a second each.
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+        # Everything is worth keeping: a study is many programs, and the least of them takes ten times as long to make as to read.
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 @cache

@@ -10,6 +10,7 @@ as ever.
 import dataclasses
 import functools
 import hashlib
+import inspect
 import pickle
 import shutil
 import sys
@@ -25,10 +26,9 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jax import export
 
 # What a trace depends on besides the sources here.
-_PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpyro", "tinygp", "numpy", "scipy")
+_PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpyro", "tinygp", "numpy", "scipy")
 _SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_dtype_promotion", "jax_debug_nans")
 # Functions and classes of these are known by their names, as long as the versions are.
 _KNOWN = {"hsed_jax", "builtins", "functools", *_PACKAGES}
@@ -57,20 +57,25 @@ class Program[**P, R]:
     def __init__(self, function: Callable[P, R]):
         functools.update_wrapper(self, function)
         self._function: Callable[..., Any] = function
+        self._signature = inspect.signature(function)
         self._traced = eqx.filter_jit(function)
         self._made: dict[Any, Callable[..., Any] | None] = {}
         self._lock = threading.Lock()
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
         """Run the program; within another one, be a part of it."""
-        leaves, structure = jax.tree.flatten((args, kwargs))
-        is_operand = tuple(isinstance(leaf, jax.Array | np.ndarray | np.generic) for leaf in leaves)
-        operands = [leaf for leaf, one in zip(leaves, is_operand, strict=True) if one]
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in operands) or not _is_kept():
+        # However it is called, it is the same program.
+        given = self._signature.bind(*args, **kwargs)
+        given.apply_defaults()
+        leaves, structure = jax.tree.flatten((given.args, given.kwargs))
+        # By their types: this is done some thousand times in a study.
+        types = [type(leaf) for leaf in leaves]
+        if any(map(_is_tracer, types)) or not _is_kept():
             return self._traced(*args, **kwargs)
-        operands = [jnp.asarray(leaf) for leaf in operands]
-        static = tuple(None if one else leaf for leaf, one in zip(leaves, is_operand, strict=True))
-        key = structure, is_operand, static, tuple(leaf.aval for leaf in operands)
+        is_operand = tuple(map(_is_array, types))
+        operands = [leaf for leaf, one in zip(leaves, is_operand, strict=True) if one]
+        static = tuple([None if one else leaf for leaf, one in zip(leaves, is_operand, strict=True)])
+        key = structure, is_operand, static, tuple([_kind(operand) for operand in operands])
         if key not in self._made:
             with self._lock:
                 if key not in self._made:
@@ -78,17 +83,25 @@ class Program[**P, R]:
         made = self._made[key]
         return self._traced(*args, **kwargs) if made is None else made(*operands)
 
+    def __get__(self, instance: Any, owner: type | None = None) -> Any:
+        """As a method of an object, which is its first argument."""
+        return self if instance is None else functools.partial(self, instance)
+
     def lower(self, *args: P.args, **kwargs: P.kwargs) -> Any:
         """The program before it is compiled, traced anew."""
         return self._traced.lower(*args, **kwargs)
 
     def _make(self, structure, is_operand, static, operands) -> Callable[..., Any] | None:
         """The program for arguments of one kind, as a function of its operands; None where it cannot be kept."""
+        # By their kind alone: where an array comes from would be a part of the program otherwise.
+        operands = [jax.ShapeDtypeStruct(a.shape, a.dtype, weak_type=a.weak_type) for a in map(jax.typeof, operands)]
         try:
-            parts = _spelled(jax.tree.unflatten(structure, static)), is_operand, [_spelled(a.aval) for a in operands]
+            parts = _spelled(jax.tree.unflatten(structure, static)), is_operand, [_spelled(a) for a in operands]
             name = hashlib.blake2b(repr(parts).encode(), digest_size=16).hexdigest()
         except _UnspelledError:
             return None
+        from jax import export  # which a check of a study has no need to load
+
         file = _folder() / f"{self._function.__qualname__}-{name}"
         kept = _read(file)
         if kept is None:
@@ -97,11 +110,14 @@ class Program[**P, R]:
                 return None
             _write(file, kept)
         skeleton, lowered = kept
-        call, shape = jax.jit(export.deserialize(lowered).call), jax.tree.structure(skeleton)
+        # Compiled here and once: by itself JAX would compile again for arrays that another kept program has made.
+        call, shape = jax.jit(export.deserialize(lowered).call).lower(*operands).compile(), jax.tree.structure(skeleton)
         return lambda *operands: jax.tree.unflatten(shape, call(*operands))
 
     def _lowered(self, structure, is_operand, static, operands) -> tuple[Any, bytearray] | None:
         """The results' tree, and the lowered program as bytes; None where it has a part that cannot be kept."""
+        from jax import export
+
         skeletons: list[Any] = []
 
         def flat(*operands):
@@ -122,6 +138,21 @@ class Program[**P, R]:
         except (ValueError, NotImplementedError, pickle.PicklingError, AttributeError):
             return None
         return skeletons[0], lowered
+
+
+@functools.cache
+def _is_tracer(kind: type) -> bool:
+    return issubclass(kind, jax.core.Tracer)
+
+
+@functools.cache
+def _is_array(kind: type) -> bool:
+    return issubclass(kind, jax.Array | np.ndarray | np.generic)
+
+
+def _kind(operand: Any) -> tuple[Any, ...]:
+    """What of an array a program depends on; those of NumPy are as those of JAX, which takes them as they are."""
+    return operand.shape, operand.dtype, getattr(operand, "weak_type", False)
 
 
 def _is_kept() -> bool:
@@ -145,7 +176,7 @@ def _spelled(part: Any) -> Any:
         return _known_by_name(part)
     if isinstance(part, functools.partial):
         return "partial", _spelled(part.func), _spelled(part.args), _spelled(part.keywords)
-    if isinstance(part, jax.core.ShapedArray):
+    if isinstance(part, jax.ShapeDtypeStruct):
         return str(part.dtype), part.shape, part.weak_type
     if isinstance(part, np.ndarray):
         return str(part.dtype), part.shape, hashlib.blake2b(part.tobytes()).hexdigest()

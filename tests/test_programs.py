@@ -111,6 +111,41 @@ def test_without_a_folder_to_write_it_works_all_the_same(tmp_path, monkeypatch, 
     np.testing.assert_array_equal(program(doubled)(Scaled(jnp.asarray(3.0)), jnp.ones(2), 2).value, [3.0, 3.0])
 
 
+def test_however_it_is_called_it_is_the_same_program(folder):
+    one, model, x = program(doubled), Scaled(jnp.asarray(3.0)), np.arange(4.0)
+    found = [one(model, x, 2), one(model, jnp.asarray(x), power=2), one(x=x, power=2, model=model)]
+    assert len(files(folder)) == len(one._made) == 1
+    for other in found[1:]:
+        np.testing.assert_array_equal(other.square, found[0].square)
+
+
+def test_what_another_kept_program_made_is_not_compiled_for_anew(folder, caplog):
+    one, model, x = program(doubled), Scaled(jnp.asarray(3.0)), np.arange(4.0)
+    made = one(model, x, 2)
+    with jax.log_compiles():
+        again = one(model, made.square, 2)
+    assert not [record for record in caplog.records if "ompil" in record.getMessage()]
+    np.testing.assert_array_equal(again.square, x**4)
+
+
+class Held(eqx.Module):
+    """A method that is a program."""
+
+    factor: jax.Array
+
+    @program
+    def times(self, x):
+        """The product."""
+        TRACED.append(None)
+        return self.factor * x
+
+
+def test_a_method_is_kept_for_all_objects_of_a_kind(folder):
+    assert Held(jnp.asarray(3.0)).times(jnp.asarray(2.0)) == 6.0
+    assert Held(jnp.asarray(4.0)).times(jnp.asarray(2.0)) == 8.0
+    assert len(TRACED) == 1 and len(files(folder)) == 1
+
+
 def test_within_another_program_it_is_a_part_of_it(folder):
     one = program(doubled)
     slope = jax.jit(jax.grad(lambda x: one(Scaled(jnp.asarray(3.0)), x, 2).square))(5.0)

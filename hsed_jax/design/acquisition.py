@@ -192,7 +192,7 @@ def choose(
             )
         acquisition = ACQUISITIONS[acquisition]
     choice = _choose(kriging, candidates, excluded, excluded_mask, acquisition, key)
-    if not isinstance(choice.log_value, Tracer) and choice.log_value == -jnp.inf:
+    if not isinstance(choice.log_value, Tracer) and float(choice.log_value) == -np.inf:
         raise ValueError(
             "Argument `candidates` must hold a point that has not been tested, but all"
             f" {candidates.shape[0]} have been. Draw more candidates."
@@ -238,7 +238,7 @@ def sobol_candidates(count: int, dimensions: int, seed: int) -> Float[Array, "co
 
     sequence = qmc.Sobol(dimensions, scramble=True, rng=seed)
     # Sobol' sets are balanced at powers of two; SciPy warns about any other number.
-    return jnp.asarray(sequence.random_base2((count - 1).bit_length())[:count])
+    return jax.device_put(sequence.random_base2((count - 1).bit_length())[:count])
 
 
 def _deviation(variance: Float[Array, " M"]) -> Float[Array, " M"]:

@@ -12,19 +12,20 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 import xarray as xr
 from jaxtyping import Array, Float
 
 from hsed_jax.design.sequential import DesignState, SequentialDesign
 from hsed_jax.design.space import InputSpace
 from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.posterior import Posterior
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.physics.excitations import channels_of
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.physics.simulator import AbstractModel, Conditions
 from hsed_jax.physics.spectra import response_spectrum
 from hsed_jax.physics.timeline import Timeline, times
+from hsed_jax.programs import program
 
 _REALISATIONS = 200
 _PERIODS = np.linspace(0.05, 3.0, 60)
@@ -133,6 +134,23 @@ def estimates_alone(design: SequentialDesign, laboratory: VirtualLaboratory, uni
         point = space.point(np.asarray(cube))
         return alone.data(alone.tell(nothing, cube, list(laboratory.exact(point.si).values())))
 
+    everywhere = jax.tree.map(lambda *leaves: np.stack(leaves), *(data(cube) for cube in product(axis, axis)))
+    thetas = np.asarray(_estimates(posterior, everywhere, starts))
+    values = thetas.T.reshape(-1, _MAP_SIDE, _MAP_SIDE)
+    said = {"long_name": "most probable value from one experiment alone, in the unit of the parameter"}
+    names = list(posterior.names)
+    coords = _grid(space, axis) | {
+        "parameter": names,
+        "unit": ("parameter", [units.get(name, "1") for name in names]),
+    }
+    return xr.Dataset({"map": (("parameter", *space.names), values, said)}, coords)
+
+
+@program
+def _estimates(posterior: Posterior, experiments: Data, starts: Float[Array, "s p"]) -> Float[Array, "m p"]:
+    """The MAP of each of m experiments by itself."""
+    import optimistix as optx  # here: who draws no figures does not wait for it
+
     # Three digits make a contour, and no evidence or covariance: this costs a tenth of `maximise`.
     def descend(data: Data, start: Array) -> tuple[Array, Array]:
         solver = optx.LevenbergMarquardt(rtol=1e-4, atol=1e-5)
@@ -145,16 +163,7 @@ def estimates_alone(design: SequentialDesign, laboratory: VirtualLaboratory, uni
         ends, squares = jax.lax.map(lambda start: descend(data, start), starts)
         return posterior.constrain(ends[jnp.nanargmin(squares)])
 
-    everywhere = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(data(cube) for cube in product(axis, axis)))
-    thetas = np.asarray(jax.jit(lambda experiments: jax.lax.map(estimate, experiments))(everywhere))
-    values = thetas.T.reshape(-1, _MAP_SIDE, _MAP_SIDE)
-    said = {"long_name": "most probable value from one experiment alone, in the unit of the parameter"}
-    names = list(posterior.names)
-    coords = _grid(space, axis) | {
-        "parameter": names,
-        "unit": ("parameter", [units.get(name, "1") for name in names]),
-    }
-    return xr.Dataset({"map": (("parameter", *space.names), values, said)}, coords)
+    return jax.lax.map(estimate, experiments)
 
 
 def surrogate(design: SequentialDesign, state: DesignState, step: Mapping[str, Any]) -> xr.Dataset:
@@ -175,9 +184,9 @@ def surrogate(design: SequentialDesign, state: DesignState, step: Mapping[str, A
         return xr.Dataset(hyper, {"input": list(space.names)})
     axis = (np.arange(_GRID) + 0.5) / _GRID
     mesh = np.stack(np.meshgrid(*[axis] * len(space.names), indexing="ij"), axis=-1)
-    mean, variance = kriging.predict(jnp.asarray(mesh.reshape(-1, len(space.names))))
+    mean, variance = kriging.predict(jax.device_put(mesh.reshape(-1, len(space.names))))
     shape = (_GRID,) * len(space.names)
-    mean, sd = (np.asarray(values).reshape(shape) for values in (mean, jnp.sqrt(variance)))
+    mean, sd = (np.asarray(values).reshape(shape) for values in (mean, np.sqrt(np.asarray(variance))))
     said = {"units": "1", "long_name": "Kriging mean of the discrepancy (Eq. 12)"}
     maps = {
         "discrepancy_mean": (space.names, mean, said),

@@ -176,7 +176,7 @@ class SequentialDesign:
         size, count = self.size_of(state), len(state.trials)
         # Padding repeats a valid input, so that padded simulations are harmless.
         points = [*(t.point for t in state.trials), *[self._middle] * (size - count)]
-        conditions = Conditions({name: jnp.asarray([p.si[name] for p in points]) for name in self.space.names})
+        conditions = Conditions(jax.device_put({n: np.asarray([p.si[n] for p in points]) for n in self.space.names}))
         outputs = np.full((size, len(self.gaps)), np.nan)
         for row, trial in enumerate(state.trials):
             outputs[row] = trial.outputs
@@ -209,8 +209,8 @@ class SequentialDesign:
         def chosen_by(by: Acquisition) -> Choice:
             if closed is not None:
                 by = Restricted(by, jnp.asarray(closed))
-            known = jnp.asarray(self._cube(state)), jnp.asarray(self._rows(state, np.ones(len(state.trials), bool)))
-            return choose(believing, self.candidate_set, *known, by, of_choice)
+            known = jax.device_put((self._cube(state), self._rows(state, np.ones(len(state.trials), bool))))
+            return choose(believing, self.candidate_set, *known, acquisition=by, key=of_choice)
 
         best = chosen_by(ACQUISITIONS["expected_improvement"])
         choice, by = best, acquisition or ACQUISITIONS[self.acquisition]
@@ -218,7 +218,7 @@ class SequentialDesign:
             choice = chosen_by(PerCost(by, jnp.asarray(self.cost(self.space.declared(self.candidate_set)))))
         elif acquisition is not None or self.acquisition != "expected_improvement":
             choice = chosen_by(by)
-        chosen = np.asarray(self.candidate_set[int(choice.index)])
+        chosen = np.asarray(self.candidate_set)[int(choice.index)]
         info = StepInfo(
             maximum,
             chains,
@@ -229,7 +229,7 @@ class SequentialDesign:
             float(best.value),
             chosen,
         )
-        going_on = replace(state, theta=np.asarray(maximum.u), step_size=float(np.mean(chains.step_size)))
+        going_on = replace(state, theta=np.asarray(maximum.u), step_size=float(np.asarray(chains.step_size).mean()))
         return chosen, going_on, info
 
     def _cube(self, state: DesignState) -> np.ndarray:
@@ -246,8 +246,8 @@ class SequentialDesign:
 
     def _fit(self, state: DesignState, norms: np.ndarray, key: PRNGKeyArray) -> Kriging:
         mask = self._rows(state, state.is_measured) & np.isfinite(norms)
-        responses = jnp.asarray(np.where(mask, norms, 0.0))
-        return fit_kriging(jnp.asarray(self._cube(state)), responses, jnp.asarray(mask), key=key, **self.kriging)
+        known = jax.device_put((self._cube(state), np.where(mask, norms, 0.0), mask))
+        return fit_kriging(*known, key=key, **self.kriging)
 
     def _believing(self, state: DesignState, kriging: Kriging, norms: np.ndarray) -> Kriging:
         """The surrogate with its own mean as the response of every pending experiment."""
@@ -300,9 +300,8 @@ class SequentialDesign:
         """
         responses = np.full(self.size_of(state), np.nan)
         responses[: len(norms)] = norms
-        return self._conditioned(
-            state, responses, np.zeros(len(responses), dtype=bool), jnp.asarray(lengths), jnp.asarray(nugget)
-        )
+        hyper = jax.device_put((np.asarray(lengths, dtype=float), np.asarray(nugget, dtype=float)))
+        return self._conditioned(state, responses, np.zeros(len(responses), dtype=bool), *hyper)
 
     def _conditioned(
         self, state: DesignState, responses: np.ndarray, more: np.ndarray, lengths: Array, nugget: Array
@@ -310,19 +309,15 @@ class SequentialDesign:
         """Kriging of known hyper-parameters on what was measured, and on `more` rows."""
         mask = (self._rows(state, state.is_measured) | more) & np.isfinite(responses)
         options = {name: value for name, value in self.kriging.items() if name != "starts"}
-        return condition(
-            jnp.asarray(self._cube(state)),
-            jnp.asarray(np.where(mask, responses, 0.0)),
-            jnp.asarray(mask),
-            lengths,
-            nugget,
-            **options,
-        )
+        known = jax.device_put((self._cube(state), np.where(mask, responses, 0.0), mask))
+        return condition(*known, lengths=lengths, nugget=nugget, **options)
 
-    def starting_points(self, state: DesignState) -> Float[Array, "s p"]:
+    def starting_points(self, state: DesignState) -> Float[np.ndarray, "s p"]:
         """Where the MAP starts: spread over the prior, and the last MAP instead of the first of them."""
-        spread = self._starts
-        return spread if state.theta is None else spread.at[0].set(jnp.asarray(state.theta))
+        points = np.array(self._starts)
+        if state.theta is not None:
+            points[0] = state.theta
+        return points
 
     @cached_property
     def _starts(self):
@@ -339,23 +334,28 @@ class SequentialDesign:
 
     def _discrepancy(self, data: Data, theta: Float[Array, " p"], draws: Float[Array, "c s p"]) -> Float[Array, " n"]:
         """Eq. 12 at the tested inputs; NaN where the model diverged or nothing was measured."""
-        thetas = theta[None]
+        thetas = np.asarray(theta)[None]
         if self.variance_over_parameters:
-            thetas = draws.reshape(-1, draws.shape[-1])[:: max(1, draws.shape[0] * draws.shape[1] // 16)]
+            thetas = np.asarray(draws).reshape(-1, draws.shape[-1])[:: max(1, draws.shape[0] * draws.shape[1] // 16)]
         return _discrepancies(self.posterior, data, theta, thetas, self._spread)
 
     @cached_property
     def _spread(self) -> Conditions:
         """Inputs over the whole space, that the variance in Eq. 12 is taken over."""
         inputs = self.space.si(self.space.declared(self.space.spread(_SPREAD)))
-        return Conditions({name: jnp.asarray(values) for name, values in inputs.items()})
+        return Conditions(jax.device_put(inputs))
 
 
 @program
 def _discrepancies(posterior, data, theta, thetas, spread):
-    here, ok = posterior.predict(posterior.of_model(theta), data.conditions, data.count)
-    there, good = jax.vmap(lambda t: posterior.predict(posterior.of_model(t), spread, jnp.asarray(_SPREAD)))(thetas)
-    variance = variance_over(there.reshape(-1, there.shape[-1]), good.ravel(), posterior.groups)
+    # One batch for the whole space and what was tested: a simulation is most of what there is to compile.
+    number, tested = len(thetas) * _SPREAD, len(data.values)
+    over = jnp.repeat(jax.vmap(posterior.of_model)(thetas), _SPREAD, axis=0)
+    at = jnp.concatenate([over, jnp.tile(posterior.of_model(theta), (tested, 1))])
+    lanes = jax.tree.map(lambda s, d: jnp.concatenate([jnp.tile(s, len(thetas)), d]), spread, data.conditions)
+    predicted, good = posterior.predict(at, lanes, number + data.count)
+    here, ok = predicted[number:], good[number:]
+    variance = variance_over(predicted[:number], good[:number], posterior.groups)
     norms = discrepancy(data.values, here, variance, data.weights, posterior.groups)
     # Where the model diverged there is no discrepancy, which is not the same as none.
     return jnp.where(ok > 0, norms, jnp.nan)

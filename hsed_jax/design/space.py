@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -97,7 +98,8 @@ class InputSpace:
 
     def middle(self) -> dict[str, Array]:
         """The inputs in the middle of their distributions by name in SI."""
-        return self.inputs(jnp.full(len(self.names), 0.5))
+        si = self.si(self.declared(np.full((1, len(self.names)), 0.5)))
+        return jax.device_put({name: values[0] for name, values in si.items()})
 
     def bounds(self) -> np.ndarray:
         """What the design may reach, in declared units, shape (d, 2)."""

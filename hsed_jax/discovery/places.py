@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.signal import lfilter
 
 from hsed_jax.physics.effects.coordinates import COORDINATES
 from hsed_jax.physics.effects.free_function import COUNTS, DEGREES, SLOTS
@@ -121,6 +120,8 @@ def values(name: str, fade: float, motion: Motion, scales: Scales) -> Float[np.n
     if name == "since_reversal":
         return _since_reversal(u) / scales.elongation
     if name in ("recent_path", "lagged_elongation"):
+        from scipy.signal import lfilter  # here: it takes half a second to load, and few have a use for it
+
         fed = np.abs(along) if name == "recent_path" else pace * u
         return np.asarray(lfilter([1.0], [1.0, -(1.0 - min(pace, 1.0))], fed)) / scales.elongation
     direction = np.sign(v)

@@ -38,6 +38,8 @@ class Expansion(NamedTuple):
         gradient: of `log_density`, (p,).
         curvature: minus its Hessian, made positive, (p, p).
         information: what of the curvature the measurements have told, (p, p).
+        predicted: outputs of the experiments, SI, (n, J).
+        ok: 1 where the simulation converged, else 0, (n,).
     """
 
     log_posterior: Float[Array | np.ndarray, ""]
@@ -47,6 +49,8 @@ class Expansion(NamedTuple):
     gradient: Float[Array | np.ndarray, " p"]
     curvature: Float[Array | np.ndarray, "p p"]
     information: Float[Array | np.ndarray, "p p"]
+    predicted: Float[Array | np.ndarray, "n J"]
+    ok: Float[Array | np.ndarray, " n"]
 
 
 def expand(posterior: Posterior, data: Data, points: Sequence[np.ndarray] | np.ndarray) -> list[Expansion]:
@@ -57,7 +61,7 @@ def expand(posterior: Posterior, data: Data, points: Sequence[np.ndarray] | np.n
         missing = _WIDTH - len(block)
         counts = np.asarray(data.count) * (np.arange(_WIDTH) < len(block))
         block = np.concatenate([block, np.repeat(block[-1:], missing, axis=0)])
-        leaves = [np.asarray(leaf) for leaf in _expansions(posterior, data, jnp.asarray(block), jnp.asarray(counts))]
+        leaves = [np.asarray(leaf) for leaf in _expansions(posterior, data, block, counts)]
         found += [Expansion(*(leaf[i] for leaf in leaves)) for i in range(_WIDTH - missing)]
     return found
 
@@ -75,13 +79,15 @@ def centred(posterior: Posterior, data: Data, theta: Float[Array, " p"]) -> Post
 
 
 @program
-def _expansions(posterior: Posterior, data: Data, points: Float[Array, "S p"], counts: Int[Array, " S"]) -> Expansion:
+def _expansions(
+    posterior: Posterior, data: Data, points: Float[Array | np.ndarray, "S p"], counts: Int[Array | np.ndarray, " S"]
+) -> Expansion:
     return jax.vmap(lambda u, count: expansion(posterior, data._replace(count=count), u))(points, counts)
 
 
 def expansion(posterior: Posterior, data: Data, u: Float[Array, " p"]) -> Expansion:
     """The posterior around u."""
-    z, log_sigma, ok, z_along, sigma_along = posterior.linearised(u, data)
+    predicted, ok, z, log_sigma, z_along, sigma_along = posterior.linearised(u, data)
     likelihood, (by_z, by_sigma) = jax.value_and_grad(
         lambda z, log_sigma: log_likelihood(z, log_sigma, ok, data), argnums=(0, 1)
     )(z, log_sigma)
@@ -110,4 +116,6 @@ def expansion(posterior: Posterior, data: Data, u: Float[Array, " p"]) -> Expans
         told + gradient,
         curvature,
         information,
+        predicted,
+        ok,
     )

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from hsed_jax.inference.correlation import SIGNIFICANT, Judged, judge, size_p_value
-from hsed_jax.inference.expansion import centred
+from hsed_jax.inference.expansion import centred, expand
 from hsed_jax.inference.likelihood import Data, Error
 from hsed_jax.inference.maximum import Maximum, maximise
 from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence
@@ -247,7 +247,7 @@ def fit(
         kept = (posterior.declared, posterior.population, data.weights, data.memory, process, maximum)
         watch.keep(name, arrays_of(kept))
     chains = draw(posterior, data, maximum, jnp.asarray(0.8), key, settings, watch, seconds)
-    standardised = np.asarray(_standardised(declared, data, maximum.theta))
+    standardised = _standardised(declared, posterior, data, maximum)
     chi2, p_value = _left_unexplained(standardised, data, declared, _judged(standardised, data, declared, errors))
     is_inflated = any(error.inflate for error in errors)
     told = {"chi2_per_datum": chi2, "p_value": p_value, "is_inflated": is_inflated}
@@ -289,7 +289,7 @@ def _most_probable(
     maximum = maximise(posterior, data, points)
     declared, process, is_centred = posterior, None, False
     for _ in range(_ROUNDS):
-        standardised = np.asarray(_standardised(declared, data, maximum.theta))
+        standardised = _standardised(declared, posterior, data, maximum)
         judged = _judged(standardised, data, declared, errors)
         inflated = declared.inflated(_left(standardised, data, declared, errors))
         # What correlates the residuals of a discrepancy is its own.
@@ -331,9 +331,15 @@ def _learned(
     return learned(posterior, data, maximum.u, errors, support, process)
 
 
+def _standardised(declared: Posterior, posterior: Posterior, data: Data, maximum: Maximum) -> Float[np.ndarray, "n J"]:
+    """(f − y)/σ at the MAP with the declared errors, by the program that found it: another takes seconds to compile."""
+    (there,) = expand(posterior, data, [np.asarray(maximum.u)])
+    return np.asarray(_against_declared(declared, data, maximum.theta, there.predicted, there.ok))
+
+
 @program
-def _standardised(posterior: Posterior, data: Data, theta: Array) -> Array:
-    return posterior.standardised(theta, data)
+def _against_declared(declared, data, theta, predicted, ok) -> Float[Array, "n J"]:
+    return declared.standardised(theta, predicted, ok, data)
 
 
 def _judged(standardised: np.ndarray, data: Data, posterior: Posterior, errors: Sequence[Error]) -> Judged:

@@ -46,7 +46,7 @@ def heights(
     began = time.perf_counter()
 
     def one(at: int, block: Array, many: int) -> None:
-        values = np.asarray(_heights(posterior, data, block))[:many]
+        values = np.asarray(_simulated(posterior, data, block)[2])[:many]
         found[at : at + many] = np.where(np.isnan(values), -np.inf, values)
 
     def seen() -> None:
@@ -68,7 +68,7 @@ def simulated(
     blocks: dict[int, list[np.ndarray]] = {}
 
     def one(at: int, block: Array, many: int) -> None:
-        blocks[at] = [np.asarray(values)[:many] for values in _outputs(posterior, data, block)]
+        blocks[at] = [np.asarray(values)[:many] for values in _simulated(posterior, data, block)]
 
     def seen() -> None:
         watch.count(sum(len(height) for *_, height in blocks.values()), len(points))
@@ -123,12 +123,8 @@ def _over(
 
 
 @program
-def _heights(posterior: Posterior, data: Data, u: Float[Array, "S p"]) -> Float[Array, " S"]:
-    return jax.lax.map(lambda x: posterior.log_density(x, data), u, batch_size=TILE)
-
-
-@program
-def _outputs(posterior: Posterior, data: Data, u: Float[Array, "S p"]) -> tuple[Array, Array, Array]:
+def _simulated(posterior: Posterior, data: Data, u: Float[Array, "S p"]) -> tuple[Array, Array, Array]:
+    # The simulation is most of what there is to compile, so one program serves those who want no outputs, too.
     def one(u):
         outputs, ok = posterior.predictions(u, data)
         return outputs, ok, posterior.log_density_of(u, outputs, ok, data)

@@ -113,15 +113,15 @@ def data_of(conditions: PyTree, measured: np.ndarray, used: np.ndarray, gaps: np
     """
     used = used & (np.arange(len(measured)) < count)[:, None]
     before = np.pad(used[:, :-1], ((0, 0), (1, 0)))
-    return Data(
-        conditions,
-        jnp.asarray(np.where(used, measured, 1.0)),
-        jnp.asarray(used, float),
-        jnp.asarray(np.where(used & before, gaps, np.inf)),
-        jnp.zeros(measured.shape),
-        jnp.asarray(count),
-        jnp.zeros((len(measured), 0), int),
+    known = (
+        np.where(used, measured, 1.0),
+        used.astype(float),
+        np.where(used & before, gaps, np.inf),
+        np.zeros(measured.shape),
+        np.asarray(count),
+        np.zeros((len(measured), 0), dtype=int),
     )
+    return Data(conditions, *jax.device_put(known))
 
 
 def magnitudes(

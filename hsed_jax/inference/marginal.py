@@ -73,7 +73,7 @@ def lowest(
 @program
 def linearised(posterior: Posterior, data: Data, u: Float[Array, " p"]):
     """z, its derivatives along u, (n, J, p), and 1 where the simulation converged."""
-    z, _, ok, along, _ = posterior.linearised(u, data)
+    _, ok, z, _, along, _ = posterior.linearised(u, data)
     return z, jnp.moveaxis(along, 0, -1), ok
 
 

@@ -91,7 +91,7 @@ class Maximum(NamedTuple):
         return f"the posterior has {len(places)} modes: {told}"
 
 
-def maximise(posterior: Posterior, data: Data, starts: Float[Array, "s p"]) -> Maximum:
+def maximise(posterior: Posterior, data: Data, starts: Float[Array | np.ndarray, "s p"]) -> Maximum:
     """Find the MAP, and what other modes the starts end in.
 
     Arguments:
@@ -218,12 +218,12 @@ def _mode(posterior: Posterior, data: Data, search: _Search) -> Maximum:
     center, at_center = _sampling_frame(posterior, data, u, found)
     if posterior.population.levels:
         u, found = center, at_center
-    theta, to_theta = _physical(posterior, jnp.asarray(u))
-    covariance = to_theta @ np.linalg.inv(found.curvature) @ np.asarray(to_theta).T
+    theta, to_theta = map(np.asarray, _physical(posterior, jax.device_put(u)))
+    covariance = to_theta @ np.linalg.inv(found.curvature) @ to_theta.T
     whitening = np.linalg.inv(np.linalg.cholesky(at_center.curvature)).T
     log_evidence = at_center.log_density + 0.5 * u.size * LOG_2PI + np.linalg.slogdet(whitening)[1]
     known = (u, theta, found.log_posterior, covariance, log_evidence, center, whitening, search.is_settled)
-    return Maximum._make([*map(jnp.asarray, known), ()])
+    return Maximum._make([*jax.device_put(known), ()])
 
 
 def _off_the_bounds(posterior: Posterior, data: Data, search: _Search) -> _Search:

@@ -209,7 +209,7 @@ def assemble(
 
 def conditions_of(experiment: Experiment, campaign: Campaign, grid: Grid | None, excitation: Excite) -> Conditions:
     """Inputs and recorded excitation of one experiment."""
-    inputs = {name: jnp.asarray(value) for name, value in experiment.inputs.items()}
+    inputs = jax.device_put({name: np.asarray(value, dtype=float) for name, value in experiment.inputs.items()})
     if grid is None:
         return Conditions(inputs)
     record = _record(experiment)
@@ -301,4 +301,5 @@ def _imposed(record: Record, times: np.ndarray, name: str) -> Imposed:
 
 def stacked(conditions: Sequence[Conditions]) -> Conditions:
     """Conditions of several experiments, leading axis n."""
-    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf, dtype=float) for leaf in leaves]), *conditions)
+    stacks = jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf, dtype=float) for leaf in leaves]), *conditions)
+    return jax.device_put(stacks)

@@ -27,6 +27,7 @@ from hsed_jax.inference.likelihood import (
 from hsed_jax.inference.population import Level, Population, spread_support
 from hsed_jax.inference.predict import Predictor
 from hsed_jax.inference.priors import Prior
+from hsed_jax.programs import program
 
 # Beyond this the logistic and the exponential are at their bounds to double precision.
 _FAR = 30.0
@@ -83,7 +84,7 @@ class Posterior(eqx.Module):
         self.names, self._priors = (*known, *self.population.offsets), tuple(known.values())
         self._columns = tuple(np.asarray(groups).tolist())
         self._relative = tuple(error.is_relative for error in errors)
-        self.declared = jnp.asarray([1.0 if isinstance(s, Prior) else s for s in sizes])
+        self.declared = jax.device_put(np.asarray([1.0 if isinstance(s, Prior) else s for s in sizes], dtype=float))
         # Number of an output, and where its error stands in θ.
         self._inferred = tuple(
             (i, self.names.index(f"error.{name}")) for i, name in enumerate(self.outputs) if isinstance(sizes[i], Prior)
@@ -161,7 +162,7 @@ class Posterior(eqx.Module):
         theta = np.stack(columns, axis=1)
         # Of offsets nobody knows a sign.
         theta = np.pad(theta, ((0, 0), (0, len(self.population.offsets))))
-        return jnp.stack([self.unconstrain(row) for row in jnp.asarray(theta)])
+        return _unconstrained(self, jax.device_put(theta))
 
     def errors(self, theta: Float[Array, " p"]) -> Float[Array, " J"]:
         """s of every column: declared or taken from θ."""
@@ -189,9 +190,10 @@ class Posterior(eqx.Module):
         size = magnitudes(predicted, (data.weights > 0).astype(float), self._members)
         return self.errors(theta) * jnp.where(self._is_relative, size, 1.0)
 
-    def standardised(self, theta: Float[Array, " p"], data: Data) -> Float[Array, "n J"]:
-        """(f − y)/σ at parameters, neither weighed nor whitened; zero where there are no data."""
-        predicted, ok = self.predict(self.by_experiment(theta, data), data.conditions, data.count)
+    def standardised(
+        self, theta: Float[Array, " p"], predicted: Float[Array, "n J"], ok: Float[Array, " n"], data: Data
+    ) -> Float[Array, "n J"]:
+        """(f − y)/σ of predictions at parameters, neither weighed nor whitened; zero where there are no data."""
         return (data.weights > 0) * (predicted - data.values) / self.sigma(theta, predicted, ok, data)
 
     def compared(self, theta: Float[Array, " p"], data: Data) -> Float[Array, "n J"]:
@@ -261,8 +263,8 @@ class Posterior(eqx.Module):
         """Log density of the prior *in u*."""
         return self.log_prior(self.constrain(u)) + self._log_jacobian(u)
 
-    def linearised(self, u: Float[Array, " p"], data: Data) -> tuple[Any, Any, Any, Any, Any]:
-        """z and log σ, 1 where the simulation converged, and the derivatives of the first two along u, (p, n, J)."""
+    def linearised(self, u: Float[Array, " p"], data: Data) -> tuple[Any, Any, Any, Any, Any, Any]:
+        """Outputs, SI, 1 where the simulation converged, z and log σ, and the derivatives of these two along u, (p, n, J)."""
         predicted, ok, along = self.sensitivities(u, data)
 
         def comparison(u, predicted):
@@ -272,7 +274,7 @@ class Posterior(eqx.Module):
             return jax.jvp(comparison, (u, predicted), (direction, of_outputs))[1]
 
         z, log_sigma = comparison(u, predicted)
-        return z, log_sigma, ok, *jax.vmap(moved, in_axes=(0, -1))(jnp.eye(u.size), along)
+        return predicted, ok, z, log_sigma, *jax.vmap(moved, in_axes=(0, -1))(jnp.eye(u.size), along)
 
     def sensitivities(
         self, u: Float[Array, " p"], data: Data
@@ -338,3 +340,8 @@ def _value_and_jacobian(function: Callable, u: Float[Array, " p"]) -> tuple[Any,
 def _root(value: Float[Array, "..."]) -> Float[Array, "..."]:
     positive = value > 1e-12
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, value, 1.0)), 0.0)
+
+
+@program
+def _unconstrained(posterior: Posterior, theta: Float[Array, "s p"]) -> Float[Array, "s p"]:
+    return jax.vmap(posterior.unconstrain)(theta)

@@ -28,18 +28,28 @@ class _Family(NamedTuple):
         arguments: their names, in numpyro's order.
         is_one: whether there is a member of these arguments.
         bounds: limits of the support.
-        quantile: from the arguments and a share between 0 and 1.
+        quantile: from the arguments and shares between 0 and 1, one number or an array.
     """
 
     arguments: tuple[str, ...]
     is_one: Callable[..., bool]
     bounds: Callable[..., Bounds]
-    quantile: Callable[..., float]
+    quantile: Callable[..., Any]
 
 
-def _exponential(value: float) -> float:
+def _standard(share: Any) -> Any:
+    """Quantiles of the standard normal distribution."""
+    if isinstance(share, float):
+        return _STANDARD.inv_cdf(share)
+    from scipy.special import ndtri  # a check of a study asks for single numbers, and does not wait for SciPy
+
+    return ndtri(share)
+
+
+def _exponential(value: Any) -> Any:
     with np.errstate(over="ignore"):
-        return float(np.exp(value))
+        found = np.exp(value)
+    return found if isinstance(value, np.ndarray) else float(found)
 
 
 _FAMILIES = {
@@ -53,19 +63,19 @@ _FAMILIES = {
         ("loc", "scale"),
         lambda loc, scale: scale > 0,
         lambda loc, scale: (None, None),
-        lambda loc, scale, share: loc + scale * _STANDARD.inv_cdf(share),
+        lambda loc, scale, share: loc + scale * _standard(share),
     ),
     "lognormal": _Family(
         ("loc", "scale"),
         lambda loc, scale: scale > 0,
         lambda loc, scale: (0.0, None),
-        lambda loc, scale, share: _exponential(loc + scale * _STANDARD.inv_cdf(share)),
+        lambda loc, scale, share: _exponential(loc + scale * _standard(share)),
     ),
     "half_normal": _Family(
         ("scale",),
         lambda scale: scale > 0,
         lambda scale: (0.0, None),
-        lambda scale, share: scale * _STANDARD.inv_cdf(0.5 + 0.5 * share),
+        lambda scale, share: scale * _standard(0.5 + 0.5 * share),
     ),
 }
 
@@ -124,11 +134,10 @@ class Prior:
 
     def quantile(self, probability: Any) -> Any:
         """The value below which this share of the prior lies; from samples where the distribution has no closed form."""
-        if not isinstance(probability, float):
-            return self._quantile(probability)
-        if (member := self._member) is not None and 0 < probability < 1:
+        is_one, member = isinstance(probability, float), self._member
+        if member is not None and (isinstance(probability, np.ndarray) or (is_one and 0 < probability < 1)):
             return member.family.quantile(*member.arguments, probability)
-        return _one_quantile(self, probability, jnp.result_type(float))
+        return _one_quantile(self, probability, jnp.result_type(float)) if is_one else self._quantile(probability)
 
     def _quantile(self, probability: Any) -> Any:
         from hsed_jax.inference.distributions import inverted

@@ -115,7 +115,7 @@ def _of_one_mode(
         random = _generator(first)
         weights = weigh_around(posterior, data, maximum, number, random, watch)
         if weights.reliable or settings.sampler == "importance":
-            u, height = map(jnp.asarray, resampled(weights, number, random))
+            u, height = resampled(weights, number, random)
             by_weight = settings._replace(sampler="importance")
             return _independent(posterior, u, height, step_size, by_weight, weights.worth)._replace(doubt=weights.doubt)
     found = by_nuts(posterior, data, maximum, step_size, second, settings, watch, seconds)
@@ -147,13 +147,14 @@ def _generator(key: PRNGKeyArray) -> np.random.Generator:
     return np.random.default_rng(np.asarray(jax.random.key_data(key)))
 
 
-@program
-def _gaussian(maximum: Maximum, key: PRNGKeyArray, number: int):
-    p = maximum.start.size
-    w = jax.random.normal(key, (number, p))
+def _gaussian(
+    maximum: Maximum, key: PRNGKeyArray, number: int
+) -> tuple[Float[np.ndarray, "N p"], Float[np.ndarray, " N"]]:
+    start, whitening = np.asarray(maximum.start), np.asarray(maximum.whitening)
+    w = _generator(key).standard_normal((number, start.size))
     # The Gaussian is as high as the density at the mode, which the evidence by Laplace's method was made of.
-    top = maximum.log_evidence - 0.5 * p * LOG_2PI - jnp.linalg.slogdet(maximum.whitening)[1]
-    return maximum.start + w @ maximum.whitening.T, top - 0.5 * jnp.sum(w**2, axis=1)
+    top = float(maximum.log_evidence) - 0.5 * start.size * LOG_2PI - np.linalg.slogdet(whitening)[1]
+    return start + w @ whitening.T, top - 0.5 * np.sum(w**2, axis=1)
 
 
 @program
@@ -163,16 +164,19 @@ def _constrained(posterior: Posterior, u: Float[Array, "N p"]) -> Float[Array, "
 
 def _independent(
     posterior: Posterior,
-    u: Float[Array, "N p"],
-    height: Float[Array, " N"],
+    u: Float[np.ndarray, "N p"],
+    height: Float[np.ndarray, " N"],
     step_size: Float[Array, ""],
     settings: Settings,
     worth: float,
 ) -> Chains:
     """Independent draws in the shape of chains."""
     shape = (settings.chains, settings.draws)
-    theta = _constrained(posterior, u).reshape(*shape, -1)
-    none = jnp.zeros(shape, dtype=int)
-    return Chains(
-        theta, height.reshape(shape), none > 0, none, jnp.full(settings.chains, step_size), settings.sampler, worth
+    arrays = (
+        np.asarray(_constrained(posterior, jax.device_put(u))).reshape(*shape, -1),
+        height.reshape(shape),
+        np.zeros(shape, dtype=bool),
+        np.zeros(shape, dtype=int),
+        np.full(settings.chains, float(step_size)),
     )
+    return Chains(*jax.device_put(arrays), sampler=settings.sampler, worth=worth)

@@ -19,6 +19,7 @@ from hsed_jax.physics.effects.base import (
 )
 from hsed_jax.physics.elements import Element, number_of_spring
 from hsed_jax.physics.excitations import AbstractExcitation, AbstractForcing, Shaken, Tabulated
+from hsed_jax.physics.integrate import integrate
 from hsed_jax.physics.laws import Elastic
 from hsed_jax.physics.outputs import further, own_name, owner_of
 from hsed_jax.physics.parameters import dimensionless
@@ -29,6 +30,7 @@ from hsed_jax.physics.specimen import Specimen
 from hsed_jax.physics.structures import OWNER, Structure
 from hsed_jax.physics.systems import AbstractSystem, DrivenSpring, ShakenStructure
 from hsed_jax.physics.timeline import Timeline, times
+from hsed_jax.programs import program
 
 Scalar = Float[Array, ""] | float
 
@@ -116,7 +118,7 @@ class AbstractModel(eqx.Module):
         assert self.excitation is not None and self.timeline is not None
         return times(self.excitation(inputs).step_length(self.timeline), self.timeline.every, self.timeline.samples)
 
-    @eqx.filter_jit
+    @program
     def quantities(self, parameters: Mapping[str, Scalar], conditions: Conditions, names: tuple[str, ...]):
         """The named quantities of one experiment, shape (len(names),), and whether it converged."""
         response = self.respond(parameters, conditions, quantities=further(names))
@@ -190,7 +192,7 @@ class Simulator(AbstractModel):
         }
         return ShakenStructure(altered, specimens, self.owners, damping, yielding)
 
-    @eqx.filter_jit
+    @program
     def respond(
         self,
         parameters: Mapping[str, Scalar],
@@ -208,9 +210,6 @@ class Simulator(AbstractModel):
             channels: names of the histories to keep.
             quantities: names of those to keep beside the ones of Eq. 18.
         """
-        # Here and not above: what only builds or checks a simulator does without diffrax.
-        from hsed_jax.physics.integrate import integrate
-
         steps, every = self.timeline.steps, self.timeline.every
         if conditions.recorded is not None:
             forcing, length = conditions.recorded

@@ -56,7 +56,7 @@ def _posterior(fit: Fit) -> dict[str, xr.Dataset]:
     chains = fit.chains
     dims = ("chain", "draw")
     draws: dict[str, Any] = {
-        name: (dims, np.asarray(chains.theta[..., i]), {"units": fit.units.get(name, "1")})
+        name: (dims, np.asarray(chains.theta)[..., i], {"units": fit.units.get(name, "1")})
         for i, name in enumerate(fit.names)
     }
     stats = {

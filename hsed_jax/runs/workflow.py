@@ -126,9 +126,6 @@ class Run:
 
     def __call__(self) -> dict[str, Any]:
         """Run the steps; returns the content of `summary.json`."""
-        from hsed_jax.reporting.report import report_page
-        from hsed_jax.runs.figures import draw
-        from hsed_jax.runs.illustrations import illustrations
         from hsed_jax.runs.results import results_tree
 
         try:
@@ -144,12 +141,17 @@ class Run:
                 # Before anything is drawn: what was found is on the disk whatever becomes of the figures.
                 self.store.write_results(results_tree(outcome, {}))
                 if self.figures:
+                    from hsed_jax.runs.figures import draw
+                    from hsed_jax.runs.illustrations import illustrations
+
                     with self._watch("figures") as watch:
                         tables = illustrations(outcome, watch.report)
                         self.store.write_results(results_tree(outcome, tables))
                         draw(outcome, tables, self.store.figures, watch.report)
                 self.store.finish()
                 if self.figures:
+                    from hsed_jax.reporting.report import report_page
+
                     self.store.write_report(report_page(read_run(self.store.path)))
                 return content
         except Waiting:
