@@ -26,6 +26,7 @@ _PACKAGES = (
     "hsed_jax",
     "jax",
     "jaxlib",
+    "diffrax",
     "equinox",
     "numpyro",
     "numpy",

@@ -28,7 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 
 # What a trace depends on besides the sources here.
-_PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpyro", "tinygp", "numpy", "scipy")
+_PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpyro", "tinygp", "numpy", "scipy")
 _SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_dtype_promotion", "jax_debug_nans")
 # Functions and classes of these are known by their names, as long as the versions are.
 _KNOWN = {"hsed_jax", "builtins", "functools", *_PACKAGES}

@@ -49,7 +49,7 @@ def ran(code: str, **environment: str) -> str:
 
 def test_importing_changes_nothing():
     # The imports of numpy, numpyro and so on come first: what they change is theirs.
-    theirs = "import numpy, scipy.stats, jax, equinox, numpyro, tinygp, arviz, xarray, pandas, distributed\n"
+    theirs = "import numpy, scipy.stats, jax, equinox, diffrax, numpyro, tinygp, arviz, xarray, pandas, distributed\n"
     theirs += "import matplotlib.pyplot, optimistix, pydantic, pint, panel, openpyxl\n"
     changed = "\nafter = state()\nprint([name for name in before if before[name] != after[name]])"
     assert ran(f"{theirs}before = state()\n{ALL}{changed}") == "[]"

@@ -165,6 +165,7 @@ def test_the_checker_catches_private_jax():
                 "pint",
                 "scipy",
                 "numpyro",
+                "diffrax",
                 "optimistix",
                 "tinygp",
                 "xarray",
@@ -174,7 +175,7 @@ def test_the_checker_catches_private_jax():
         ),
         (
             "import hsed_jax.runs.folder, hsed_jax.reporting.report, hsed_jax.reporting.side_by_side, hsed_jax.study.own_effects",
-            {"scipy.stats", "scipy.interpolate", "numpyro", "optimistix", "tinygp", "pint", "altair"},
+            {"scipy.stats", "scipy.interpolate", "numpyro", "diffrax", "optimistix", "tinygp", "pint", "altair"},
         ),
     ],
     ids=["refusal", "check", "report"],

@@ -1,15 +1,17 @@
-"""One experiment integrated: a lean Runge–Kutta step, counted, peaks of the continuous response, sampled channels.
+"""One experiment integrated by diffrax: a lean Runge–Kutta step, peaks of the continuous response, sampled channels.
 
-Steps are counted and not timed, so that uneven sampling is a table of step lengths, and a padded step has length zero.  The loop
-is JAX's own: a solver of differential equations in general takes half as long again to compile, for choices that are made here.
+diffrax's own Runge–Kutta classes store every stage; at six states and a thousand steps that costs twenty times the
+arithmetic.  `RungeKutta4` keeps nothing.  The independent variable of the integration is the *step number*, so that step
+ends are exact integers, uneven sampling is a table of step lengths, and a padded step has length zero.
 """
 
-from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple, final
 
+import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Float, PyTree
 
 from hsed_jax.physics.excitations import AbstractForcing
 from hsed_jax.physics.laws.base import Turn
@@ -27,108 +29,82 @@ class Progress(NamedTuple):
     Attributes:
         state: at the end of the last step.
         kept: what the quantities keep (`hsed_jax.physics.outputs.Kept`), by name.
-        forcing: what the excitation carries along.
-        sample: of the excitation, at the end of the last step.
+        channels: at the end of the last step.
     """
 
     state: State
     kept: dict[str, tuple[Scalar, ...]]
-    forcing: PyTree
-    sample: Any
+    channels: dict[str, Scalar]
 
 
-def integrate(
-    system: AbstractSystem,
-    forcing: AbstractForcing,
-    step_length: Float[Array, "..."] | float,
-    steps: int,
-    *,
-    channels: tuple[str, ...] = (),
-    quantities: tuple[str, ...] = (),
-    every: int = 1,
-) -> Response:
-    """Integrate one experiment.  Its derivatives are exact in forward and in reverse mode.
+@final
+class RungeKutta4(diffrax.AbstractSolver):
+    r"""The classical fourth-order Runge–Kutta method with a forcing that is known at the ends and the middle of the step.
 
-    Arguments:
-        system: what is integrated.
-        forcing: the excitation on the half-step grid.
-        step_length: [s], one number or one per step, shape (steps,).
-        steps: number of steps.
-        channels: names of the histories to keep.
-        quantities: names of those to keep beside the ones of Eq. 18.
-        every: keep the histories at every so many steps (and at t = 0); divides `steps`.
-
-    Returns:
-        The response, with histories of shape (steps // every + 1,); not ok where numbers overflow, or where the steps are too
-        long for the spring.
-    """
-    names = (*of_each(system.measured, EQ_18), *quantities)
-    kept: dict[str, tuple[Scalar, ...]] = {
-        name: tuple(jnp.asarray(number) for number in quantity(name).kept.start) for name in names
-    }
-    begin = Progress(system.start(), kept, *forcing.start())
-    step = partial(_step, system, forcing, jnp.asarray(step_length))
-    if channels:
-        end, histories = _sampled(system, step, begin, channels, steps, every)
-    else:
-        end, histories = jax.lax.fori_loop(0, steps, step, begin), {}
-    values = {name: quantity(name).kept.value(end.kept[name], end.state.memory[_place(system, name)]) for name in names}
-    finite = jnp.isfinite(sum(jnp.abs(value) for value in values.values()))
-    return Response(values, histories, finite & (system.steepness(forcing, step_length) < RESOLVED))
-
-
-def _sampled(
-    system: AbstractSystem, step: Any, begin: Progress, channels: tuple[str, ...], steps: int, every: int
-) -> tuple[Progress, dict[str, Float[Array, " samples"]]]:
-    """The end, and the channels at the start and after every so many steps."""
-
-    def between(progress: Progress, sample: Int[Array, ""]) -> tuple[Progress, dict[str, Scalar]]:
-        progress = jax.lax.fori_loop(0, every, lambda i, moved: step(sample * every + i, moved), progress)
-        return progress, system.channels(progress.state, progress.sample, channels)
-
-    end, rest = jax.lax.scan(between, begin, jnp.arange(steps // every))
-    first = system.channels(begin.state, begin.sample, channels)
-    return end, {name: jnp.concatenate([jnp.atleast_1d(first[name]), rest[name]]) for name in channels}
-
-
-def _step(
-    system: AbstractSystem, forcing: AbstractForcing, lengths: Float[Array, "..."], number: Any, before: Progress
-) -> Progress:
-    r"""One step of the classical fourth-order Runge–Kutta method, the forcing known at its ends and in its middle.
-
-    Afterwards it looks for a reversal inside the step, a zero of Δu̇, where a hysteretic spring has its peaks, and updates
+    After each step it looks for a reversal inside it, a zero of Δu̇, where a hysteretic spring has its peaks, and updates
     them there and not on the grid: with θ ∈ (0, 1) the zero of the linear Δu̇, the peak elongation is the cubic Hermite
     interpolant of Δu at θ.  What the spring does of it is its own: a law that integrates its force mends the kink
     (`hsed_jax.physics.laws.reversal`), a law of paths commits its states there.  This is worth a factor of four in step size.
     """
-    h = lengths if lengths.ndim == 0 else lengths[number]
-    carry, middle = forcing.advance(before.forcing, 2 * number + 1)
-    carry, last = forcing.advance(carry, 2 * number + 2)
-    start, first = before.state, before.sample
 
-    def moved(rates: State, length: Scalar) -> State:
-        return jax.tree.map(lambda y, k: y + length * k, start, rates)
+    term_structure: ClassVar = diffrax.ODETerm
+    interpolation_cls: ClassVar = diffrax.LocalLinearInterpolation
 
-    flow = system.rates(start, first, h)
-    second = _kept(moved(flow, 0.5 * h))
-    third = _kept(moved(system.rates(second, middle, h), 0.5 * h))
-    fourth = _kept(moved(system.rates(third, middle, h), h))
-    # From the states of the stages, which are kept, and not from their rates, which then need not be: a step of many
-    # lanes takes as long as its loads and stores.
-    end = jax.tree.map(
-        lambda y, b, c, d, k: y + ((b - y) + 2 * (c - y) + (d - y)) / 3 + h / 6 * k,
-        *(start, second, third, fourth, system.rates(fourth, last, h)),
-    )
-    end = jax.lax.optimization_barrier(end)
-    end, turns = _turned(system, (start, first), (end, last), flow, h)
-    # Each of the two stages is off by h²/8 ÿ, one this way and one that.
-    halfway = jax.tree.map(lambda b, c: 0.5 * (b + c), second, third)
-    passed = Step(system, (start, first), (halfway, middle), (end, last), h, turns)
-    kept = {
-        name: quantity(name).kept.after(numbers, passed._replace(specimen=_place(system, name)))
-        for name, numbers in before.kept.items()
-    }
-    return Progress(end, kept, carry, last)
+    forcing: AbstractForcing
+    step_length: Float[Array, "..."] | float
+    channel_names: tuple[str, ...] = eqx.field(static=True)
+
+    def order(self, terms: PyTree) -> int:
+        """Four, in the length of the step."""
+        return 4
+
+    def init(self, terms: PyTree, t0: Any, t1: Any, y0: Progress, args: Any) -> PyTree:
+        """The forcing at the start."""
+        return self.forcing.start()
+
+    def func(self, terms: PyTree, t0: Any, y0: Progress, args: Any) -> PyTree:
+        """The vector field at the start of a step."""
+        return terms.vf(t0, y0, args)
+
+    def step(self, terms: PyTree, t0: Any, t1: Any, y0: Progress, args: Any, solver_state: PyTree, made_jump: Any):
+        """One step from step number `t0` to `t1 = t0 + 1`."""
+        del made_jump
+        system, *_ = args
+        number = jnp.asarray(jnp.rint(t0), int)
+        lengths = jnp.asarray(self.step_length)
+        h = lengths if lengths.ndim == 0 else lengths[number]
+        carry, first = solver_state
+        carry, middle = self.forcing.advance(carry, 2 * number + 1)
+        carry, last = self.forcing.advance(carry, 2 * number + 2)
+
+        def moved(rates: State, length: Scalar) -> State:
+            return jax.tree.map(lambda y, k: y + length * k, start, rates)
+
+        def rates(state: State, sample: PyTree) -> State:
+            return terms.vf(t0, y0._replace(state=state), (system, sample, h)).state
+
+        start = y0.state
+        flow = rates(start, first)
+        second = _kept(moved(flow, 0.5 * h))
+        third = _kept(moved(rates(second, middle), 0.5 * h))
+        fourth = _kept(moved(rates(third, middle), h))
+        # From the states of the stages, which are kept, and not from their rates, which then need not be: a step of many
+        # lanes takes as long as its loads and stores.
+        end = jax.tree.map(
+            lambda y, b, c, d, k: y + ((b - y) + 2 * (c - y) + (d - y)) / 3 + h / 6 * k,
+            *(start, second, third, fourth, rates(fourth, last)),
+        )
+        end = jax.lax.optimization_barrier(end)
+        end, turns = _turned(system, (start, first), (end, last), flow, h)
+        # Each of the two stages is off by h²/8 ÿ, one this way and one that.
+        halfway = jax.tree.map(lambda b, c: 0.5 * (b + c), second, third)
+        passed = Step(system, (start, first), (halfway, middle), (end, last), h, turns)
+        kept = {
+            name: quantity(name).kept.after(before, passed._replace(specimen=_place(system, name)))
+            for name, before in y0.kept.items()
+        }
+        y1 = Progress(end, kept, system.channels(end, last, self.channel_names))
+        return y1, None, {"y0": y0, "y1": y1}, (carry, last), diffrax.RESULTS.successful
 
 
 def _kept(state: State) -> State:
@@ -175,3 +151,84 @@ def _place(system: AbstractSystem, name: str) -> int:
     """Index of the specimen that a quantity is of."""
     owner, _ = owner_of(name), own_name(name)
     return system.names.index(owner) if owner else 0
+
+
+def integrate(
+    system: AbstractSystem,
+    forcing: AbstractForcing,
+    step_length: Float[Array, "..."] | float,
+    steps: int,
+    *,
+    channels: tuple[str, ...] = (),
+    quantities: tuple[str, ...] = (),
+    every: int = 1,
+    adjoint: diffrax.AbstractAdjoint | None = None,
+) -> Response:
+    """Integrate one experiment.
+
+    Arguments:
+        system: what is integrated.
+        forcing: the excitation on the half-step grid.
+        step_length: [s], one number or one per step, shape (steps,).
+        steps: number of steps.
+        channels: names of the histories to keep.
+        quantities: names of those to keep beside the ones of Eq. 18.
+        every: keep the histories at every so many steps (and at t = 0); divides `steps`.
+        adjoint: how derivatives pass through; by default forward mode, which suits few parameters.
+
+    Returns:
+        The response, with histories of shape (steps // every + 1,); not ok where numbers overflow, or where the steps are too
+        long for the spring.
+    """
+    _, sample = forcing.start()
+    still = system.start()
+    names = (*of_each(system.measured, EQ_18), *quantities)
+    begin: dict[str, tuple[Scalar, ...]] = {
+        name: tuple(jnp.asarray(number) for number in quantity(name).kept.start) for name in names
+    }
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(_vector_field),
+        RungeKutta4(forcing, step_length, channels),
+        t0=0.0,
+        t1=float(steps),
+        dt0=1.0,
+        y0=Progress(still, begin, system.channels(still, sample, channels)),
+        args=(system, sample, 0.0),
+        stepsize_controller=diffrax.ConstantStepSize(),
+        saveat=diffrax.SaveAt(subs=_saves({name: _place(system, name) for name in names}, channels, every)),
+        adjoint=diffrax.ForwardMode() if adjoint is None else adjoint,
+        max_steps=steps,
+        # Nothing can fail in steps of one; asking for it would be a call back into Python within the program.
+        throw=False,
+    )
+    assert solution.ys is not None
+    histories = solution.ys.get("histories", {})
+    values = {name: kept[-1] for name, kept in solution.ys["end"].items()}
+    finite = jnp.isfinite(sum(jnp.abs(value) for value in values.values()))
+    return Response(values, histories, finite & (system.steepness(forcing, step_length) < RESOLVED))
+
+
+def _vector_field(number: Any, progress: Progress, args: Any) -> Progress:
+    system, sample, step = args
+    still = jax.tree.map(jnp.zeros_like, progress)
+    return still._replace(state=system.rates(progress.state, sample, step))
+
+
+@final
+class _Values(eqx.Module):
+    """The quantities at the end.  Compared by value, so that what is equal is compiled once."""
+
+    places: tuple[tuple[str, int], ...] = eqx.field(static=True)
+
+    def __call__(self, number: Any, progress: Progress, args: Any) -> dict[str, Scalar]:
+        # Not the whole state: without masses it holds empty tuples, which diffrax cannot save.
+        del number, args
+        kept, memory = progress.kept, progress.state.memory
+        return {name: quantity(name).kept.value(kept[name], memory[place]) for name, place in self.places}
+
+
+def _saves(quantities: dict[str, int], channels: tuple[str, ...], every: int) -> dict[str, diffrax.SubSaveAt]:
+    saves = {"end": diffrax.SubSaveAt(t1=True, fn=_Values(tuple(quantities.items())))}
+    if channels:
+        saves["histories"] = diffrax.SubSaveAt(t0=True, steps=every, fn=lambda t, y, args: y.channels)
+    return saves

@@ -19,7 +19,6 @@ from hsed_jax.physics.effects.base import (
 )
 from hsed_jax.physics.elements import Element, number_of_spring
 from hsed_jax.physics.excitations import AbstractExcitation, AbstractForcing, Shaken, Tabulated
-from hsed_jax.physics.integrate import integrate
 from hsed_jax.physics.laws import Elastic
 from hsed_jax.physics.outputs import further, own_name, owner_of
 from hsed_jax.physics.parameters import dimensionless
@@ -210,6 +209,9 @@ class Simulator(AbstractModel):
             channels: names of the histories to keep.
             quantities: names of those to keep beside the ones of Eq. 18.
         """
+        # Here and not above: what only builds or checks a simulator does without diffrax.
+        from hsed_jax.physics.integrate import integrate
+
         steps, every = self.timeline.steps, self.timeline.every
         if conditions.recorded is not None:
             forcing, length = conditions.recorded

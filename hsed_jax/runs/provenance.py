@@ -13,7 +13,7 @@ from pydantic import BaseModel, Field
 from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
 
-_PACKAGES = ("hsed_jax", "jax", "jaxlib", "optimistix", "numpyro", "tinygp", "numpy", "scipy")
+_PACKAGES = ("hsed_jax", "jax", "jaxlib", "diffrax", "optimistix", "numpyro", "tinygp", "numpy", "scipy")
 
 
 class Git(BaseModel):
