@@ -21,6 +21,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 from jax.core import Tracer
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
@@ -38,9 +39,6 @@ _CHUNK = 1024
 _NUGGET, _NUGGET_SPREAD = 0.007, 2.0
 # Relative to the responses' own variance, anything smaller is rounding: an exact trend, or constant responses.
 _LEAST_VARIANCE = 1e-24
-# A descent ends where it expects to gain less than this many nats, or where so small a share of a step gains nothing; a step is
-# taken that gains this share of what the slope promises.
-_SETTLED, _LEAST_SHARE, _LEAST_DECREASE = 1e-9, 1e-3, 1e-4
 
 
 _TREND_DEGREE: dict[str, int] = {"constant": 0, "linear": 1, "quadratic": 2}
@@ -244,53 +242,25 @@ def _likeliest(
     def bounded(angles):
         return lower + (upper - lower) * 0.5 * (1.0 + jnp.sin(angles))
 
-    def objective(angles):
+    def objective(angles, _):
         logs = bounded(angles)
         matrix = _masked_correlation(x, mask, jnp.exp(logs[:-1]), jnp.exp(logs[-1]), kernel)
         return _restricted_objective(matrix, basis, y, count) - _log_prior(logs[:-1], logs[-1])
+
+    def descend(angles):
+        solver = optx.BFGS(rtol=1e-7, atol=1e-7)
+        angles = optx.minimise(objective, solver, angles, max_steps=max_steps, throw=False).value
+        return angles, objective(angles, None)
 
     fractions = 0.1 + 0.8 * _latin_hypercube(key, starts, lower.shape[0])
     if previous is not None:
         logs = jnp.log(jnp.append(previous[0], previous[1]))
         # Exactly on a bound the sine is flat and no descent would leave it.
         fractions = jnp.concatenate([fractions, jnp.clip((logs - lower) / (upper - lower), 0.01, 0.99)[None]])
-    ends, values = jax.lax.map(lambda at: _descend(objective, at, max_steps), jnp.arcsin(2.0 * fractions - 1.0))
+    # One after the other: side by side, all starts go on until the slowest has ended.
+    ends, values = jax.lax.map(descend, jnp.arcsin(2.0 * fractions - 1.0))
     best = jnp.exp(bounded(ends[jnp.nanargmin(values)]))
     return best[:-1], best[-1]
-
-
-def _descend(objective, start: Float[Array, " k"], most: int) -> tuple[Float[Array, " k"], Float[Array, ""]]:
-    """Where BFGS with backtracking comes from a start, and the value there (Nocedal & Wright 2006, Algorithm 6.1).
-
-    The first step looks at the start itself, so that the program holds value and gradient once: they are most of it.
-    """
-
-    def step(state):
-        number, at, value, gradient, inverse, share, _ = state
-        move = -share * (inverse @ gradient)
-        new_value, new_gradient = jax.value_and_grad(objective)(at + move)
-        is_taken = new_value <= value + _LEAST_DECREASE * (gradient @ move)
-        change = new_gradient - gradient
-        bend = move @ change
-        scaled = jnp.where(number == 1, bend / (change @ change), 1.0) * inverse
-        turned = scaled @ change
-        updated = scaled + (bend + change @ turned) / bend**2 * jnp.outer(move, move)
-        updated -= (jnp.outer(turned, move) + jnp.outer(move, turned)) / bend
-        inverse = jnp.where(is_taken & (bend > 0), updated, inverse)
-        at, value, gradient = (
-            jnp.where(is_taken, new, old)
-            for new, old in ((at + move, at), (new_value, value), (new_gradient, gradient))
-        )
-        # An angle of half a radian at first: the gradient knows no length.
-        full = jnp.where(number == 0, jnp.minimum(1.0, 0.5 / jnp.linalg.norm(gradient)), 1.0)
-        share = jnp.where(is_taken, full, 0.5 * share)
-        is_over = jnp.where(is_taken, 0.5 * gradient @ inverse @ gradient < _SETTLED, share < _LEAST_SHARE)
-        return number + 1, at, value, gradient, inverse, share, is_over & (number > 0)
-
-    size = start.shape[0]
-    begin = 0, start, jnp.asarray(jnp.inf), jnp.zeros(size), jnp.eye(size), 1.0, False
-    _, end, value, *_ = jax.lax.while_loop(lambda state: ~state[-1] & (state[0] < most), step, begin)
-    return end, value
 
 
 @final
