@@ -470,26 +470,32 @@ def test_a_relaxing_force_creeps_as_its_form_says(label):
     assert found[0] == 0.0
 
 
+def sensed_force(slots, step):
+    """What a load cell shows of no force at 101 times."""
+    response = Response({}, {"force": jnp.zeros(101)}, jnp.asarray(True))
+    found = measured(response, lambda slot, owner="": slots.get(slot, 0.0 if slot in ADDED else 1.0), step, 1,
+                     is_imposed=False)  # fmt: skip
+    return found.channels["force"]
+
+
 def test_a_late_drift_begins_when_its_form_says():
     values = {"delta": 0.2, "onset": 0.3}
     found = EFFECTS["force_drift"](**values).contribute(Setup(SCALES, 1, 1))
     span = 100 * U / V
     assert found == pytest.approx({"force_drift": 0.2 * F / span, "drift_onset": 0.3 * span})
     time = np.linspace(0.0, span, 101)
-    response = Response({}, {"force": jnp.zeros(101)}, jnp.asarray(True))
-    sensed = measured(response, lambda slot, owner="": found.get(slot, 0.0 if slot in ADDED else 1.0), span / 100, 1,
-                      is_imposed=False)  # fmt: skip
-    np.testing.assert_allclose(sensed.channels["force"], 0.2 * F * np.maximum(time / span - 0.3, 0), atol=1e-9 * F)
+    np.testing.assert_allclose(
+        sensed_force(found, span / 100), 0.2 * F * np.maximum(time / span - 0.3, 0), atol=1e-9 * F
+    )
 
 
 def test_a_drift_slows_down_as_its_form_says():
     found = EFFECTS["force_drift"](delta=0.2, slowing=4.0).contribute(Setup(SCALES, 1, 1))
     span = 100 * U / V
     time = np.linspace(0.0, span, 101)
-    response = Response({}, {"force": jnp.zeros(101)}, jnp.asarray(True))
-    sensed = measured(response, lambda slot, owner="": found.get(slot, 0.0 if slot in ADDED else 1.0), span / 100, 1,
-                      is_imposed=False)  # fmt: skip
-    np.testing.assert_allclose(sensed.channels["force"], 0.2 * F * np.log(1 + 4 * time / span) / 4, atol=1e-9 * F)
+    np.testing.assert_allclose(
+        sensed_force(found, span / 100), 0.2 * F * np.log(1 + 4 * time / span) / 4, atol=1e-9 * F
+    )
 
 
 def test_an_offset_settles_as_its_form_says():
@@ -497,11 +503,8 @@ def test_an_offset_settles_as_its_form_says():
     found = EFFECTS["force_offset"](**values).contribute(Setup(SCALES, 1, 1))
     span = 100 * U / V
     time = np.linspace(0.0, span, 101)
-    response = Response({}, {"force": jnp.zeros(101)}, jnp.asarray(True))
-    sensed = measured(response, lambda slot, owner="": found.get(slot, 0.0 if slot in ADDED else 1.0), span / 100, 1,
-                      is_imposed=False)  # fmt: skip
     expected = 0.2 * F * (1 - 0.7 * np.exp(-time / span / 0.1))
-    np.testing.assert_allclose(sensed.channels["force"], expected, atol=1e-9 * F)
+    np.testing.assert_allclose(sensed_force(found, span / 100), expected, atol=1e-9 * F)
 
 
 def test_a_bristle_follows_dahls_equation_along_a_path():
