@@ -120,16 +120,8 @@ class Fits:
         self, target: Target, choices: Iterable[Choice], starts: Mapping[Choice, list[np.ndarray]] | None = None
     ) -> None:
         """Fit what has not been fitted, from several starts: those that are given, or what is near."""
-        tasks, owners = [], []
-        for number, choice in enumerate(choices):
-            if choice in self._known or choice in self._hopeless:
-                continue
-            for start in (starts or {}).get(choice) or self._starts(choice):
-                tasks.append(Task(self.member(choice), start, rivals=number))
-                owners.append(choice)
-        for owner, fit in zip(owners, self.models.fit(target, tasks), strict=True):
-            if owner not in self._known or fit.cost < self._known[owner].cost:
-                self._known[owner] = fit
+        new = [choice for choice in choices if choice not in self._known and choice not in self._hopeless]
+        self._fit_from(target, {choice: (starts or {}).get(choice) or self._starts(choice) for choice in new})
 
     def judge(self, target: Target, sets: Sequence[Set]) -> None:
         """Fit sets again with other errors, each from where it was; forms that are far below others of their set are left."""
@@ -148,23 +140,33 @@ class Fits:
 
     def look_again(self, target: Target, choices: Sequence[Choice]) -> None:
         """Fit choices from points all over the priors of their effects: what was best with other errors need not be so now."""
-        tasks, owners = [], []
-        for number, choice in enumerate(choices):
-            columns = np.concatenate([self._form(pair).columns for pair in sorted(choice)])
-            shares = spread(len(columns))
-            starts = np.tile(self._known[choice].x, (len(shares), 1))
-            starts[:, columns] = self.models.box.quantiles(columns, shares)
-            tasks += [Task(self.member(choice), start, rivals=number) for start in starts]
-            owners += [choice] * len(starts)
-        for owner, fit in zip(owners, self.models.fit(target, tasks), strict=True):
-            if fit.cost < self._known[owner].cost:
-                self._known[owner] = fit
+        self._fit_from(target, {c: self._all_over(self._known[c].x, c) for c in choices})
 
     def member(self, choice: Choice) -> Member:
         """The nested model of a choice."""
         forms = [self._form(pair) for pair in sorted(choice)]
         held = {column: value for form in forms for column, value in form.held.items()}
         return self.models.member(np.concatenate([self.law, *(form.columns for form in forms)]).astype(int), held)
+
+    def _fit_from(self, target: Target, starts: Mapping[Choice, Sequence[np.ndarray]]) -> None:
+        """Fit choices, each from its starts, which are rivals, and keep the best of each that is known."""
+        tasks = [
+            Task(self.member(choice), start, rivals=number)
+            for number, (choice, own) in enumerate(starts.items())
+            for start in own
+        ]
+        owners = [choice for choice, own in starts.items() for _ in own]
+        for owner, fit in zip(owners, self.models.fit(target, tasks), strict=True):
+            if owner not in self._known or fit.cost < self._known[owner].cost:
+                self._known[owner] = fit
+
+    def _all_over(self, x: np.ndarray, pairs: Iterable[tuple[str, str]]) -> list[np.ndarray]:
+        """Points at which effects have values from all over their priors, and everything else is as it is at x."""
+        columns = np.concatenate([self._form(pair).columns for pair in sorted(pairs)])
+        shares = spread(len(columns))
+        starts = np.tile(x, (len(shares), 1))
+        starts[:, columns] = self.models.box.quantiles(columns, shares)
+        return list(starts)
 
     def _drivers(self, choice: Choice) -> Choice:
         return frozenset((pair[0], self._form(pair).form.driver) for pair in choice)
@@ -228,11 +230,7 @@ class Fits:
                 starts[1:, new] = self.models.box.quantiles(new, np.tile([[0.75], [0.3]], len(new)))
             return list(starts)
         known = max((c for c in self._known if c < choice), key=lambda c: (len(c), -self._known[c].cost))
-        new = np.concatenate([self._form(pair).columns for pair in sorted(choice - known)])
-        shares = spread(len(new))
-        starts = np.tile(self._known[known].x, (len(shares), 1))
-        starts[:, new] = self.models.box.quantiles(new, shares)
-        return list(starts)
+        return self._all_over(self._known[known].x, choice - known)
 
     # What a choice is worth.
 
