@@ -19,9 +19,8 @@ from jaxtyping import Array, Float
 from hsed_jax.physics.excitations import Imposed, Tabulated
 from hsed_jax.physics.outputs import output, own_name, owner_of
 from hsed_jax.physics.response import Response
+from hsed_jax.physics.scales import Scalar, is_zero
 from hsed_jax.physics.timeline import times
-
-Scalar = Float[Array, ""] | float
 
 
 def measured(
@@ -56,7 +55,7 @@ def measured(
         time = times(step_length, every, values.shape[0])
         owner, own = owner_of(name), own_name(name)
         delay = delay_of(owner, own)
-        if not (isinstance(delay, int | float) and delay == 0):
+        if not is_zero(delay):
             values = shifted(values, time, delay)
         values = values * gain(name)
         if own != "force":
@@ -72,7 +71,7 @@ def measured(
 
 def _slowing(time: Float[Array, " samples"], slowing: Scalar) -> Float[Array, " samples"]:
     """ln(1 + s t)/s; the time itself where s is none."""
-    if isinstance(slowing, int | float) and slowing == 0:
+    if is_zero(slowing):
         return time
     s = jnp.where(slowing == 0, 1.0, slowing)
     return jnp.where(slowing == 0, time, jnp.log1p(s * time) / s)
@@ -82,7 +81,7 @@ def felt(forcing: Tabulated, slots: Callable[[str], Any], step_length: Float[Arr
     """The elongation that the specimen feels in a component test, from the one that was measured and imposed."""
     gain, delay = slots("elongation_gain"), slots("force_delay") - slots("elongation_delay")
     samples = forcing.samples
-    if not (isinstance(delay, int | float) and delay == 0):
+    if not is_zero(delay):
         time = jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.repeat(0.5 * step_length, 2))])
         # Rather the smooth elongation than the force, which has a corner at every reversal.
         elongation, rate = (shifted(values, time, delay) for values in samples)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, Turn, still
 from hsed_jax.physics.laws.reversal import mended_force
 from hsed_jax.physics.parameters import parameter
-from hsed_jax.physics.scales import is_zero
+from hsed_jax.physics.scales import is_number, is_zero
 
 
 @final
@@ -56,13 +56,13 @@ class BoucWen(AbstractSpringLaw):
         Where it is elastic on loading, a large number stands for neither, so that derivatives are numbers.
         """
         force = self.A / jnp.maximum(jnp.abs(self.beta + self.gamma), 1e-12)
-        return force if isinstance(self.n, int | float) and self.n == 1 else force ** (1 / self.n)
+        return force if is_number(self.n, 1) else force ** (1 / self.n)
 
     @property
     def steepness(self) -> Scalar:
         """n A/z_u [1/m], |γ| for γ."""
         softening = self.beta + jnp.abs(self.gamma)
-        if isinstance(self.n, int | float) and self.n == 1:
+        if is_number(self.n, 1):
             return softening
         return self.n * self.A ** (1 - 1 / self.n) * softening ** (1 / self.n)
 

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 
 from hsed_jax.physics.laws.base import AbstractYieldingLaw, Memory, Scalar, Slots, still
 from hsed_jax.physics.parameters import parameter
+from hsed_jax.physics.scales import is_zero
 
 
 @final
@@ -90,6 +91,6 @@ class Takeda(AbstractYieldingLaw):
 
     def _unloading(self, furthest: Scalar) -> Scalar:
         """Stiffness of unloading from a side [N/m]."""
-        if isinstance(self.alpha, int | float) and self.alpha == 0:
+        if is_zero(self.alpha):
             return self.k
         return self.k * jnp.exp(-self.alpha * jnp.log(furthest / self.yield_elongation))
