@@ -641,6 +641,7 @@ def test_the_entry_of_an_effect_shows_its_forms_without_latex(name):
 @pytest.mark.parametrize(
     ("latex", "text"),
     [
+        (r"\left[1 - \rho e^{-x/x_w}\right]", "[1 - ρe^(-x/x_w)]"),
         (r"e^{\delta x}", "e^(δx)"),
         (r"1/\nu = 1 + \delta(1 - e^{-x^p/w})", "1/ν = 1 + δ(1 - e^(-x^p/w))"),
         (r"so: $\dot q = \frac{F_c}{u_c}\Delta\dot u - q/\tau$.", "so: q\u0307 = (F_c/u_c) Δu\u0307 - q/τ."),
