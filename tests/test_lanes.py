@@ -43,17 +43,18 @@ def case(request):
 
 
 @pytest.mark.parametrize(
-    "worthwhile",
-    [pytest.param(0, marks=pytest.mark.whole), 10**9],
+    "price",
+    [pytest.param(-1, marks=pytest.mark.whole), 10**12],
     ids=["programs of their own", "the programs there are"],
 )
-def test_lanes_give_what_the_whole_model_gives(case, monkeypatch, worthwhile):
+def test_lanes_give_what_the_whole_model_gives(case, monkeypatch, price):
     built, names, conditions, parts, thetas, experiments = case
-    monkeypatch.setattr(module, "_WORTHWHILE", worthwhile)
+    monkeypatch.setattr(module, "_PROGRAM", price)
+    monkeypatch.setattr(module, "_PARAMETER", 0)
     whole, ok = Lanes(built.simulator, built.observation, names, conditions)(thetas, experiments)
     lanes = Lanes(built.simulator, built.observation, names, conditions, parts)
     kinds = lanes._by_program(thetas)
-    assert len(kinds) == (7 if worthwhile == 0 else 5)
+    assert len(kinds) == (7 if price < 0 else 5)
     found, converged = lanes(thetas, experiments)
     np.testing.assert_array_equal(converged, ok)
     assert ok.all()
@@ -67,16 +68,27 @@ def test_lanes_give_what_the_whole_model_gives(case, monkeypatch, worthwhile):
 
 def test_what_is_tried_beside_one_effect_gets_a_program_and_what_is_asked_on_and_on_gets_another(case, monkeypatch):
     sizes = {"found": (0, 5), "one": (1, 2), "other": (1, 2), "large": (2, 50)}
-    parts = [Part(name, group, np.arange(size), np.zeros(size)) for name, (group, size) in sizes.items()]
+    ends = np.cumsum([size for _, size in sizes.values()])
+    columns = {name: np.arange(end - size, end) for (name, (_, size)), end in zip(sizes.items(), ends, strict=True)}
+    parts = [Part(name, group, columns[name], np.zeros(size)) for name, (group, size) in sizes.items()]
     built, names, conditions, *_ = case
     lanes = Lanes(built.simulator, built.observation, names, conditions, parts)
-    monkeypatch.setattr(module, "_WORTHWHILE", 1000)
-    pairs = [frozenset({"found", "one"}), frozenset({"found", "other"})]
-    # A lane saves 50 in a program of both pairs, and 52 in one of its own, which sees half of the lanes.
-    served = [lanes._serving(pairs[k % 2], 1) for k in range(30)]
-    assert served[:20] == [frozenset(sizes)] * 20
-    assert served[20:] == [frozenset({"found", "one", "other"})] * 10
+    monkeypatch.setattr(module, "_PROGRAM", 1000 * built.simulator.timeline.steps)
+    monkeypatch.setattr(module, "_PARAMETER", 0)
+
+    def served(needed, count):
+        lanes._count(needed, count)
+        return lanes._serving(needed)
+
+    def of(*effects):
+        return frozenset(np.concatenate([columns[name] for name in effects]).tolist())
+
+    # A form of the effect that was found, of one parameter.
+    pairs = [of("one") | {0}, of("other") | {0}]
+    # A lane saves 54 in a program of both pairs, and 56 in one of its own, which sees half of the lanes.
+    assert [served(pairs[k % 2], 1) for k in range(18)] == [of(*sizes)] * 18
+    assert [served(pairs[k % 2], 1) for k in range(10)] == [of("one", "other") | {0}] * 10
     # Beyond that one a lane saves two more.
-    assert [len(lanes._serving(pairs[0], 100)) for _ in range(8)] == [3] * 4 + [2] * 4
-    assert lanes._serving(frozenset({"one"}), 1) == {"one", "other"}
-    assert lanes._serving(frozenset(), 10**6) == frozenset()
+    assert [len(served(pairs[0], 100)) for _ in range(8)] == [5] * 4 + [3] * 4
+    assert served(of("other"), 1) == of("one", "other")
+    assert served(frozenset(), 10**6) == frozenset()

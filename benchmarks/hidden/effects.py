@@ -147,8 +147,9 @@ def _gamma(x, s, p):
 
 
 def _fullness(x, s, p):
-    """β (1 − δ) and γ = δ β: the unloading branch alone, the ultimate force kept (Sivaselvan & Reinhorn 2000)."""
-    s.gamma, s.beta = s.gamma + p["delta"], s.beta - p["delta"]
+    """β (1 − δ r²) and γ = δ β r², r = |z|β/A: the unloading branch alone, the more the larger the force."""
+    share = p["delta"] * np.minimum(np.abs(x.z) / x.strength, 1.0) ** 2
+    s.gamma, s.beta = s.gamma + share, s.beta - share
 
 
 PINCH = {"p": (3.0, 8.0), "q": (0.0, 0.05), "psi": (0.08, 0.15)}
@@ -161,7 +162,7 @@ add("asymmetry", "stiffness and strength", _asymmetric_stiffness, 0.8, is_signed
 add("yield_sharpness", "same", _sharp_power, 6.0)
 add("yield_sharpness", "sinh", _sharp_sinh, 8.0)
 add("loop_shape", "same", _gamma, 4.0)
-add("loop_shape", "unloading alone", _fullness, 0.95)
+add("loop_shape", "unloading with the force", _fullness, 0.95)
 
 # ---- elastic forces and contact ---------------------------------------------------------------------------------------
 
@@ -261,10 +262,6 @@ def _dashpot(shape):
     return act
 
 
-def _rounded_power(ratio, exponent, core=0.01):
-    return ratio * (ratio * ratio + core * core) ** (0.5 * (exponent - 1))
-
-
 def _stribeck_gauss(ratio, p):
     """(μ + (1 − μ) exp(−(v/0.25 v_c)²)) v/√(v² + (0.02 v_c)²)."""
     return (p["remaining"] + (1 - p["remaining"]) * np.exp(-((ratio / 0.25) ** 2))) * ratio / np.hypot(ratio, 0.02)
@@ -303,7 +300,7 @@ def _maxwell(shares):
 
 
 add("viscous_damping", "same", _dashpot(lambda r, p: r), 10.0, VISCOUS)
-add("viscous_damping", "power 0.85", _dashpot(lambda r, p: _rounded_power(r, 0.85)), 10.0, FORCE)
+add("viscous_damping", "unlike by direction", _dashpot(lambda r, p: r + 0.3 * np.abs(r)), 10.0, FORCE)
 add(
     "quadratic_damping", "same", _dashpot(lambda r, p: np.abs(r) * r), 10.0,
     ("c2", "N*s^2/m^2", lambda c: c.force / c.rate**2),

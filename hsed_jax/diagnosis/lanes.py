@@ -19,19 +19,20 @@ from jaxtyping import Float, Int
 from hsed_jax.backend import cores
 from hsed_jax.inference.observation import Observation, Outputs
 from hsed_jax.physics.batch import tiled_map
-from hsed_jax.physics.outputs import owner_of
 from hsed_jax.physics.simulator import AbstractModel, Conditions, Simulator
 from hsed_jax.programs import program
 
 # Chunks go to threads; their tiles are small, since most rounds ask for a few lanes of each program.
-_CHUNK, _TILE = 64, 16
+_CHUNK, _TILE = 64, 8
 _FAR = 1e100
-# A lane takes as long as its program has parameters, those of the law about this many.  A further program is made once it would
-# have saved so many lanes of one parameter: that is what it costs to compile.
-_LAW, _WORTHWHILE = 3, 200_000
+# A step of a lane takes as long as its program has parameters, those of the law about this many.  A further program is made once
+# it would have saved as many steps with one parameter as it costs to compile: so many for a program, and so many for each of
+# its parameters.
+_LAW, _PROGRAM, _PARAMETER = 3, 60_000_000, 5_000_000
 
 
-_Effects = frozenset[str]
+_Columns = frozenset[int]
+"""Parameters of effects that a program has, by their place in a parameter vector; all others are neutral in it."""
 
 
 class Part(NamedTuple):
@@ -89,8 +90,9 @@ class LanesApart(NamedTuple):
 class Lanes:
     """Outputs of a model over lanes, each a parameter vector and the number of an experiment.
 
-    An effect that is neutral does exactly nothing, and costs as much as any other: a lane runs the cheapest program that has its
-    effects.  There are those of single groups and that of all; what a search comes back to gets programs of its own.
+    An effect that is neutral does exactly nothing, and costs as much as any other; and so does what a form of an effect leaves
+    out.  A lane runs the cheapest program that has its parameters, where others are numbers that the compiler knows.  There are
+    those of single groups of effects and that of all; what a search comes back to gets programs of its own.
 
     Arguments:
         model: the computational model.
@@ -109,12 +111,15 @@ class Lanes:
         parts: Sequence[Part] = (),
     ):
         self._model, self._observation, self._names, self._conditions = model, observation, names, conditions
-        self._parts = {part.effect: part for part in parts}
-        groups = {part.group: frozenset(p.effect for p in parts if p.group == part.group) for part in parts}
-        self._group = {part.effect: groups[part.group] for part in parts}
-        self._available = list(dict.fromkeys([frozenset(), *groups.values(), frozenset(self._parts)]))
-        self._saved: Counter[_Effects] = Counter()
-        self._programs: dict[_Effects, tuple[Outputs, np.ndarray]] = {}
+        self._of_effect = {part.effect: frozenset(part.columns.tolist()) for part in parts}
+        self._of_group = {
+            part.effect: frozenset[int]().union(*(self._of_effect[p.effect] for p in parts if p.group == part.group))
+            for part in parts
+        }
+        self._neutral = dict(zip(_joined([p.columns for p in parts]), _joined([p.neutral for p in parts]), strict=True))
+        self._available = list(dict.fromkeys([frozenset(), *self._of_group.values(), frozenset(self._neutral)]))
+        self._saved: Counter[_Columns] = Counter()
+        self._programs: dict[_Columns, tuple[Outputs, np.ndarray]] = {}
         self._threads = ThreadPoolExecutor(cores())
 
     def __call__(
@@ -122,8 +127,8 @@ class Lanes:
     ) -> tuple[Float[np.ndarray, "L J"], Float[np.ndarray, " L"]]:
         """Outputs (L, J) and whether each lane converged (L,); outputs of a lane that diverged are zero."""
         chunks = [
-            (*self._program(effects), lanes[start : start + _CHUNK])
-            for effects, lanes in self._by_program(thetas).items()
+            (*self._program(columns), lanes[start : start + _CHUNK])
+            for columns, lanes in self._by_program(thetas).items()
             for start in range(0, len(lanes), _CHUNK)
         ]
 
@@ -143,51 +148,75 @@ class Lanes:
         order = np.argsort(np.concatenate([lanes for *_, lanes in chunks]))
         return np.concatenate([d[0] for d in done])[order], np.concatenate([d[1] for d in done])[order]
 
-    def _by_program(self, thetas: Float[np.ndarray, "L P"]) -> dict[_Effects, Int[np.ndarray, " l"]]:
-        """Lanes by the effects of the program that they run."""
-        has = [np.any(thetas[:, part.columns] != part.neutral, axis=1) for part in self._parts.values()]
-        found: dict[_Effects, list[np.ndarray]] = {}
-        kinds, kind_of = np.unique(np.reshape(has, (len(has), len(thetas))).T, axis=0, return_inverse=True)
-        for number, kind in enumerate(kinds):
-            effects = frozenset(effect for effect, one in zip(self._parts, kind, strict=True) if one)
-            lanes = np.flatnonzero(kind_of.ravel() == number)
-            found.setdefault(self._serving(effects, len(lanes)), []).append(lanes)
-        return {effects: np.concatenate(lanes) for effects, lanes in found.items()}
+    def _by_program(self, thetas: Float[np.ndarray, "L P"]) -> dict[_Columns, Int[np.ndarray, " l"]]:
+        """Lanes by the parameters of effects in the program that they run."""
+        columns = np.asarray(list(self._neutral), dtype=int)
+        has = thetas[:, columns] != np.asarray(list(self._neutral.values()))
+        kinds, kind_of, counts = np.unique(has, axis=0, return_inverse=True, return_counts=True)
+        needs = [frozenset(columns[kind].tolist()) for kind in kinds]
+        for needed, lanes in zip(needs, counts.tolist(), strict=True):
+            self._count(needed, lanes)
+        found: dict[_Columns, list[np.ndarray]] = {}
+        for number, needed in enumerate(needs):
+            found.setdefault(self._serving(needed), []).append(np.flatnonzero(kind_of.ravel() == number))
+        return {columns: np.concatenate(lanes) for columns, lanes in found.items()}
 
-    def _serving(self, effects: _Effects, lanes: int) -> _Effects:
-        """The effects of the program for lanes that have these: of the cheapest one there is, or of one that has become worth it.
+    def _count(self, needed: _Columns, lanes: int) -> None:
+        """Count what programs would have saved for lanes with these parameters."""
+        cost = self._cost(self._there(needed))
+        for other in self._options(needed):
+            self._saved[other] += lanes * max(cost - self._cost(other), 0)
 
-        It may have them alone; in place of one of them its group, which serves all that is tried beside the others; or all their
-        groups.
-        """
-        serving = min((one for one in self._available if effects <= one), key=self._cost)
-        beside = [effects - {one} | self._group[one] for one in sorted(effects)]
-        others = dict.fromkeys([effects, *beside, frozenset().union(*beside)])
-        for other in others:
-            self._saved[other] += lanes * max(self._cost(serving) - self._cost(other), 0)
-        best = max(others, key=self._saved.__getitem__)
-        if self._saved[best] <= _WORTHWHILE:
-            return serving
-        self._available.append(best)
-        self._saved = Counter({other: saved for other, saved in self._saved.items() if not other <= best})
-        return best
+    def _serving(self, needed: _Columns) -> _Columns:
+        """The program for lanes with these parameters: the cheapest one there is, or one that has become worth it."""
 
-    def _cost(self, effects: _Effects) -> int:
-        return _LAW + sum(len(self._parts[effect].columns) for effect in effects)
+        def worth(columns: _Columns) -> int:
+            return self._saved[columns] * self._steps - _PROGRAM - _PARAMETER * len(columns)
 
-    def _program(self, effects: _Effects) -> tuple[Outputs, Int[np.ndarray, " p"]]:
-        """The model with these effects only, and the columns of its parameters; made once."""
-        if effects in self._programs:
-            return self._programs[effects]
-        left_out = set(self._parts) - effects
-        columns = [k for k, name in enumerate(self._names) if owner_of(name) not in left_out]
+        best = max(self._options(needed), key=worth)
+        if worth(best) > 0:
+            self._available.append(best)
+            self._saved = Counter({other: saved for other, saved in self._saved.items() if not other <= best})
+        return self._there(needed)
+
+    def _there(self, needed: _Columns) -> _Columns:
+        """The cheapest program there is for lanes with these parameters."""
+        return min((one for one in self._available if needed <= one), key=self._cost)
+
+    def _options(self, needed: _Columns) -> list[_Columns]:
+        """Programs for lanes with these parameters: one that has them alone; one that has all forms of the effects, or of one of
+        them; or the group of one of them, which serves all that is tried beside the others; or all their groups."""
+        effects = [effect for effect, own in self._of_effect.items() if needed & own]
+        forms = [needed | self._of_effect[one] for one in effects]
+        beside = [needed | self._of_group[one] for one in effects]
+        unions = [frozenset[int]().union(*some) for some in (forms, beside)]
+        return list(dict.fromkeys([needed, *forms, *beside, *unions]))
+
+    def _cost(self, columns: _Columns) -> int:
+        return _LAW + len(columns)
+
+    @property
+    def _steps(self) -> int:
+        """How many steps a lane takes."""
+        return 1 if self._model.timeline is None else self._model.timeline.steps
+
+    def _program(self, has: _Columns) -> tuple[Outputs, Int[np.ndarray, " p"]]:
+        """The model with these parameters of effects only, and the columns of all its parameters; made once."""
+        if has in self._programs:
+            return self._programs[has]
+        columns = [k for k in range(len(self._names)) if k in has or k not in self._neutral]
+        left_out = {effect for effect, own in self._of_effect.items() if not own & has}
         model = self._model
         if left_out:
             assert isinstance(model, Simulator)
             model = replace(model, effects=model.effects.only(e for e in model.effects if e not in left_out))
         outputs = Outputs(model, self._observation, tuple(self._names[k] for k in columns))
-        self._programs[effects] = outputs, np.asarray(columns)
-        return self._programs[effects]
+        self._programs[has] = outputs, np.asarray(columns)
+        return self._programs[has]
+
+
+def _joined(arrays: Sequence[np.ndarray]) -> list:
+    return [value for array in arrays for value in array.tolist()]
 
 
 @program

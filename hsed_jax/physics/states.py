@@ -37,6 +37,21 @@ LARGEST_ELONGATION = SharedState(
     settled=lambda value, elongation, turned: jnp.maximum(value, jnp.abs(elongation)),
 )
 
+# To each side of its own: both grow from zero.
+LARGEST_TENSION = SharedState(
+    "largest_tension",
+    "m",
+    "largest elongation reached in tension",
+    settled=lambda value, elongation, turned: jnp.maximum(value, elongation),
+)
+
+LARGEST_COMPRESSION = SharedState(
+    "largest_compression",
+    "m",
+    "largest elongation reached in compression, its size",
+    settled=lambda value, elongation, turned: jnp.maximum(value, -elongation),
+)
+
 TRAVEL = SharedState("travel", "m", "length of the path of the elongation", rate=lambda elongation, rate: jnp.abs(rate))
 
 TIME = SharedState("time", "s", "time since the start", rate=lambda elongation, rate: jnp.ones_like(rate))

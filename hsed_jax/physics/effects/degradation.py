@@ -133,7 +133,7 @@ class PeakSoftening(AbstractDegradation):
     name: ClassVar[str] = "peak_softening"
     family: ClassVar[str] = "stiffness"
     reference: ClassVar[str] = "Park & Ang 1985"
-    drivers: ClassVar[tuple[str, ...]] = ("largest_elongation",)
+    drivers: ClassVar[tuple[str, ...]] = ("largest_elongation", "excursion")
 
     delta: Scalar = parameter(
         r"\delta_p",

@@ -71,20 +71,21 @@ class AbstractDamagedEffect(AbstractDrivenEffect):
     """An effect of damage, which is measured in more ways than one.
 
     Attributes:
-        driver_3, driver_4, driver_5, driver_6: one for the driver that counts in place of the first.
+        driver_3, driver_4, driver_5, driver_6, driver_7: one for the driver that counts in place of the first.
         driver_share: share of the largest elongation in a driver of two measures.
         driver_power, driver_other: powers of the path and of the largest elongation there.
     """
 
     drivers: ClassVar[tuple[str, ...]] = (
         *AbstractDrivenEffect.drivers,
-        *("hysteretic_energy", "reversals", "damage_index", "path_and_elongation"),
+        *("hysteretic_energy", "reversals", "damage_index", "path_and_elongation", "excursion"),
     )
 
     driver_3: Scalar = share_parameter("w_3", "share of another driver")
     driver_4: Scalar = share_parameter("w_4", "share of another driver")
     driver_5: Scalar = share_parameter("w_5", "share of another driver")
     driver_6: Scalar = share_parameter("w_6", "share of another driver")
+    driver_7: Scalar = share_parameter("w_7", "share of another driver")
     driver_share: Scalar = index_share()
     driver_power: Scalar = power_of("p_s", "the path")
     driver_other: Scalar = power_of("p_u", "the largest elongation")

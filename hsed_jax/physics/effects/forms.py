@@ -14,7 +14,15 @@ import jax.numpy as jnp
 
 from hsed_jax.physics.parameters import Parameter, parameters_of, shape_parameter, share_parameter
 from hsed_jax.physics.scales import Scalar, is_number, is_zero
-from hsed_jax.physics.states import FATIGUE, LARGEST_ELONGATION, REVERSALS, TRAVEL, SharedState
+from hsed_jax.physics.states import (
+    FATIGUE,
+    LARGEST_COMPRESSION,
+    LARGEST_ELONGATION,
+    LARGEST_TENSION,
+    REVERSALS,
+    TRAVEL,
+    SharedState,
+)
 
 if TYPE_CHECKING:
     from hsed_jax.physics.effects.base import AbstractEffect, SpringPoint
@@ -103,6 +111,11 @@ def _largest(point: "SpringPoint") -> Scalar:
     return point.memory["largest_elongation"] / point.scales.elongation
 
 
+def _to_this_side(point: "SpringPoint") -> Scalar:
+    tension, compression = point.memory["largest_tension"], point.memory["largest_compression"]
+    return jnp.where(point.hysteretic > 0, tension, compression) / point.scales.elongation
+
+
 def _damage(point: "SpringPoint", share: Scalar) -> Scalar:
     energy = _energy(point)
     return energy + share * (_largest(point) - energy)
@@ -150,6 +163,12 @@ DRIVERS = {
         _worn_and_stretched,
         (TRAVEL, LARGEST_ELONGATION),
         ("driver_share", "driver_power", "driver_other"),
+    ),
+    "excursion": Driver(
+        "largest elongation reached to the side that the force is of: each has a damage of its own (Lowes & Altoontash 2003)",
+        r"\max(\pm\Delta u)/u_c",
+        _to_this_side,
+        (LARGEST_TENSION, LARGEST_COMPRESSION),
     ),
 }
 

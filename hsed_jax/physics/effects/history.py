@@ -34,6 +34,7 @@ class Slip(AbstractDrivenEffect):
         "damage_index",
         "reversals",
         "path_and_elongation",
+        "excursion",
     )
     forms: ClassVar[tuple[Form, ...]] = (
         Form("gaussian"),
@@ -69,6 +70,7 @@ class Slip(AbstractDrivenEffect):
     )
     driver_3: Scalar = share_parameter("w_3", "share of another driver")
     driver_4: Scalar = share_parameter("w_4", "share of another driver")
+    driver_5: Scalar = share_parameter("w_5", "share of another driver")
     driver_share: Scalar = index_share()
     driver_power: Scalar = power_of("p_s", "the path")
     driver_other: Scalar = power_of("p_u", "the largest elongation")
@@ -91,7 +93,14 @@ class Fracture(AbstractDrivenEffect):
     name: ClassVar[str] = "fracture"
     family: ClassVar[str] = "strength"
     reference: ClassVar[str] = "Manson 1953; Coffin 1954; Miner 1945 (exponent one)"
-    drivers: ClassVar[tuple[str, ...]] = ("path", "energy", "largest_elongation", "fatigue")
+    drivers: ClassVar[tuple[str, ...]] = (
+        "path",
+        "energy",
+        "largest_elongation",
+        "fatigue",
+        "hysteretic_energy",
+        "damage_index",
+    )
     forms: ClassVar[tuple[Form, ...]] = (
         Form("sudden"),
         Form("gradual", r"-\delta z\,\mathrm{logistic}((x - x_c)/w x_c)", free=("width",)),
@@ -111,11 +120,15 @@ class Fracture(AbstractDrivenEffect):
         "1",
         "path to fracture over characteristic elongation",
         neutral=10.0,
-        lower=0.1,
-        prior={"lognormal": [2.3, 1.0]},
+        lower=0.05,
+        # Of a path some, of what grows to about one in a test a part of that.
+        prior={"lognormal": [0.7, 1.2]},
         physical=PhysicalForm("path", "m", lambda scales: scales.elongation),
     )
     driver_3: Scalar = share_parameter("w_3", "share of another driver")
+    driver_4: Scalar = share_parameter("w_4", "share of another driver")
+    driver_5: Scalar = share_parameter("w_5", "share of another driver")
+    driver_share: Scalar = index_share()
     width: Scalar = shape_parameter(
         "w",
         "share of the life that the loss takes",

@@ -11,6 +11,9 @@ from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
 from hsed_jax.physics.scales import is_number, is_zero
 from hsed_jax.physics.states import LARGEST_ELONGATION, SharedState
 
+# Within so little of the strength a side goes over into the other at once.
+_SHARP = 1e-9
+
 
 def _whether(place: str, symbol: str, neutral: float = 1.0) -> Any:
     return share_parameter(symbol, f"share that goes to {place}", neutral)
@@ -74,7 +77,9 @@ class LoopShape(AbstractSpringEffect):
         "γ less the assumed one, over β",
         neutral=0.0,
         lower=-0.95,
-        prior={"truncated_normal": {"loc": 0.0, "scale": 0.5, "low": -0.95, "high": 4.0}},
+        # Up to what hardly yields on loading more than on unloading: a law of Ramberg and Osgood's kind.
+        upper=20.0,
+        prior={"truncated_normal": {"loc": 0.0, "scale": 1.0, "low": -0.95, "high": 20.0}},
     )
 
     power: Scalar = shape_parameter(
@@ -113,9 +118,10 @@ class Asymmetry(AbstractSpringEffect):
         Form("stiffness", r"1/\eta = 1 - \delta\,\mathrm{sign}\,z", "Dobson, Noori, Hou, Dimentberg & Baber 1997",
              held={"of_strength": 0.0, "of_stiffness": 1.0}),
         Form("stiffness and strength", r"a = 1 - \delta\,\mathrm{sign}\,z", held={"of_strength": 0.0, "of_both": 1.0}),
-        Form(FREE, r"\nu = 1 + \delta\,\mathrm{sign}\,z,\ 1/\eta = 1 - w_\eta\delta\,\mathrm{sign}\,z,\ "
-             r"\gamma + w_\gamma\delta\beta\,(\mathrm{sign}\,z + \mathrm{sign}\,\Delta\dot u)/2",
-             free=("of_stiffness", "of_loading")),
+        Form(FREE, r"\nu = 1 + \delta\sigma,\ 1/\eta = 1 - w_\eta\delta\sigma,\ "
+             r"\gamma + w_\gamma\delta\beta\,(\sigma + \mathrm{sign}\,\Delta\dot u)/2,\ "
+             r"\sigma = z/\sqrt{z^2 + (\rho z_u)^2}",
+             free=("of_stiffness", "of_loading", "rounding")),
     )  # fmt: skip
 
     delta: Scalar = parameter(
@@ -131,10 +137,14 @@ class Asymmetry(AbstractSpringEffect):
     of_loading: Scalar = _whether("γ on loading", r"w_\gamma", 0.0)
     of_stiffness: Scalar = _whether("η", r"w_\eta", 0.0)
     of_both: Scalar = _whether("a", "w_a", 0.0)
+    rounding: Scalar = shape_parameter(
+        r"\rho", "force over strength within which the one side goes over into the other", neutral=0.0, lower=0.0, upper=1.0,
+        prior={"half_normal": 0.2},
+    )  # fmt: skip
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """A factor on `nu`, where its jump multiplies a z of zero; or an addend to `gamma`, or a factor on `eta` or `a`."""
-        side = self.delta * jnp.sign(point.hysteretic)
+        side = self.delta * self._side(point)
         found = {}
         if not is_zero(self.of_strength):
             found["nu"] = 1 + self.of_strength * side
@@ -145,6 +155,12 @@ class Asymmetry(AbstractSpringEffect):
         if not is_zero(self.of_both):
             found["a"] = 1 - self.of_both * side
         return found
+
+    def _side(self, point: SpringPoint) -> Scalar:
+        """One in tension and minus one in compression."""
+        if is_zero(self.rounding):
+            return jnp.sign(point.hysteretic)
+        return point.hysteretic / jnp.hypot(point.hysteretic, jnp.maximum(self.rounding, _SHARP) * point.strength)
 
 
 @register
@@ -257,7 +273,7 @@ class Pinching(AbstractDrivenEffect):
     name: ClassVar[str] = "pinching"
     family: ClassVar[str] = "pinching"
     reference: ClassVar[str] = "Baber & Noori 1985; Foliente 1995"
-    drivers: ClassVar[tuple[str, ...]] = ("energy", "largest_elongation", "reversals")
+    drivers: ClassVar[tuple[str, ...]] = ("energy", "largest_elongation", "reversals", "excursion")
     forms: ClassVar[tuple[Form, ...]] = (
         Form("foliente"),
         Form("gaussian", r"h = 1 - \zeta_s(1 - e^{-px})\exp(-(z/\psi_0 z_u)^2)", "Baber & Noori 1985",
@@ -303,6 +319,7 @@ class Pinching(AbstractDrivenEffect):
         prior={"lognormal": [-0.7, 0.5]},
     )  # fmt: skip
 
+    driver_3: Scalar = share_parameter("w_3", "share of another driver")
     widening: Scalar = share_parameter(r"w_\zeta", "whether the width grows with the severity", neutral=1.0)
     flatness: Scalar = shape_parameter(
         "m", "how flat and sharp the window is", neutral=1.0, lower=0.3, upper=4.0,
