@@ -256,9 +256,9 @@ def simulate(
         found = _simulated(model, channels, more, part, jnp.asarray(count))
         return jax.tree.map(lambda x: np.asarray(x)[:count], found)
 
-    # The first compiles, the others run on all cores.
+    # On all cores, and so from the first: while it compiles, the others wait for it.
     with ThreadPoolExecutor() as threads:
-        parts = [chunk(0), *threads.map(chunk, range(_CHUNK, size, _CHUNK))]
+        parts = list(threads.map(chunk, range(0, size, _CHUNK)))
     return jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)), *parts)
 
 

@@ -56,12 +56,20 @@ def log_expected_improvement(
     **Returns:** log of the improvement, (M,).
     """
     deviation = jnp.maximum(deviation, _LEAST_DEVIATION)
-    return jnp.log(deviation) + log_standard_improvement((mean - best) / deviation)
+    improvement, log_unit = _standard_improvement((mean - best) / deviation)
+    # One logarithm of the product, not two: of all that is done to a candidate here, a logarithm takes longest.
+    return log_unit + jnp.log(deviation * improvement)
 
 
 @jax.jit
 def log_standard_improvement(z: Float[Array, " M"]) -> Float[Array, " M"]:
-    """log(φ(z) + zΦ(z)), the log-expectation of max(Z + z, 0) for a standard normal Z.
+    """log(φ(z) + zΦ(z)), the log-expectation of max(Z + z, 0) for a standard normal Z."""
+    improvement, log_unit = _standard_improvement(z)
+    return log_unit + jnp.log(improvement)
+
+
+def _standard_improvement(z: Float[Array, " M"]) -> tuple[Float[Array, " M"], Float[Array, " M"]]:
+    """φ(z) + zΦ(z) in a unit that keeps it from vanishing, and the logarithm of the unit: φ in the tail, or else one.
 
     For z < −5, with t = −z and H_n the n-fold repeated integral of the normal tail, φ + zΦ = H_1 and the ratios
     ρ_n = H_n/H_{n−1} obey ρ_{n−1} = 1/(t + nρ_n) (DLMF 7.18(iv)): a sum of positive terms, where φ + zΦ cancels.
@@ -73,11 +81,13 @@ def log_standard_improvement(z: Float[Array, " M"]) -> Float[Array, " M"]:
     direct = density + body * 0.5 * jax.scipy.special.erfc(-body / np.sqrt(2.0))
     deepest = _LEVELS + 1
     ratio = (jnp.sqrt(t**2 + 4.0 * deepest) - t) / (2.0 * deepest)
-    for n in range(_LEVELS, 1, -1):
-        ratio = 1.0 / (t + n * ratio)
-    # In the tail over the density, whose logarithm is known; one logarithm serves both branches.
-    log_density = jnp.where(in_tail, -0.5 * t**2 - 0.5 * np.log(2.0 * np.pi), 0.0)
-    return log_density + jnp.log(jnp.where(in_tail, ratio / (t + ratio), direct))
+    # Two levels at the price of one division: ρ_{n−2} from ρ_n, and at last H_1/φ = ρ_0ρ_1 from ρ_2.
+    for n in range(_LEVELS, 2, -2):
+        below = t + n * ratio
+        ratio = below / (t * below + n - 1)
+    tail = 1.0 / (t * (t + 2 * ratio) + 1)
+    log_unit = jnp.where(in_tail, -0.5 * t**2 - 0.5 * np.log(2.0 * np.pi), 0.0)
+    return jnp.where(in_tail, tail, direct), log_unit
 
 
 def improvement(kriging: Kriging, candidates: Float[Array, "M d"], key: PRNGKeyArray) -> Float[Array, " M"]:
@@ -204,25 +214,27 @@ def choose(
 def _choose(kriging, candidates, excluded, excluded_mask, acquisition, key) -> Choice:
     utilities = acquisition(kriging, candidates, key)
     # A utility that is not a number is a failure of the acquisition there, and no reason to experiment.
-    open_to_choice = ~(repeated(candidates, excluded, excluded_mask) | jnp.isnan(utilities))
-    utilities = jnp.where(open_to_choice, utilities, -jnp.inf)
-    index = jnp.argmax(utilities)
+    utilities = jnp.where(jnp.isnan(utilities), -jnp.inf, utilities)
+
+    def is_repeated(state):
+        utilities, index = state
+        near = jnp.sum(jnp.square(excluded - candidates[index]), axis=1) < SAME_POINT**2
+        return (utilities[index] > -jnp.inf) & jnp.any(near & excluded_mask)
+
+    def next_best(state):
+        utilities, index = state
+        utilities = utilities.at[index].set(-jnp.inf)
+        return utilities, _largest(utilities)
+
+    # Only the best ones are compared with the excluded points, not all candidates.
+    utilities, index = jax.lax.while_loop(is_repeated, next_best, (utilities, _largest(utilities)))
     mean, variance = kriging.predict(candidates[index][None])
     return Choice(index, utilities[index], jnp.exp(utilities[index]), mean[0], jnp.sqrt(variance[0]))
 
 
-def repeated(
-    candidates: Float[Array, "M d"], excluded: Float[Array, "K d"], excluded_mask: Bool[Array, " K"]
-) -> Bool[Array, " M"]:
-    """Whether each candidate lies within `SAME_POINT` of an excluded point."""
-
-    def with_one_more(found, point):
-        position, counts = point
-        squared = sum((jnp.square(candidates[:, k] - position[k]) for k in range(candidates.shape[1])), start=0.0)
-        return found | (counts & (squared < SAME_POINT**2)), None
-
-    # One excluded point after the other: no (M, K) array.
-    return jax.lax.scan(with_one_more, jnp.zeros(candidates.shape[0], bool), (excluded, excluded_mask))[0]
+def _largest(utilities: Float[Array, " M"]) -> Int[Array, ""]:
+    """Index of the first of the largest; `argmax` alone compares one after the other, a maximum several at once."""
+    return jnp.argmax(utilities == jnp.max(utilities))
 
 
 def sobol_candidates(count: int, dimensions: int, seed: int) -> Float[Array, "count dimensions"]:

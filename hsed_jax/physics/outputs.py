@@ -88,7 +88,9 @@ def _largest(of: Callable[["Step"], Scalar]) -> Kept:
     def after(kept: tuple[Scalar, ...], step: "Step") -> tuple[Scalar, ...]:
         import jax.numpy as jnp  # here: who reads a campaign needs no JAX
 
-        return (jnp.maximum(kept[0], jnp.abs(of(step))),)
+        # Not `maximum`, whose derivative shares out a tie, which costs; what is no number passes through here as well.
+        largest, value = kept[0], jnp.abs(of(step))
+        return (jnp.where(value <= largest, largest, value),)
 
     return Kept((0.0,), after, lambda kept, end: kept[0])
 

@@ -45,9 +45,10 @@ def mended_force(
     z_turn = before["hysteretic"] + loading * (turn.elongation - turn.start)
     at_turn = {**after, "hysteretic": z_turn}
     falling, growing = (rates(turn.elongation, rate, at_turn)["hysteretic"] / rate for rate in (-_CREEP, _CREEP))
-    first, last = jnp.abs(turn.before), jnp.abs(turn.after)
-    exact = 0.5 * first * turn.share
-    simpson = (first + jnp.where(turn.share > 0.5, 2 * (first - last), 0.0)) / 6
-    shift = jnp.where(turn.happens, turn.length * (growing - falling) * (exact - simpson), 0.0)
+    # With their signs and not as magnitudes: one choice at the end, and so in the derivatives.
+    exact = 0.5 * turn.before * turn.share
+    simpson = (turn.before + jnp.where(turn.share > 0.5, 2 * (turn.before + turn.after), 0.0)) / 6
+    missed = jnp.where(turn.before > 0, exact - simpson, simpson - exact)
+    shift = jnp.where(turn.happens, turn.length * (growing - falling) * missed, 0.0)
     z_end = after["hysteretic"] + shift
     return {**after, "hysteretic": jnp.where(turn.happens, z_turn, z_end)}, {**after, "hysteretic": z_end}
