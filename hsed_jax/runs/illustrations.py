@@ -54,7 +54,9 @@ def _responses(outcome: Outcome, laboratory: VirtualLaboratory) -> Iterator[tupl
         yield SPECIMEN, lambda: responses(simulator, laboratory.parameters, space, cube, channels, pair)
     if is_same:
         of_effects = tuple(f"{effect}." for effect in simulator.effects)
-        truth = {n: value for n, value in laboratory.parameters.items() if not n.startswith(of_effects)}
+        # What the model holds at the same value is a part of its program, as in the calibrated one: they are the same.
+        held = dict(model.constants)
+        truth = {n: v for n, v in laboratory.parameters.items() if not n.startswith(of_effects) and held.get(n) != v}
         yield MODEL_AT_TRUTH, lambda: responses(model, truth, space, cube[:1], channels, pair)
     if outcome.fit is not None:
         estimates = {n: value for n, value in outcome.fit.map.items() if not n.startswith("error.")}
