@@ -21,7 +21,7 @@ from guard import guarded
 
 # Rows that are measured on one core, and the others.
 ONE_CORE = ("simulate", "kriging", "posterior")
-ROWS = (*ONE_CORE, "memory", "diagnosis", "campaign", "sweep")
+ROWS = (*ONE_CORE, "memory", "diagnosis", "improvement", "campaign", "sweep")
 _PACKAGES = (
     "hsed_jax",
     "jax",

@@ -17,6 +17,11 @@ def results(ours=2.0, c=1.0, peaks=1e-4, row="simulate", work="a batch", **figur
     return [line(row, work, "s", ours, {"C": c}, {"ours": {"peaks": peaks, **figures}})]
 
 
+def test_the_rows_are_those_of_the_folder():
+    folder = Path(run.__file__).parent / "rows"
+    assert sorted(run.ROWS) == sorted(path.stem for path in folder.glob("*.py"))
+
+
 def test_the_same_results_have_not_grown():
     assert grown(results(), results()) == uncompared(results(), results(), ["simulate"]) == []
 

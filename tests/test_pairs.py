@@ -249,7 +249,7 @@ def test_what_a_laboratory_declares_is_asked_in_its_pair():
     alone = type("ComponentTest", (Built,), {"component_test": True})
     built = alone(study)
     assert built.pair == ROTATION and built.units == {"A": "N*m/rad"}
-    asks, asked = object.__new__(AskTell), Asked("E01", 0, 1, {}, {}, np.zeros((1, 1)))
+    asks, asked = object.__new__(AskTell), Asked("E01", 0, 1, {}, {})
     expected = Expected(np.zeros(1), {}, {"peak_force": np.asarray([1e3, 2e3, 3e3])})
     vars(asks).update(
         built=SimpleNamespace(

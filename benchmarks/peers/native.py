@@ -8,7 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from case import GAMMA, NU, Numbers
+from case import ETA, GAMMA, NU, Numbers, columns, degrading, lanes, numbers
+from measure import seconds
 
 _SOURCE = Path(__file__).with_name("bouc_wen.c")
 _FLAGS = ("-O3", "-march=native", "-mprefer-vector-width=512", "-ffast-math", "-fopenmp-simd", "-fPIC", "-shared")
@@ -40,3 +41,13 @@ def compiled(lanes: int = 32) -> Callable[..., np.ndarray] | None:
         return out
 
     return simulate
+
+
+def each() -> float | None:
+    """CPU seconds of one simulation of a large batch on one core, one effect, quantities alone; None where there is no gcc."""
+    simulate = compiled()
+    if simulate is None:
+        return None
+    case = degrading("observe=histories")
+    plain, batch = numbers(case), columns(lanes(case, 10_000, seed=8))
+    return seconds(lambda: simulate(plain, *batch, ETA)) / 10_000

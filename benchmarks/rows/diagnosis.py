@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from fresh import alone, write_byte_code
-from measure import line, seconds
+from measure import line
 
 _STUDY = Path(__file__).resolve().parents[2] / "configs" / "hidden_effect.yaml"
 _HIDDEN = "stiffness_degradation"
@@ -21,7 +21,11 @@ def measure(quick: bool) -> list[dict[str, Any]]:
     with tempfile.TemporaryDirectory() as folder:
         cold, again = alone(diagnosed, (0, 1), settings, cache=Path(folder))
         (filled,) = alone(diagnosed, (2,), settings, cache=Path(folder))
-    each, note = _in_c()
+    # Not before: this process only starts others until now.
+    from peers import native
+
+    each = native.each()
+    note = () if each is not None else (native.NOTE,)
     lines = []
     for state, found in (("compilation cache empty", cold), ("new process, cache filled", filled),
                          ("another campaign in the same process", again)):  # fmt: skip
@@ -62,16 +66,3 @@ def diagnosed(seeds: tuple[int, ...], settings: tuple[str, ...]) -> list[dict[st
             }
         )
     return found
-
-
-def _in_c() -> tuple[float | None, tuple[str, ...]]:
-    """Seconds of one simulation of a large batch in C: one effect, quantities alone, so less work than ours."""
-    from case import ETA, columns, degrading, lanes, numbers
-    from peers import native
-
-    simulate = native.compiled()
-    if simulate is None:
-        return None, (native.NOTE,)
-    case = degrading("observe=histories")
-    plain, batch = numbers(case), columns(lanes(case, 10_000, seed=8))
-    return seconds(lambda: simulate(plain, *batch, ETA)) / 10_000, ()

@@ -61,7 +61,9 @@ class Calibration(Tabular):
     def predict(self, campaign: Campaign) -> Prediction:
         """Predict the completed experiments of a campaign."""
         experiments = campaign.completed.experiments
-        return predict(self.fit, self.built.data(campaign, experiments), self.built.taken(experiments))
+        # Padded to the larger split of its own campaign, so that one program predicts both.
+        size = max(len(experiments), len(self.campaign.train), len(self.campaign.test))
+        return predict(self.fit, self.built.data(campaign, experiments, size), self.built.taken(experiments))
 
     def apart(self, campaign: Campaign) -> Apart | None:
         """How far the specimens of a campaign are from their population, those for training first; None without levels."""

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
-from equinox import filter_jit
 from jaxtyping import Array
 
 from hsed_jax.analysis.calibration import Calibration, calibrate_built, compare
@@ -22,6 +21,7 @@ from hsed_jax.diagnosis.descent import Descent, Member, Target, Task
 from hsed_jax.diagnosis.findings import Diagnosis
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.errors import UserError
+from hsed_jax.inference.expansion import expand
 from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Campaign
 from hsed_jax.physics.effects.forms import default_form
@@ -204,10 +204,8 @@ def improve(
         )
         # The posterior weighs residuals with a memory in its own way: its best fit may be that which was there.
         of, stood = again.fit.posterior, calibration.fit.maximum.theta
-        if (
-            again.fit.maximum.log_posterior - filter_jit(of.log_posterior)(of.unconstrain(stood), again.fit.data)
-            > _APART
-        ):
+        (around,) = expand(of, again.fit.data, [np.asarray(of.unconstrain(stood))])
+        if again.fit.maximum.log_posterior - around.log_posterior > _APART:
             calibration, before = again, compare(again)
             notes.append(
                 "the model as it was had not been calibrated to its best fit, and was calibrated again from there"

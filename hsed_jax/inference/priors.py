@@ -130,7 +130,9 @@ class Prior:
 
     def log_density(self, value: Float[Array, "..."]) -> Any:
         """Log of the density at a value within the support."""
-        return self.distribution.log_prob(value)
+        from hsed_jax.inference.distributions import density_at
+
+        return density_at(self.distribution, value)
 
     def quantile(self, probability: Any) -> Any:
         """The value below which this share of the prior lies; from samples where the distribution has no closed form."""

@@ -85,8 +85,11 @@ class Picture:
         for panel in self.figure.axes:
             _set_powers_of_ten(panel.xaxis)
             _set_powers_of_ten(panel.yaxis)
-        self.figure.draw_without_rendering()
-        self.figure.set_layout_engine("none")
+        engine = self.figure.get_layout_engine()
+        assert engine is not None
+        engine.execute(self.figure)
+        # Not "none": a figure with that for its engine is laid out by one more drawing whenever it is saved.
+        self.figure.set_layout_engine(None)
 
     @in_house_style
     def _repr_png_(self) -> bytes:

@@ -39,7 +39,6 @@ class Asked(NamedTuple):
         inputs: in declared units.
         si: the same in SI.
         attempt: at it, from 1.
-        draws: parameters of the model as they are known now, SI, (n, p): what is expected of the experiment.
     """
 
     id: str
@@ -47,7 +46,6 @@ class Asked(NamedTuple):
     attempt: int
     inputs: dict[str, float]
     si: dict[str, float]
-    draws: np.ndarray
 
 
 class Conduct:
@@ -132,7 +130,7 @@ class Conduct:
             UserError: there is no such experiment.
         """
         point = self._trial(id).point
-        return Asked(id, self._row(id), self._attempts[id], point.declared, point.si, self._draws())
+        return Asked(id, self._row(id), self._attempts[id], point.declared, point.si)
 
     def tell(self, id: str, measured: Measured, inputs: Mapping[str, float] | None = None) -> None:
         """Take what was measured.
@@ -220,8 +218,9 @@ class Conduct:
         if self._asked_initial and self._chosen is None and self.stop_reason is None:
             self._step()
 
-    def _draws(self) -> np.ndarray:
-        """Parameters as they are known: of the posterior of the last step, else of the prior."""
+    @property
+    def draws(self) -> np.ndarray:
+        """Parameters of the model as they are known now, SI, (n, p): of the posterior of the last step, else of the prior."""
         if self.steps:
             return np.asarray(self.steps[-1]["draws"])[:, : len(self.built.posterior.model_names)]
         priors = self.built.parameters[0].values()

@@ -236,8 +236,12 @@ def laboratory_folder(path: str | Path) -> Path:
     return Path(path) / "laboratory"
 
 
-def read_run(path: str | Path) -> "FinishedRun":
+def read_run(path: str | Path, known: "xr.DataTree | None" = None) -> "FinishedRun":
     """Read back what a run folder holds.
+
+    Arguments:
+        path: of the folder.
+        known: what `results.nc` holds, from who has just written it: to read it back takes a second.
 
     Raises:
         UserError: there is no run, it has come to nothing yet, or a file is damaged.
@@ -255,7 +259,7 @@ def read_run(path: str | Path) -> "FinishedRun":
         )
     results = folder / "results.nc"
     try:
-        tree = xr.load_datatree(results, engine="h5netcdf") if results.is_file() else None
+        tree = xr.load_datatree(results, engine="h5netcdf") if known is None and results.is_file() else known
     except (OSError, ValueError, KeyError) as error:
         raise UserError(f"{results}: this is no file of results ({error})") from None
     return FinishedRun(

@@ -49,13 +49,17 @@ def _responses(outcome: Outcome, laboratory: VirtualLaboratory) -> Iterator[tupl
     space, model, simulator = outcome.space, outcome.model, laboratory.simulator
     cube = np.repeat(np.asarray(_AT)[:, None], len(space.names), axis=1)
     channels, pair = of_each(model.owners, CHANNELS), outcome.campaign.pair
-    is_same = isinstance(model, Simulator) and not model.effects and model.elements == simulator.elements
-    if is_same or outcome.fit is not None:
+    same = (
+        model if isinstance(model, Simulator) and not model.effects and model.elements == simulator.elements else None
+    )
+    if same is not None or outcome.fit is not None:
         yield SPECIMEN, lambda: responses(simulator, laboratory.parameters, space, cube, channels, pair)
-    if is_same:
+    if same is not None:
         of_effects = tuple(f"{effect}." for effect in simulator.effects)
-        truth = {n: value for n, value in laboratory.parameters.items() if not n.startswith(of_effects)}
-        yield MODEL_AT_TRUTH, lambda: responses(model, truth, space, cube[:1], channels, pair)
+        # What the model holds at the same value is a part of its program, as in the calibrated one: they are the same.
+        held = dict(same.constants)
+        truth = {n: v for n, v in laboratory.parameters.items() if not n.startswith(of_effects) and held.get(n) != v}
+        yield MODEL_AT_TRUTH, lambda: responses(same, truth, space, cube[:1], channels, pair)
     if outcome.fit is not None:
         estimates = {n: value for n, value in outcome.fit.map.items() if not n.startswith("error.")}
         yield MODEL, lambda: responses(model, estimates, space, cube, channels, pair)

@@ -69,7 +69,8 @@ class Requests:
         Raises:
             UserError: every simulation diverges.
         """
-        channels, quantities, ok = self._respond({k: jnp.asarray(v) for k, v in asked.si.items()}, asked.draws)
+        inputs = {name: jnp.asarray(value) for name, value in asked.si.items()}
+        channels, quantities, ok = self._respond(inputs, self.conduct.draws)
         good = np.asarray(ok) > 0
         if not good.any():
             raise UserError(f"experiment {asked.id}: every simulation of what is expected diverges")
@@ -78,9 +79,7 @@ class Requests:
             return np.quantile(np.asarray(values)[good], BAND, axis=0)
 
         return Expected(
-            np.asarray(
-                self.built.planned_simulator.times({name: jnp.asarray(value) for name, value in asked.si.items()})
-            ),
+            np.asarray(self.built.planned_simulator.times(inputs)),
             {name: band(values) for name, values in channels.items()},
             {name: band(values) for name, values in quantities.items()},
         )

@@ -126,8 +126,6 @@ class Run:
 
     def __call__(self) -> dict[str, Any]:
         """Run the steps; returns the content of `summary.json`."""
-        from hsed_jax.runs.results import results_tree
-
         try:
             with answered_by(self._stopped):
                 for step in self.study.steps:
@@ -138,27 +136,36 @@ class Run:
                 outcome = self.outcome("complete")
                 content = summary(outcome)
                 self.store.write_summary(content)
-                # Before anything is drawn: what was found is on the disk whatever becomes of the figures.
-                self.store.write_results(results_tree(outcome, {}))
-                if self.figures:
-                    from hsed_jax.runs.figures import draw
-                    from hsed_jax.runs.illustrations import illustrations
-
-                    with self._watch("figures") as watch:
-                        tables = illustrations(outcome, watch.report)
-                        self.store.write_results(results_tree(outcome, tables))
-                        draw(outcome, tables, self.store.figures, watch.report)
-                self.store.finish()
-                if self.figures:
-                    from hsed_jax.reporting.report import report_page
-
-                    self.store.write_report(report_page(read_run(self.store.path)))
+                self._write(outcome)
                 return content
         except Waiting:
             self.store.write_summary(summary(self.outcome("waiting")))
             raise
         finally:
             self.store.close()
+
+    def _write(self, outcome: Outcome) -> None:
+        """Write the results, draw the figures, and make a report of both."""
+        from hsed_jax.runs.results import results_tree
+
+        if not self.figures:
+            self.store.write_results(results_tree(outcome, {}))
+            self.store.finish()
+            return
+        from hsed_jax.reporting.report import report_page
+        from hsed_jax.runs.figures import draw
+        from hsed_jax.runs.illustrations import illustrations
+
+        with self._watch("figures") as watch:
+            tables = {}
+            try:
+                tables = illustrations(outcome, watch.report)
+            finally:
+                # Before anything is drawn: what was found is on the disk whatever becomes of the figures.
+                self.store.write_results(results := results_tree(outcome, tables))
+            draw(outcome, tables, self.store.figures, watch.report)
+        self.store.finish()
+        self.store.write_report(report_page(read_run(self.store.path, results)))
 
     def _stopped(self) -> str:
         """Leave behind what the run has come to when it is interrupted, and say where."""
