@@ -43,7 +43,6 @@ def measured_at(x, values) -> Data:
 
 # Compiled as one, where each of their operations would be by itself.
 log_density, log_posterior = eqx.filter_jit(Posterior.log_density), eqx.filter_jit(Posterior.log_posterior)
-curvature = eqx.filter_jit(lambda posterior, data, u: expansion(posterior, data, u).curvature)
 
 
 def find(posterior, data, starts=4):
@@ -295,11 +294,15 @@ def test_padding_the_data_changes_no_number(paper, paper_maximum):
     padded = design.data(larger)
     assert padded.values.shape[0] == EXPERIMENTS + 5
     u = paper_maximum.u + 0.1
-    for function in (log_density, log_posterior):
-        found, expected = (float(function(built.posterior, u, given)) for given in (padded, data))
-        assert found == pytest.approx(expected, rel=1e-13)
-    found, expected = (curvature(built.posterior, given, u) for given in (padded, data))
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+    @eqx.filter_jit
+    def numbers(posterior, data):
+        heights = posterior.log_density(u, data), posterior.log_posterior(u, data)
+        return heights, expansion(posterior, data, u).curvature
+
+    (found, found_curvature), (expected, expected_curvature) = (numbers(built.posterior, of) for of in (padded, data))
+    np.testing.assert_allclose(found, expected, rtol=1e-13)
+    np.testing.assert_allclose(found_curvature, expected_curvature, rtol=1e-9)
 
 
 def test_a_diverged_simulation_is_a_very_unlikely_one_and_not_a_number_that_is_missing():

@@ -576,7 +576,7 @@ def test_a_shifted_signal_is_the_signal_at_another_time(delay):
     assert np.abs(found - expected).max() < 1e-4  # the last interval, whose slope is one-sided
     inside = (padded - delay > time[3]) & (padded - delay < time[-4])
     assert np.abs(found - expected)[inside].max() < 4e-6  # 0.15 h³ |y'''|/6 at most; measured 2.4e-6
-    slope = np.asarray(jax.jacfwd(lambda d: shifted(values, padded, d))(delay))
+    slope = np.asarray(jax.jit(jax.jacfwd(lambda d: shifted(values, padded, d)))(delay))
     assert np.isfinite(slope).all()
     np.testing.assert_allclose(slope[inside], -7 * np.cos(7 * (padded - delay) + 0.3)[inside], atol=5e-3)
 
