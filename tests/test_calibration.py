@@ -1,5 +1,6 @@
 """Calibration against independent truth: grids, closed forms, SciPy; and warnings that come when they should."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -38,6 +39,10 @@ def measured_at(x, values) -> Data:
     values = np.asarray(values, float)
     conditions = Conditions({"x": jnp.asarray(x, float)})
     return data_of(conditions, values, np.isfinite(values), np.full(values.shape, np.inf), len(values))
+
+
+# Compiled as one, where each of their operations would be by itself.
+log_density, log_posterior = eqx.filter_jit(Posterior.log_density), eqx.filter_jit(Posterior.log_posterior)
 
 
 def find(posterior, data, starts=4):
@@ -168,7 +173,7 @@ def test_draws_of_the_gaussian_around_the_mode_are_near_the_grids(paper, paper_m
     draws = np.asarray(chains.theta).reshape(-1, 2)
     assert chains.sampler == "laplace"
     assert float(chains.log_density.max()) == pytest.approx(
-        float(built.posterior.log_density(paper_maximum.start, data)), abs=0.02
+        float(log_density(built.posterior, paper_maximum.start, data)), abs=0.02
     )
     assert (np.abs(draws.mean(axis=0) - mean) < 0.3 * sd).all()
     np.testing.assert_allclose(draws.std(axis=0), sd, rtol=0.2)
@@ -240,7 +245,7 @@ def test_a_relative_error_of_a_quantity_is_one_of_its_logarithm():
         u = posterior.unconstrain(jnp.asarray([theta]))
         expected = (stats.norm.logpdf(np.log(y), np.log(theta * x) + mean, sd) - np.log(y)).sum()
         expected -= np.log(theta) + np.log(np.log(100))
-        assert float(posterior.log_posterior(u, data)) == pytest.approx(expected, rel=1e-5)
+        assert float(log_posterior(posterior, u, data)) == pytest.approx(expected, rel=1e-5)
     # The prior's density falls as 1/θ: one of log θ that is flat, less log θ.
     mode = np.exp(np.mean(np.log(y / x)) - mean - sd**2 / 3)
     found = find(posterior, data)
@@ -275,7 +280,7 @@ def test_missing_values_may_hold_anything():
     data = measured_at(np.ones(3), [[1.0, np.nan], [np.nan, 2.0], [1.5, 1.0]])
     junk = data._replace(values=jnp.where(data.weights > 0, data.values, -1e30))
     u = jnp.asarray([0.1])
-    assert float(posterior.log_density(u, data)) == float(posterior.log_density(u, junk))
+    assert float(log_density(posterior, u, data)) == float(log_density(posterior, u, junk))
 
 
 def test_padding_the_data_changes_no_number(paper, paper_maximum):
@@ -289,11 +294,15 @@ def test_padding_the_data_changes_no_number(paper, paper_maximum):
     padded = design.data(larger)
     assert padded.values.shape[0] == EXPERIMENTS + 5
     u = paper_maximum.u + 0.1
-    for function in (built.posterior.log_density, built.posterior.log_posterior):
-        assert float(function(u, padded)) == pytest.approx(float(function(u, data)), rel=1e-13)
-    np.testing.assert_allclose(
-        expansion(built.posterior, padded, u).curvature, expansion(built.posterior, data, u).curvature, rtol=1e-9
-    )
+
+    @eqx.filter_jit
+    def numbers(posterior, data):
+        heights = posterior.log_density(u, data), posterior.log_posterior(u, data)
+        return heights, expansion(posterior, data, u).curvature
+
+    (found, found_curvature), (expected, expected_curvature) = (numbers(built.posterior, of) for of in (padded, data))
+    np.testing.assert_allclose(found, expected, rtol=1e-13)
+    np.testing.assert_allclose(found_curvature, expected_curvature, rtol=1e-9)
 
 
 def test_a_diverged_simulation_is_a_very_unlikely_one_and_not_a_number_that_is_missing():
@@ -303,7 +312,7 @@ def test_a_diverged_simulation_is_a_very_unlikely_one_and_not_a_number_that_is_m
         [1.0],
     )
     data = measured_at(np.ones(3), np.full((3, 1), 0.4))
-    good, bad = (float(posterior.log_density(posterior.unconstrain(jnp.array([t])), data)) for t in (0.4, 0.6))
+    good, bad = (float(log_density(posterior, posterior.unconstrain(jnp.array([t])), data)) for t in (0.4, 0.6))
     assert np.isfinite(bad) and bad < good - 1e5
     assert float(find(posterior, data).theta[0]) == pytest.approx(0.4, abs=1e-4)
 
@@ -372,6 +381,13 @@ def test_lognormal_prior_of_a_stiffness_is_as_good_as_any():
 # --- unknown errors ----------------------------------------------------------------------------------------------
 
 
+# Of this module and not of a test: both samplers have the programs of one model.
+
+
+def proportional(theta, conditions):
+    return (theta[0] * conditions.inputs["x"])[None], True
+
+
 @EXACT
 def test_posterior_of_an_unknown_error_is_the_closed_form(sampler):
     # y = θx + ε with a flat prior of θ: p(s | y) ∝ p(s) s^(1−n) exp(−RSS/2s²)
@@ -379,9 +395,7 @@ def test_posterior_of_an_unknown_error_is_the_closed_form(sampler):
     x = rng.uniform(0.5, 2.0, 15)
     y = 1.3 * x + 0.2 * rng.standard_normal(15)
     prior = Prior("half_normal", 0.3)
-    posterior = posterior_of(
-        lambda t, c: ((t[0] * c.inputs["x"])[None], True), {"t": Prior("uniform", [-50, 50])}, [prior]
-    )
+    posterior = posterior_of(proportional, {"t": Prior("uniform", [-50, 50])}, [prior])
     assert posterior.names == ("t", "error.y0")
     data = measured_at(x, y[:, None])
     found = find(posterior, data)
@@ -429,9 +443,7 @@ def test_an_unknown_relative_error_is_recovered(paper):
 @EXACT
 def test_a_map_beyond_the_prior_lies_on_its_bound_and_the_draws_do_not_care(sampler):
     # The likelihood's peak, 1.2, is outside of the prior [0, 1]: the posterior is a truncated normal.
-    posterior = posterior_of(
-        lambda t, c: (t[0] * c.inputs["x"][None], True), {"t": Prior("uniform", [0.0, 1.0])}, [0.3]
-    )
+    posterior = posterior_of(proportional, {"t": Prior("uniform", [0.0, 1.0])}, [0.3])
     data = measured_at(np.ones(4), np.full((4, 1), 1.2))
     found = find(posterior, data)
     # The logistic flattens towards the bound; the descent stops 1.2e-3 before it, where the density is down by 1 %.

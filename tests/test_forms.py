@@ -35,6 +35,7 @@ SEVERAL = tuple(
     name for name, effect in EFFECTS.items() if len(forms_of(effect)) > 1 and issubclass(effect, AbstractSpringEffect)
 )
 FORMS = tuple((name, label) for name in SEVERAL for label in forms_of(EFFECTS[name]))
+MOST_PARAMETERS = max(len(forms_of(EFFECTS[name])[label].parameters(EFFECTS[name])) for name, label in FORMS)
 STRENGTH, STIFFNESS = 1e5, 6e5
 curves_of = cache(form_curves.curves_of)
 
@@ -575,8 +576,11 @@ def test_one_program_with_held_numbers_as_inputs_serves_every_form(name, label):
     known = parameters_of(effect)
     every = {key: jnp.asarray(float((values | dict(form.held)).get(key, p.neutral))) for key, p in known.items()}
     traced, traced_slopes = program(name)(every, point(at))
-    numbers = jax.tree.map(jnp.asarray, values)
-    for found, expected in ((traced, folded(values)), (traced_slopes, jax.jacfwd(folded)(numbers))):
+    # As many numbers for every form, so that each operation is compiled for one shape; nothing depends on the last of them.
+    numbers = jnp.asarray(np.pad(list(values.values()), (0, MOST_PARAMETERS - len(values))))
+    slopes = jax.jacfwd(lambda numbers: folded(dict(zip(values, numbers, strict=False))))(numbers)
+    slopes = jax.tree.map(lambda along: {key: along[..., i] for i, key in enumerate(values)}, slopes)
+    for found, expected in ((traced, folded(values)), (traced_slopes, slopes)):
         for of_found, of_expected in zip(found, expected, strict=True):
             for slot, value in of_found.items():
                 # What a form leaves alone, the one expression leaves alone, too.

@@ -250,9 +250,8 @@ def test_predictor_gives_a_diverged_experiment_zero_value_and_derivative():
 
     predict = Predictor(respond)
     x = jnp.array([1.5, 2.5, 3.5, 0.5])
-    (outputs, ok), (moved, _) = jax.jvp(
-        lambda t: predict(t, x, jnp.asarray(4)), (jnp.array([2.0, 3.0]),), (jnp.array([1.0, 1.0]),)
-    )
+    along = jax.jit(lambda theta, d: jax.jvp(lambda t: predict(t, x, jnp.asarray(4)), (theta,), (d,)))
+    (outputs, ok), (moved, _) = along(jnp.array([2.0, 3.0]), jnp.array([1.0, 1.0]))
     np.testing.assert_array_equal(ok, [1, 0, 0, 0])
     np.testing.assert_array_equal(outputs[1:], 0)
     np.testing.assert_array_equal(moved[1:], 0)

@@ -191,7 +191,7 @@ def test_where_figures_are_shown_pyplot_knows_each_once(monkeypatch, backend):
 @pytest.mark.parametrize("backend", ["agg", "pdf", "svg"])
 def test_a_batch_without_a_display_leaves_nothing_open(monkeypatch, backend):
     monkeypatch.setattr(hx.plot.matplotlib, "get_backend", lambda: backend)
-    for _ in range(30):
+    for _ in range(2):
         hx.plot.ranking(diagnosis([candidate("gap", 9.0)]))
     assert plt.get_fignums() == []
 

@@ -299,8 +299,8 @@ def test_tiled_map_equals_vmap(size):
         return {"s": jnp.sin(lane["x"]) + lane["m"].sum(), "v": lane["m"] * lane["x"], "flag": lane["x"] > 0.5}
 
     many = jax.vmap(one)
-    expected = many(lanes)
-    plain = tiled_map(many, lanes)
+    expected = jax.jit(many)(lanes)
+    plain = jax.jit(lambda lanes: tiled_map(many, lanes))(lanes)
     counted = jax.jit(lambda lanes, count: tiled_map(many, lanes, count=count))
     for name in expected:
         np.testing.assert_array_equal(plain[name], expected[name])

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_calibration import EXACT, drawn, find, measured_at, posterior_of
+from test_calibration import EXACT, drawn, find, log_density, measured_at, posterior_of
 
 from hsed_jax.inference import blocks
 from hsed_jax.inference import maximum as search
@@ -59,15 +59,17 @@ def test_draws_are_exact_whatever_the_emulator(monkeypatch, factor, is_weighed):
     assert (np.abs(normal.mean(axis=(0, 1))) < error).all()
     assert (np.abs(normal.std(axis=(0, 1)) - 1) < 2 * error).all()
     for theta, height in zip(chains.theta[0, ::500], chains.log_density[0, ::500], strict=True):
-        assert float(height) == pytest.approx(float(posterior.log_density(posterior.unconstrain(theta), data)))
+        assert float(height) == pytest.approx(float(log_density(posterior, posterior.unconstrain(theta), data)))
+
+
+def saturating(theta, conditions):
+    return jnp.tanh(theta) * conditions.inputs["x"], True
 
 
 @pytest.mark.parametrize("seed", [3, 5])
 def test_where_a_polynomial_is_not_enough_nuts_asks_the_simulator(seed):
     # Beyond 2 the response saturates, and only the prior tells one value from another.
-    posterior = posterior_of(
-        lambda t, c: (jnp.tanh(t) * c.inputs["x"], True), {"a": Prior("normal", [0.0, 10.0])}, [0.1]
-    )
+    posterior = posterior_of(saturating, {"a": Prior("normal", [0.0, 10.0])}, [0.1])
     data = measured_at(np.ones(1), np.full((1, 1), 0.99))
     maximum = find(posterior, data)
     # With these seeds weights of an emulator that ends before the posterior does would look well.
