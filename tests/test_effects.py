@@ -53,6 +53,8 @@ def points(count: int = 200) -> SpringPoint:
         "hysteretic": z,
         "energy": energy,
         "largest_elongation": np.abs(du) * draw.uniform(1.0, 5.0, count),
+        "largest_tension": np.maximum(du, 0.0) * draw.uniform(1.0, 5.0, count),
+        "largest_compression": np.maximum(-du, 0.0) * draw.uniform(1.0, 5.0, count),
         "travel": travel,
         "fatigue": np.abs(du) * travel,
         "reversals": np.floor(travel) + 0.37,  # between numbers: an onset at one has no derivative
@@ -275,7 +277,14 @@ def test_no_two_effects_own_one_state():
     names = [state for _, state in owned]
     assert len(names) == len(set(names))
     assert not shared & set(names)
-    assert shared == {"largest_elongation", "travel", "reversals", "fatigue"}
+    assert shared == {
+        "largest_elongation",
+        "largest_tension",
+        "largest_compression",
+        "travel",
+        "reversals",
+        "fatigue",
+    }
 
 
 def orders(names: tuple[str, ...] = SPRING, limit: int = 6) -> list[tuple[str, ...]]:

@@ -114,6 +114,11 @@ def rounded(p, s):
     return s.z / np.sqrt(s.z**2 + (p.rounding * STRENGTH) ** 2)
 
 
+def come(p, s):
+    ratio = np.maximum(np.abs(s.z) / STRENGTH, 1e-9)
+    return (1 - np.exp(-((ratio / p.width) ** p.power))) / (1 - np.exp(-((1 / p.width) ** p.power)))
+
+
 def bent(p, s):
     way = (s.u - s.bristle_at) / (p.bristle * U)
     return np.sign(way) + (s.bristle - np.sign(way)) * np.exp(-np.abs(way))
@@ -263,14 +268,10 @@ EQUATIONS = {
     },
     "loop_shape": {
         "constant": ("gamma", lambda p, x, s: p.delta + 0 * s.z),
-        "free": (
-            "gamma",
-            lambda p, x, s: (
-                p.delta
-                * (1 - np.exp(-((np.maximum(np.abs(s.z) / STRENGTH, 1e-9) / p.width) ** p.power)))
-                / (1 - np.exp(-((1 / p.width) ** p.power)))
-            ),
-        ),
+        "free": [
+            ("gamma", lambda p, x, s: p.delta * come(p, s)),
+            ("nu", lambda p, x, s: 1 / (1 + p.kept * p.delta * come(p, s))),
+        ],
     },
     "relaxation": dict.fromkeys(
         ("linear", "power", "thermally activated"), ("force", lambda p, x, s: p.delta * s.relaxing)

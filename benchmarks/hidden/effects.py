@@ -147,8 +147,9 @@ def _gamma(x, s, p):
 
 
 def _fullness(x, s, p):
-    """β (1 − δ r²) and γ = δ β r², r = |z|β/A: the unloading branch alone, the more the larger the force."""
-    share = p["delta"] * np.minimum(np.abs(x.z) / x.strength, 1.0) ** 2
+    """β (1 − δ s) and γ = δ β s, s = r/(0.05 + r), r = |z|β/A: the unloading branch alone, the more the larger the force."""
+    ratio = np.abs(x.z) / x.strength
+    share = p["delta"] * ratio / (0.05 + ratio)
     s.gamma, s.beta = s.gamma + share, s.beta - share
 
 

@@ -261,11 +261,11 @@ def names_of(choice: Choice) -> Set:
     return frozenset(effect for effect, _ in choice)
 
 
-def spread(parameters: int) -> np.ndarray:
-    """Shares of the priors to start from, (starts, parameters)."""
+def spread(parameters: int, each: int = 2) -> np.ndarray:
+    """Shares of the priors to start from, so many for each parameter and one more, (starts, parameters)."""
     from scipy.stats import qmc
 
     if parameters == 1:
         return np.asarray([[0.1], [0.35], [0.65], [0.9]])
-    count = 2 * (parameters + 1)
+    count = each * (parameters + 1)
     return 0.1 + 0.8 * qmc.Sobol(parameters, scramble=True, rng=1).random_base2(count.bit_length())[:count]

@@ -29,8 +29,8 @@ from hsed_jax.diagnosis.problem import Forms
 _STEP = 1e-3
 # A fit starts no closer to nothing than this share of a size that was tried.
 _LEAST = 0.05
-# Sizes at which forms beside the default one are tried.
-_SIZES = 4
+# So many trials of a form for each of its parameters and one more: where a step comes in a record, few trials tell.
+_TRIALS = 4
 
 
 class Trial(NamedTuple):
@@ -117,9 +117,8 @@ class Around:
         """
         trials: list[tuple[str, str, Trial]] = []
         for effect, forms in effects.items():
-            for number, (label, form) in enumerate(list(forms.items())[: 1 if only_default else None]):
-                shares = spread(len(form.columns))
-                for x in self._models.box.quantiles(form.columns, shares[:_SIZES] if number else shares):
+            for label, form in list(forms.items())[: 1 if only_default else None]:
+                for x in self._models.box.quantiles(form.columns, spread(len(form.columns), _TRIALS)):
                     start = self._fit.x.copy()
                     start[form.columns] = x
                     member = self._fit.member.beside(form.columns, form.held)

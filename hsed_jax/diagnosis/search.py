@@ -44,7 +44,7 @@ _CHANCE = 0.05
 _POOL = 24
 # Of the models that rank first so many are considered to go on from.
 _TRIED = 5
-# Of the forms of an effect, the default one and so many that promise more are fitted first, each from so many starts.
+# Of the forms of an effect, the default one and so many that promise most are fitted first, each from so many starts.
 _PROMISING, _STARTS = 2, 2
 # Beside a set so many effects are fitted: those that promise most.
 _REACH = 8
@@ -291,10 +291,9 @@ class Search:
         ranked = sorted(promises.items(), key=lambda item: -max(found[0].gain for found in item[1].values()))
         for effect, forms in ranked[: _REACH if base else None]:
             default, *further = forms
-            better = sorted(
-                (f for f in further if forms[f][0].gain > forms[default][0].gain), key=lambda f: -forms[f][0].gain
-            )
-            for label in (default, *better[:_PROMISING]):
+            # A trial tells what there is to gain, and not what there is not: they need not promise more than the default one.
+            further.sort(key=lambda f: -forms[f][0].gain)
+            for label in (default, *further[:_PROMISING]):
                 chosen[top | {(effect, label)}] = [p.start for p in forms[label][: _STARTS if is_open else 1]]
         return chosen
 

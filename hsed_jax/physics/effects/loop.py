@@ -68,7 +68,13 @@ class LoopShape(AbstractSpringEffect):
     reference: ClassVar[str] = "Wen 1976"
     forms: ClassVar[tuple[Form, ...]] = (
         Form("constant", r"\gamma + \delta\beta"),
-        Form(FREE, r"\gamma + \delta\beta\,\frac{1 - e^{-(|z|/w z_u)^p}}{1 - e^{-w^{-p}}}", free=("power", "width")),
+        Form(
+            FREE,
+            r"\frac{\gamma + \delta\beta\,g}{1 + w_s\delta g},\ \frac{\beta}{1 + w_s\delta g},\ "
+            r"g = \frac{1 - e^{-(|z|/w z_u)^p}}{1 - e^{-w^{-p}}}",
+            "Sivaselvan & Reinhorn 2000 (of unloading alone)",
+            free=("power", "width", "kept"),
+        ),
     )
 
     delta: Scalar = parameter(
@@ -92,15 +98,21 @@ class LoopShape(AbstractSpringEffect):
         lower=0.05,
         prior={"lognormal": [0.0, 1.0]},
     )
+    kept: Scalar = share_parameter("w_s", "whether the strength is kept, so that unloading alone differs")
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
-        """An addend to `gamma`, in units of β."""
+        """An addend to `gamma`, in units of β; where the strength is kept, a factor on `nu` as well."""
+        grown = self.delta * self._grown(point)
+        return {"gamma": grown} if is_zero(self.kept) else {"gamma": grown, "nu": 1 / (1 + self.kept * grown)}
+
+    def _grown(self, point: SpringPoint) -> Scalar:
+        """What there is of it at a force, over what there is at the strength."""
         if is_zero(self.power):
-            return {"gamma": self.delta}
+            return 1.0
         # The power of zero is one, at no force as well, where no γ matters.
         over = jnp.maximum(jnp.abs(point.hysteretic) / point.strength, 1e-9)
         here, at_strength = (jnp.expm1(-jnp.exp(self.power * jnp.log(x / self.width))) for x in (over, 1.0))
-        return {"gamma": self.delta * here / at_strength}
+        return here / at_strength
 
 
 @register
