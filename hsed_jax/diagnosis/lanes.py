@@ -28,7 +28,7 @@ _FAR = 1e100
 # A step of a lane takes as long as its program has parameters, those of the law about this many.  A further program is made once
 # it would have saved as many steps with one parameter as it costs to compile: so many for a program, and so many for each of
 # its parameters.
-_LAW, _PROGRAM, _PARAMETER = 3, 60_000_000, 5_000_000
+_LAW, _PROGRAM, _PARAMETER = 3, 20_000_000, 5_000_000
 
 
 _Columns = frozenset[int]

@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.special import chdtrc
 
 from hsed_jax.diagnosis.descent import Descent, Member, Target
@@ -31,6 +31,8 @@ _STEP = 1e-3
 _LEAST = 0.05
 # So many trials of a form for each of its parameters and one more: where a step comes in a record, few trials tell.
 _TRIALS = 4
+# Experiments with this share of what a fit leaves tell what is worth a fit.
+_HALF = 0.5
 
 
 class Trial(NamedTuple):
@@ -66,17 +68,18 @@ class Around:
         models: of the fit.
         target: what was fitted.
         fit: the model.
+        rows: of these experiments; by default of all.
     """
 
-    def __init__(self, models: NestedModels, target: Target, fit: Descent):
+    def __init__(self, models: NestedModels, target: Target, fit: Descent, rows: Int[np.ndarray, " r"] | None = None):
         self._models, self._target, self._fit = models, target, fit
-        self._rows = np.arange(len(target.values))
+        self._rows = np.arange(len(target.values)) if rows is None else rows
         self._x = models.neutral.copy()
         self._x[fit.free] = fit.x[fit.free]
         moved = [self._moved(self._x, int(k)) for k in fit.free]
         outputs, ok = models.predict([(self._x, fit.member), *((x, fit.member) for x, _ in moved)], self._rows)
         self._outputs = outputs[0]
-        self._residual = self._standardised(target.values - outputs[0]).ravel()
+        self._residual = self._standardised(target.values[self._rows] - outputs[0]).ravel()
         slopes = self._standardised((outputs[1:] - outputs[0]) * ok[1:, :, None]).reshape(len(moved), -1)
         self._basis, _ = np.linalg.qr((slopes / np.asarray([step for _, step in moved])[:, None]).T)
 
@@ -161,6 +164,15 @@ class Around:
 
     def _standardised(self, difference: np.ndarray) -> np.ndarray:
         return self._target.standardised(self._fit.use, self._rows, difference)
+
+
+def telling(target: Target, fit: Descent) -> Int[np.ndarray, " r"]:
+    """The experiments of which a fit leaves most: as few as have half of all that it leaves."""
+    rows = target.rows(fit.use)
+    left = np.sum(target.standardised(fit.use, rows, (fit.predicted - target.values)[rows]) ** 2, axis=-1)
+    order = np.argsort(-left)
+    enough = int(np.searchsorted(np.cumsum(left[order]), _HALF * left.sum())) + 1
+    return np.sort(rows[order[:enough]])
 
 
 def score_p_value(statistic: float, candidates: int = 1) -> float:

@@ -23,7 +23,7 @@ from hsed_jax.diagnosis.held_out import Gain, HeldOut, by_prediction
 from hsed_jax.diagnosis.measured import WRONG, Measured
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Forms, amplitude_of, of_other_drivers, of_other_shapes
-from hsed_jax.diagnosis.scores import Around, score_p_value
+from hsed_jax.diagnosis.scores import Around, score_p_value, telling
 from hsed_jax.errors import UserError
 
 MOST_EFFECTS = 4
@@ -273,7 +273,7 @@ class Search:
             singles = [self.model(base | {one}) for one in others if base | {one} in self._fits]
             for single in sorted(singles, key=lambda m: -m.log_posterior)[:_OTHERS]:
                 further = {e: self.effects[e] for e in others if e not in single.effects}
-                around = Around(self.models, self.target, single.fit)
+                around = Around(self.models, self.target, single.fit, telling(self.target, single.fit))
                 promises = around.of_forms(further, only_default=True)
                 defaults = [(effect, *one) for effect, forms in promises.items() for one in forms.items()]
                 for effect, label, found in sorted(defaults, key=lambda one: -one[2][0].gain)[:_BESIDE]:
@@ -286,7 +286,8 @@ class Search:
         """Choices of one effect beside a fitted set, in the forms that promise most, and where to fit each from."""
         top, is_open = self._fits.top(base), bool(base) or self.is_open()
         chosen: dict[Choice, list[np.ndarray]] = {}
-        around = Around(self.models, self.target, self._fits.best(base))
+        fit = self._fits.best(base)
+        around = Around(self.models, self.target, fit, telling(self.target, fit))
         promises = around.of_forms({e: self.effects[e] for e in others}, only_default=not is_open)
         ranked = sorted(promises.items(), key=lambda item: -max(found[0].gain for found in item[1].values()))
         for effect, forms in ranked[: _REACH if base else None]:
