@@ -47,8 +47,8 @@ CASES = {
     ),
     "pinching": ("bouc_wen", BOUC_WEN, {"pinching": ("foliente", PINCHING)}),
     "pinching, sharp": ("bouc_wen", SHARP, {"pinching": ("foliente", PINCHING)}),
-    "loop_shape": ("bouc_wen", BOUC_WEN, {"loop_shape": ("", {"delta": -0.8})}),
-    "yield_sharpness": ("bouc_wen", BOUC_WEN, {"yield_sharpness": ("", {"delta": 0.9})}),
+    "loop_shape": ("bouc_wen", BOUC_WEN, {"loop_shape": ("constant", {"delta": -0.8})}),
+    "yield_sharpness": ("bouc_wen", BOUC_WEN, {"yield_sharpness": ("power", {"delta": 0.9})}),
     "yielding": ("elastic", {"k": 2e6}, {"yielding": ("to a bound", {"delta": 3.0, "phi": 0.7})}),
     "yielding, free": (
         *("elastic", {"k": 2e6}),
@@ -62,7 +62,7 @@ CASES = {
     "contact_stiffening": ("bilinear", YIELDING, {"contact_stiffening": ("hertz", {"delta": 0.8, "clearance": 0.4})}),
     "viscous_damping": ("bouc_wen", BOUC_WEN, {"viscous_damping": ("linear", {"delta": 0.5})}),
     "quadratic_damping": ("bouc_wen", BOUC_WEN, {"quadratic_damping": ("power", {"delta": 0.5, "power": 1.7})}),
-    "power_damping": ("elastic", {"k": 2e6}, {"power_damping": ("", {"delta": 0.5, "alpha": 0.6})}),
+    "power_damping": ("elastic", {"k": 2e6}, {"power_damping": ("power", {"delta": 0.5, "alpha": 0.6})}),
     "coulomb_friction, bristle": ("bilinear", YIELDING, {"coulomb_friction": ("bristle", {"delta": 0.3, "bristle": 0.06})}),
     "support_flexibility": ("bouc_wen", BOUC_WEN, {"support_flexibility": ("linear", {"delta": 0.3})}),
     "a series beside others": (
