@@ -162,7 +162,7 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
 
     Arguments:
         fit: the calibrated model.
-        data: the experiments as data, as the fit's own were made; rows beyond the experiments are padding.
+        data: the experiments as data, as the fit's own were made; rows beyond its count are padding.
         experiments: the same experiments.
     """
     posterior = fit.posterior
@@ -172,7 +172,7 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
     limits = ABSURD * _largest(measured, used, posterior.groups)
     strangers = posterior.population.strangers(data.members, len(thetas))
     found = _predicted(posterior, thetas, strangers, data, limits, _shortfall(fit, data))
-    measured, used, found = jax.tree.map(lambda values: np.asarray(values)[: len(experiments)], (measured, used, found))
+    measured, used, found = jax.tree.map(lambda values: np.asarray(values)[: int(data.count)], (measured, used, found))
     predicted, ok, sigma, plain, corrected, lost = found
     parts = dict(corrected.parts)
     if fit.inflation is not None:
