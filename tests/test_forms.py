@@ -50,10 +50,11 @@ def state(count: int = 60) -> dict:
         "energy": found["z"] ** 2 / (2 * STIFFNESS) + draw.exponential(E, count),
         "travel": draw.exponential(E / F, count),
     }
-    found |= {"largest_elongation": np.abs(u) * draw.uniform(1, 3, count), "bristle": draw.uniform(-1, 1, count)}
+    found |= {"largest_elongation": np.abs(u) * draw.uniform(1, 3, count)}
     found |= {f"largest_{side}": np.abs(draw.normal(scale=U, size=count)) for side in ("tension", "compression")}
     found |= {"plastic": draw.normal(scale=0.5 * U, size=count)}
-    found |= {"bristle_at": draw.normal(scale=0.6 * U, size=count)}
+    for name in ("coulomb_friction", "stribeck_friction", "hardening"):
+        found |= {f"{name}_bristle": draw.uniform(-1, 1, count), f"{name}_foot": draw.normal(scale=0.6 * U, size=count)}
     found |= {"relaxing": draw.normal(scale=F, size=count)}
     found |= {"fatigue": draw.exponential(U * E / F, count)}
     found |= {"reversals": draw.integers(0, 30, count).astype(float)}
@@ -119,9 +120,29 @@ def come(p, s):
     return (1 - np.exp(-((ratio / p.width) ** p.power))) / (1 - np.exp(-((1 / p.width) ** p.power)))
 
 
-def bent(p, s):
-    way = (s.u - s.bristle_at) / (p.bristle * U)
-    return np.sign(way) + (s.bristle - np.sign(way)) * np.exp(-np.abs(way))
+def bent(before, way, end=1.0):
+    """A bristle after a way in its own lengths, towards where it slides."""
+    return end * np.sign(way) + (before - end * np.sign(way)) * np.exp(-np.abs(way) / end)
+
+
+def dragged(p, s):
+    return bent(s.coulomb_friction_bristle, (s.u - s.coulomb_friction_foot) / (p.bristle * U))
+
+
+def dragged_less(p, s):
+    fallen = p.remaining + (1 - p.remaining) * np.exp(-np.abs(s.v) / (p.falling * V))
+    return bent(s.stribeck_friction_bristle, (s.u - s.stribeck_friction_foot) / (p.bristle * U), fallen)
+
+
+def pulled_back(p, s):
+    plastic = s.u - s.z / STIFFNESS
+    return p.bristle * bent(s.hardening_bristle, (plastic - s.hardening_foot) / (p.bristle * U))
+
+
+def dented(p, s):
+    deepest = np.where(s.u > 0, s.largest_tension, s.largest_compression) / U
+    touched = p.clearance + p.kept * np.maximum(deepest - p.clearance, 0)
+    return np.maximum(np.abs(s.u) / U - touched, 0) * np.sign(s.u)
 
 
 def two_powers(p, grown):
@@ -246,7 +267,7 @@ EQUATIONS = {
     "coulomb_friction": {
         "sharp": ("force", lambda p, x, s: p.delta * F * np.tanh(s.v / (0.02 * V))),
         "regularised": ("force", lambda p, x, s: p.delta * F * np.tanh(s.v / (p.sticking * V))),
-        "bristle": ("force", lambda p, x, s: p.delta * F * bent(p, s)),
+        "bristle": ("force", lambda p, x, s: p.delta * F * dragged(p, s)),
         "free": (
             "force",
             lambda p, x, s: p.delta * F * np.tanh(np.abs(s.v / (p.sticking * V)) ** p.roundness) * np.sign(s.v),
@@ -289,6 +310,7 @@ EQUATIONS = {
         for name, r in {"exponential": lambda p: 0.2, "of any speed": lambda p: p.falling}.items()
     }
     | {
+        "bristle": ("force", lambda p, x, s: p.delta * F * dragged_less(p, s)),
         "free": (
             "force",
             lambda p, x, s: (
@@ -308,6 +330,7 @@ EQUATIONS = {
         "compression only": spring["negative"],
         "power": ("force", lambda p, x, s: p.delta * F * np.abs(s.u / U) ** p.power * np.sign(s.u)),
         "saturating": ("force", lambda p, x, s: p.delta * F * (s.u / U) / (1 + p.bend * np.abs(s.u / U))),
+        "back-stress": ("force", lambda p, x, s: p.delta * F * pulled_back(p, s)),
         "free": ("force", lambda p, x, s: p.delta * F * bending(p, s) * np.sign(s.u) * share(p, s.u)),
     },
     "cubic_stiffness": {
@@ -326,6 +349,7 @@ EQUATIONS = {
         "power": ("force", lambda p, x, s: p.delta * F * beyond(p, s) ** p.power * np.sign(s.u)),
         "tension only": ("force", lambda p, x, s: np.where(s.u > 0, stop(p, x, s), 0)),
         "compression only": ("force", lambda p, x, s: np.where(s.u < 0, stop(p, x, s), 0)),
+        "crushed": ("force", lambda p, x, s: p.delta * F * dented(p, s)),
         "free": ("force", lambda p, x, s: p.delta * F * beyond(p, s) ** p.power * np.sign(s.u) * share(p, s.u)),
     },
     "slip": {
@@ -515,17 +539,24 @@ def test_an_offset_settles_as_its_form_says():
     np.testing.assert_allclose(sensed_force(found, span / 100), expected, atol=1e-9 * F)
 
 
-def test_a_bristle_follows_dahls_equation_along_a_path():
-    values = drawn("coulomb_friction", "bristle", 0.5)
-    effect = EFFECTS["coulomb_friction"](of_bristle=1.0, **values)
-    turns, memory, expected = U * np.array([0.0, 0.1, -0.05, -0.02, -0.3]), {"bristle": 0.0, "bristle_at": 0.0}, 0.0
+@pytest.mark.parametrize(("name", "label"), [("coulomb_friction", "bristle"), ("stribeck_friction", "bristle"),
+                                             ("hardening", "back-stress")])  # fmt: skip
+def test_a_bristle_follows_its_equation_along_a_path(name, label):
+    values = drawn(name, label, 0.5)
+    effect = EFFECTS[name](of_bristle=1.0, **values)
+    # At the characteristic rate, and of an element without force, whose elongation is plastic.
+    slides = 1.0
+    if name == "stribeck_friction":
+        slides = values["remaining"] + (1 - values["remaining"]) * np.exp(-1 / values["falling"])
+    largest = values["delta"] * F * (values["bristle"] if name == "hardening" else 1.0)
+    turns, memory, expected = U * np.array([0.0, 0.1, -0.05, -0.02, -0.3]), dict.fromkeys(effect.states, 0.0), 0.0
     for start, end in pairwise(turns):
         sign = np.sign(end - start)
-        dahl = solve_ivp(lambda u, q, s=sign: (1 - s * q) / (values["bristle"] * U), (start, end), [expected],
+        bent = solve_ivp(lambda u, q, s=sign: (1 - s * q / slides) / (values["bristle"] * U), (start, end), [expected],
                          rtol=1e-10, atol=1e-12)  # fmt: skip
-        expected = dahl.y[0, -1]
+        expected = bent.y[0, -1]
         at = SpringPoint(end, sign * V, 0.0, memory, SCALES, STRENGTH, STIFFNESS)
-        assert float(effect.contribute(at)["force"]) == pytest.approx(values["delta"] * F * expected, rel=1e-7)
+        assert float(effect.contribute(at)["force"]) == pytest.approx(largest * expected, rel=1e-7)
         memory = effect.settle(at)
 
 

@@ -76,6 +76,8 @@ class Specimen(eqx.Module):
         slots = self._slots(point)
         committed = self.law.settle(_beyond(elongation, slots), memory, slots)
         kept = {s.name: s.settled(memory[s.name], elongation, turned) for s in self._shared if s.settled is not None}
+        # Of a law of paths, what is committed is the force that the element has now.
+        point = point._replace(hysteretic=committed.get("hysteretic", point.hysteretic))
         for effect in self.effects:
             kept |= effect.settle(point)
         return {**memory, **committed, **kept}

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from hsed_jax.inference.priors import Prior
 from hsed_jax.physics.effects.base import MULTIPLIED, AbstractSpringEffect, SpringPoint
+from hsed_jax.physics.effects.bristles import AbstractBristledEffect
 from hsed_jax.physics.effects.forms import Form
 from hsed_jax.physics.parameters import Parameter
 from hsed_jax.physics.scales import Scalar, Scales
@@ -81,10 +82,12 @@ def _contributed(
     made = effect(**{first: _AMPLITUDE, **shown, **freed, **form.held})
 
     def total(at: dict[str, Float[Array, ""]]) -> Float[Array, ""]:
-        # All that it may have gone through; a bristle slides beyond a quarter of the characteristic elongation.
+        # All that it may have gone through.
         memory: dict[str, Scalar] = defaultdict(lambda: at["driver"])
-        memory |= {"bristle": jnp.clip(4 * at["elongation"], -1.0, 1.0), "bristle_at": at["elongation"]}
         point = SpringPoint(at["elongation"], at["rate"], at["force"], memory, Scales(1.0, 1.0, 1.0, 1.0), 1.0, 1.0)
+        if isinstance(made, AbstractBristledEffect) and made.states:
+            # A bristle slides beyond a quarter of the characteristic elongation.
+            memory |= dict(zip(made.states, (jnp.clip(4 * at["elongation"], -1.0, 1.0), made.foot(point)), strict=True))
         if rates := made.flow(point):
             return jnp.asarray(sum(rates.values()))
         return jnp.asarray(sum(value - (slot in MULTIPLIED) for slot, value in made.contribute(point).items()))

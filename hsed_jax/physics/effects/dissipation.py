@@ -5,6 +5,7 @@ from typing import Any, ClassVar, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
+from hsed_jax.physics.effects.bristles import AbstractBristledEffect
 from hsed_jax.physics.effects.driven import AbstractWornEffect, heating, wearing
 from hsed_jax.physics.effects.forms import (
     FREE,
@@ -33,6 +34,18 @@ def _sticking() -> Any:
         "w", "rate at which it turns over, over characteristic rate", neutral=_STICKING, lower=0.005,
         upper=_SLOWEST, prior={"lognormal": [-3.5, 0.7]},
     )  # fmt: skip
+
+
+def _length() -> Any:
+    """The parameter that says how long a bristle is."""
+    return shape_parameter(
+        "b", "elongation at which it slides over characteristic elongation", neutral=0.05, lower=0.005,
+        prior={"lognormal": [-3.0, 0.8]},
+    )  # fmt: skip
+
+
+def _whether_of_bristle() -> Any:
+    return share_parameter("w_b", "whether it is a bristle's")
 
 
 @register
@@ -164,11 +177,11 @@ class PowerDamping(AbstractWornEffect):
 
 @register
 @final
-class CoulombFriction(AbstractWornEffect):
+class CoulombFriction(AbstractBristledEffect, AbstractWornEffect):
     r"""Dry friction in parallel: $\delta\,F_c\,\tanh(\Delta\dot u/v_s)$, $v_s = 0.02\,v_c$.
 
     As the force of a bristle it is $\delta F_c q$, $dq/d\Delta u = (1 - q\,\mathrm{sign}\,\Delta\dot u)/b u_c$: a spring of that
-    stiffness until it slides.  Between reversals that has a solution, which holds for the shortest of bristles.
+    stiffness until it slides.
     """
 
     name: ClassVar[str] = "coulomb_friction"
@@ -202,42 +215,24 @@ class CoulombFriction(AbstractWornEffect):
         upper=3.0,
         prior={"lognormal": [0.0, 0.4]},
     )
-    bristle: Scalar = shape_parameter(
-        "b", "elongation at which it slides over characteristic elongation", neutral=0.05, lower=0.005,
-        prior={"lognormal": [-3.0, 0.8]},
-    )  # fmt: skip
-    of_bristle: Scalar = share_parameter("w_b", "whether it is a bristle's")
+    bristle: Scalar = _length()
+    of_bristle: Scalar = _whether_of_bristle()
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
         slid = jnp.tanh(raised(point.rate / (self.sticking * point.scales.rate), self.roundness))
         if not is_zero(self.of_bristle):
-            slid = slid + self.of_bristle * (self._bent(point) - slid)
+            slid = slid + self.of_bristle * (self.bent(point) - slid)
         return {"force": self.delta * point.scales.force * slid * self.lasting(point)}
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        """The force of the bristle, over that at which it slides, and the elongation at which it was that [m]."""
-        return () if is_zero(self.of_bristle) else ("bristle", "bristle_at")
-
-    def settle(self, point: SpringPoint) -> dict[str, Scalar]:
-        """The bristle as it is bent now."""
-        if is_zero(self.of_bristle):
-            return {}
-        return {"bristle": self._bent(point), "bristle_at": point.elongation}
-
-    def _bent(self, point: SpringPoint) -> Scalar:
-        """Its force over that at which it slides, after a way without a reversal."""
-        way = (point.elongation - point.memory["bristle_at"]) / (self.bristle * point.scales.elongation)
-        return point.memory["bristle"] - jnp.expm1(-jnp.abs(way)) * (jnp.sign(way) - point.memory["bristle"])
 
 
 @register
 @final
-class StribeckFriction(AbstractSpringEffect):
+class StribeckFriction(AbstractBristledEffect):
     r"""Friction that falls with speed: $\delta\,F_c\,[\mu + (1-\mu)e^{-|\Delta\dot u|/v_r}]\tanh(\Delta\dot u/v_s)$.
 
-    $v_s = 0.02\,v_c$; the share μ remains at high speed, $v_r = 0.2\,v_c$.
+    $v_s = 0.02\,v_c$; the share μ remains at high speed, $v_r = 0.2\,v_c$.  As the force of a bristle it is $\delta F_c q$, and q
+    comes to the expression in brackets, as long as the speed stays.
     """
 
     name: ClassVar[str] = "stribeck_friction"
@@ -247,6 +242,8 @@ class StribeckFriction(AbstractSpringEffect):
     forms: ClassVar[tuple[Form, ...]] = (
         Form("exponential"),
         Form("of any speed", r"v_r = r\,v_c", free=("falling",)),
+        Form("bristle", r"\delta F_c q,\ dq/d\Delta u = (1 - q\,\mathrm{sign}\,\Delta\dot u/[\ldots])/b u_c",
+             "Canudas de Wit, Olsson, Åström & Lischinsky 1995 (LuGre)", held={"of_bristle": 1.0}, free=("falling", "bristle")),
         Form(
             FREE,
             r"\delta F_c\left[\mu + (1-\mu)e^{-(|\Delta\dot u|/r v_c)^m}\right]\tanh(\Delta\dot u/w v_c),\ r \ge 3w",
@@ -281,11 +278,19 @@ class StribeckFriction(AbstractSpringEffect):
         "m", "power of the speed that it falls with", neutral=1.0, lower=0.3, upper=4.0, prior={"lognormal": [0.0, 0.5]}
     )
     sticking: Scalar = _sticking()
+    bristle: Scalar = _length()
+    of_bristle: Scalar = _whether_of_bristle()
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
-        ratio = point.rate / point.scales.rate
+        slid = self.slides_at(point) * jnp.tanh(point.rate / (self.sticking * point.scales.rate))
+        if not is_zero(self.of_bristle):
+            slid = slid + self.of_bristle * (self.bent(point) - slid)
+        return {"force": self.delta * point.scales.force * slid}
+
+    def slides_at(self, point: SpringPoint) -> Scalar:
+        """What remains of the friction at rest."""
         # What falls before it slides is friction that turns over slowly.
         falling = jnp.maximum(self.falling, _SLID * self.sticking)
-        share = self.remaining + (1 - self.remaining) * jnp.exp(-raised(jnp.abs(ratio) / falling, self.steepness))
-        return {"force": self.delta * point.scales.force * share * jnp.tanh(ratio / self.sticking)}
+        speed = jnp.abs(point.rate) / point.scales.rate
+        return self.remaining + (1 - self.remaining) * jnp.exp(-raised(speed / falling, self.steepness))

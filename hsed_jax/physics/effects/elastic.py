@@ -5,6 +5,7 @@ from typing import ClassVar, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
+from hsed_jax.physics.effects.bristles import AbstractBristledEffect
 from hsed_jax.physics.effects.forms import (
     FREE,
     Form,
@@ -15,8 +16,9 @@ from hsed_jax.physics.effects.forms import (
     saturated,
     sided,
 )
-from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
-from hsed_jax.physics.scales import is_number
+from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
+from hsed_jax.physics.scales import is_number, is_zero
+from hsed_jax.physics.states import LARGEST_COMPRESSION, LARGEST_TENSION, SharedState
 
 # A spring of any power, which may level off or pass to a lower power, and act to one side.
 _BENT = Form(
@@ -32,8 +34,11 @@ _BLUNTEST = 2.5
 
 @register
 @final
-class Hardening(AbstractSpringEffect):
-    r"""A linear spring in parallel: $\delta\,\frac{F_c}{u_c}\,\Delta u$; negative is P-Δ."""
+class Hardening(AbstractBristledEffect):
+    r"""A linear spring in parallel: $\delta\,\frac{F_c}{u_c}\,\Delta u$; negative is P-Δ.
+
+    As a back-stress it follows the plastic elongation $u_p = \Delta u - z/k_0$, and is a bristle that recovers from it.
+    """
 
     name: ClassVar[str] = "hardening"
     family: ClassVar[str] = "post-yield"
@@ -50,6 +55,13 @@ class Hardening(AbstractSpringEffect):
             in_units=False,
         ),
         Form("saturating", r"\delta\,\frac{F_c}{u_c}\frac{\Delta u}{1 + b|\Delta u|/u_c}", free=("bend",)),
+        Form(
+            "back-stress",
+            r"\delta F_c\alpha,\ u_c\,d\alpha/du_p = 1 - \frac{\alpha}{\ell}\,\mathrm{sign}\,\dot u_p",
+            "Armstrong & Frederick 1966; Chaboche 1986",
+            held={"of_bristle": 1.0},
+            free=("bristle",),
+        ),
         _BENT,
     )
 
@@ -68,11 +80,27 @@ class Hardening(AbstractSpringEffect):
     )
     bend: Scalar = bend_parameter()
     passing: Scalar = passing_parameter()
+    bristle: Scalar = shape_parameter(
+        r"\ell",
+        "plastic elongation that it recovers from, over characteristic elongation",
+        neutral=0.5,
+        lower=0.02,
+        upper=5.0,
+        prior={"lognormal": [-0.7, 0.8]},
+    )
+    of_bristle: Scalar = share_parameter(r"w_\alpha", "whether it is a back-stress")
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
         ratio = raised(point.elongation / point.scales.elongation, self.power)
-        return {"force": self.delta * point.scales.force * sided(saturated(ratio, self.bend, self.passing), self.side)}
+        pulled = sided(saturated(ratio, self.bend, self.passing), self.side)
+        if not is_zero(self.of_bristle):
+            pulled = pulled + self.of_bristle * (self.bristle * self.bent(point) - pulled)
+        return {"force": self.delta * point.scales.force * pulled}
+
+    def foot(self, point: SpringPoint) -> Scalar:
+        """The plastic elongation [m]."""
+        return point.elongation - point.hysteretic / point.stiffness
 
 
 @register
@@ -156,7 +184,10 @@ class QuadraticStiffness(AbstractSpringEffect):
 @register
 @final
 class ContactStiffening(AbstractSpringEffect):
-    r"""An elastic stop behind a clearance: $\delta\,\frac{F_c}{u_c}\,\mathrm{sign}(\Delta u)\max(|\Delta u| - c\,u_c, 0)$."""
+    r"""A stop behind a clearance: $\delta\,\frac{F_c}{u_c}\,\mathrm{sign}(\Delta u)\max(|\Delta u| - c\,u_c, 0)$.
+
+    One that is crushed keeps a share k of the deepest dent, so that it touches later from then on.
+    """
 
     name: ClassVar[str] = "contact_stiffening"
     family: ClassVar[str] = "contact"
@@ -167,6 +198,12 @@ class ContactStiffening(AbstractSpringEffect):
         Form("power", r"\delta F_c\,b^p", free=("power",), in_units=False),
         Form("tension only", r"\delta F_c\,b\ (\Delta u > 0)", held={"side": 1.0}),
         Form("compression only", r"\delta F_c\,b\ (\Delta u < 0)", held={"side": -1.0}),
+        Form(
+            "crushed",
+            r"\delta F_c\,b,\ c = c_0 + k\max(\max(\pm\Delta u)/u_c - c_0, 0)",
+            "Walton & Braun 1986",
+            free=("kept",),
+        ),
         Form(
             FREE,
             r"\delta F_c\,b^p,\ \text{times } 1 - |w| \text{ to the side that } w \text{ is not of}",
@@ -203,10 +240,23 @@ class ContactStiffening(AbstractSpringEffect):
         prior={"lognormal": [0.3, 0.5]},
     )
     side: Scalar = one_side()
+    kept: Scalar = shape_parameter(
+        "k", "share of the deepest dent that stays", neutral=0.0, lower=0.0, upper=0.95, prior={"uniform": [0.0, 0.95]}
+    )
+
+    @property
+    def needs(self) -> tuple[SharedState, ...]:
+        """The largest elongation to each side, where a dent stays."""
+        return () if is_zero(self.kept) else (LARGEST_TENSION, LARGEST_COMPRESSION)
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
-        scales = point.scales
-        beyond = jnp.maximum(jnp.abs(point.elongation) - self.clearance * scales.elongation, 0.0)
+        scales, touched = point.scales, self.clearance * point.scales.elongation
+        if not is_zero(self.kept):
+            reached = jnp.where(
+                point.elongation > 0, point.memory["largest_tension"], point.memory["largest_compression"]
+            )
+            touched = touched + self.kept * jnp.maximum(reached - touched, 0.0)
+        beyond = jnp.maximum(jnp.abs(point.elongation) - touched, 0.0)
         bent = jnp.sign(point.elongation) * raised(beyond / scales.elongation, self.power)
         return {"force": self.delta * scales.force * sided(bent, self.side)}
