@@ -263,14 +263,15 @@ def _stribeck_table(x, q, p, point):
     return (1 - (1 - p["remaining"]) * fallen) * np.tanh(q / 0.02)
 
 
-def _lugre(x, s, p):
-    """A bristle of 0.06 u_c that bends to g = μ + (1 − μ) exp(−|q|/0.15): ẇ = v − |v| w/g (one state)."""
-    bent = p["remaining"] + (1 - p["remaining"]) * np.exp(-np.abs(x.v) / (0.15 * x.scales.rate))
-    s.rates.append((x.v - np.abs(x.v) * x.w[0] / bent) / (0.06 * x.scales.elongation))
-    s.force = s.force + p["delta"] * x.scales.force * x.w[0]
+def _two_falling_bristles(x, s, p):
+    """Two bristles of 0.03 u_c and 0.09 u_c, half of the friction each, that bend to μ + (1 − μ)/(1 + q/0.15)² (two states)."""
+    bent = p["remaining"] + (1 - p["remaining"]) / (1 + np.abs(x.v) / (0.15 * x.scales.rate)) ** 2
+    for row, length in zip(x.w, (0.03, 0.09), strict=True):
+        s.rates.append((x.v - np.abs(x.v) * row / bent) / (length * x.scales.elongation))
+        s.force = s.force + 0.5 * p["delta"] * x.scales.force * row
 
 
-add("stribeck_friction", "bristle", _lugre, 3.0, states=1, draws={"remaining": (0.35, 0.6)})
+add("stribeck_friction", "two bristles", _two_falling_bristles, 3.0, states=2, draws={"remaining": (0.35, 0.6)})
 
 # ---- rate of the hysteretic spring, and relaxation --------------------------------------------------------------------
 
