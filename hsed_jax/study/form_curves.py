@@ -87,7 +87,8 @@ def _contributed(
         point = SpringPoint(at["elongation"], at["rate"], at["force"], memory, Scales(1.0, 1.0, 1.0, 1.0), 1.0, 1.0)
         if isinstance(made, AbstractBristledEffect) and made.states:
             # A bristle slides beyond a quarter of the characteristic elongation.
-            memory |= dict(zip(made.states, (jnp.clip(4 * at["elongation"], -1.0, 1.0), made.foot(point)), strict=True))
+            bent = jnp.sign(at["rate"]) * made.slides_at(point) * jnp.clip(4 * at["elongation"], -1.0, 1.0)
+            memory |= dict(zip(made.states, (bent, made.foot(point)), strict=True))
         if rates := made.flow(point):
             return jnp.asarray(sum(rates.values()))
         return jnp.asarray(sum(value - (slot in MULTIPLIED) for slot, value in made.contribute(point).items()))
