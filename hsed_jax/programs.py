@@ -36,6 +36,10 @@ _KNOWN = {"hsed_jax", "builtins", "functools", *_PACKAGES}
 _ROUTINES = ("lapack_dormqr_ffi",)
 # Programs of so many states of the sources are kept.
 _STATES = 4
+# So many programs of a function stay in memory, some 10 MB each: a process that looks at campaign after campaign would be full of
+# them.  One that was given up is read again.
+_MOST = 48
+_MISSING = object()
 
 
 class _UnspelledError(Exception):
@@ -59,8 +63,9 @@ class Program[**P, R]:
         self._function: Callable[..., Any] = function
         self._signature = inspect.signature(function)
         self._traced = eqx.filter_jit(function)
+        # Those that were used last stand last.
         self._made: dict[Any, Callable[..., Any] | None] = {}
-        self._lock = threading.Lock()
+        self._making, self._ordering = threading.Lock(), threading.Lock()
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
         """Run the program; within another one, be a part of it."""
@@ -76,11 +81,12 @@ class Program[**P, R]:
         operands = [leaf for leaf, one in zip(leaves, is_operand, strict=True) if one]
         static = tuple([None if one else leaf for leaf, one in zip(leaves, is_operand, strict=True)])
         key = structure, is_operand, static, tuple([_kind(operand) for operand in operands])
-        if key not in self._made:
-            with self._lock:
-                if key not in self._made:
-                    self._made[key] = self._make(structure, is_operand, static, operands)
-        made = self._made[key]
+        made = self._kept(key)
+        if made is _MISSING:
+            with self._making:
+                made = self._kept(key)
+                if made is _MISSING:
+                    made = self._keep(key, self._make(structure, is_operand, static, operands))
         return self._traced(*args, **kwargs) if made is None else made(*operands)
 
     def __get__(self, instance: Any, owner: type | None = None) -> Any:
@@ -90,6 +96,20 @@ class Program[**P, R]:
     def lower(self, *args: P.args, **kwargs: P.kwargs) -> Any:
         """The program before it is compiled, traced anew."""
         return self._traced.lower(*args, **kwargs)
+
+    def _kept(self, key: Any) -> Any:
+        """The program of this key, or that there is none."""
+        with self._ordering:
+            made = self._made.pop(key, _MISSING)
+            return made if made is _MISSING else self._made.setdefault(key, made)
+
+    def _keep(self, key: Any, made: Callable[..., Any] | None) -> Callable[..., Any] | None:
+        """Keep a program; those that were not used for longest are given up."""
+        with self._ordering:
+            self._made[key] = made
+            for oldest in list(self._made)[:-_MOST]:
+                del self._made[oldest]
+        return made
 
     def _make(self, structure, is_operand, static, operands) -> Callable[..., Any] | None:
         """The program for arguments of one kind, as a function of its operands; None where it cannot be kept."""

@@ -52,6 +52,20 @@ def files(folder: Path) -> list[Path]:
     return sorted(path for path in (folder / "programs").rglob("*") if path.is_file())
 
 
+def test_programs_that_were_not_used_for_longest_are_given_up(folder, monkeypatch):
+    monkeypatch.setattr("hsed_jax.programs._MOST", 2)
+    cubes, model, x = program(doubled), Scaled(jnp.asarray(3.0), "a"), jnp.arange(4.0)
+    for power in (2, 3, 2, 4):
+        cubes(model, x, power)
+    # Given up is what is in memory; without its file it has to be traced again.
+    for file in files(folder):
+        file.unlink()
+    TRACED.clear()
+    for power in (2, 4, 3):
+        np.testing.assert_array_equal(cubes(model, x, power).square, x**power)
+    assert set(TRACED) == {3}
+
+
 def test_a_kept_program_is_not_traced_again(folder):
     model, x = Scaled(jnp.asarray(3.0), "a"), jnp.arange(4.0)
     first = program(doubled)(model, x, 2)
