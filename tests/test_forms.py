@@ -322,7 +322,7 @@ EQUATIONS = {
                 )
                 * np.tanh(s.v / (p.sticking * V))
             ),
-        )
+        ),
     },
     "hardening": {
         "linear": spring[""],

@@ -8,11 +8,18 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from hsed_jax.diagnosis.descent import Descent, Target, Task
-from hsed_jax.diagnosis.measured import Measured
+from hsed_jax.diagnosis.measured import WRONG, Measured
 from hsed_jax.diagnosis.nested import NestedModels
 
 _FOLDS = 6
 _BLOCKS = 4
+# Share of the squared held-out error, less the noise, that an effect takes away; the first may take less, if that is all.
+# A textbook formula is off by a third of its effect: the last that is left beside an effect, if smaller, is no other physics.
+_MATERIAL, _FORMULA = 0.05, 0.1
+# Where what is left is far above the noise, this share of it is enough: the model is wrong, and prediction decides.
+_PART = 0.2
+# Where what is left is so many times the noise, squared, one that leaves nothing is no accident (second: no more parameters).
+_CLEAR, _SEEN = 2.0, 1.2
 
 
 class Folds(NamedTuple):
@@ -67,6 +74,23 @@ def by_prediction(gains: Sequence[Gain], sizes: Sequence[int]) -> list[int]:
         return not is_alike, sizes[i] if is_alike else -gains[i].mean
 
     return sorted(range(len(gains)), key=place)
+
+
+def to_take_away(before: float, now: float, noise: float, is_first: bool, is_last: bool, is_as_large: bool) -> float:
+    """The squared error on what was left out that a further effect has to take away.
+
+    Arguments:
+        before, now, noise: error of the model as it is, of the one that it is added to, and the noise floor.
+        is_first: there is no other effect.
+        is_last: it leaves no more than the noise.
+        is_as_large: the model has no more parameters with it, as another form of what there was has fewer.
+    """
+    if not is_last:
+        needed = _MATERIAL * (before**2 - noise**2)
+        return min(needed, _PART * (now**2 - noise**2)) if now > WRONG * noise else needed
+    # Two effects that leave nothing are no more than one that leaves something, and needs as many parameters for it.
+    is_clear = now**2 > (_SEEN if is_as_large else _CLEAR) * noise**2
+    return 0.0 if is_first or is_clear else _FORMULA * (before**2 - noise**2)
 
 
 def folds_of(used: Bool[np.ndarray, "n J"], groups: np.ndarray) -> Folds:

@@ -19,8 +19,8 @@ from scipy.special import softmax
 
 from hsed_jax.diagnosis.descent import Descent, Target, Task
 from hsed_jax.diagnosis.fits import Choice, Fits, Model, Set, names_of
-from hsed_jax.diagnosis.held_out import Gain, HeldOut, by_prediction
-from hsed_jax.diagnosis.measured import WRONG, Measured
+from hsed_jax.diagnosis.held_out import Gain, HeldOut, by_prediction, to_take_away
+from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Forms, amplitude_of, of_other_drivers, of_other_shapes
 from hsed_jax.diagnosis.scores import Around, score_p_value, telling
@@ -29,19 +29,16 @@ from hsed_jax.errors import UserError
 MOST_EFFECTS = 4
 # Posterior odds that a further effect needs.
 _ODDS = 10.0
-# Share of the squared held-out error, less the noise, that an effect takes away; the first may take less, if that is all.
-# A textbook formula is off by a third of its effect: the last that is left beside an effect, if smaller, is no other physics.
-_MATERIAL, _FORMULA = 0.05, 0.1
-# Where what is left is far above the noise, this share of it is enough: the model is wrong, and prediction decides.
-_PART = 0.2
-# Where what is left is so many times the noise, squared, one that leaves nothing is no accident (second: no more parameters).
-_CLEAR, _SEEN = 2.0, 1.2
 # A score test opens the gate that the size of the residual keeps shut, at this level for all candidates together.
 _STRICT = 1e-3
+# Standard deviations of the square of the noise that are no surprise.
+_DEVIATIONS = 3.0
 # By this share a further effect may raise the squared error on experiments that nothing is fitted to: they are few.
 _CHANCE = 0.05
 # Of so many models it is asked what they predict of experiments left out, where evidence does not rank them.
 _POOL = 24
+# Of those that fit no worse than so many times the best of them; and of the first in any case.
+_WORSE = 2.0
 # Of the models that rank first so many are considered to go on from.
 _TRIED = 5
 # Of the forms of an effect, the default one and so many that promise most are fitted first, each from so many starts.
@@ -116,6 +113,7 @@ class Search:
         self._tried: set[Set] = set()
         self._pairs: list[Set] = []
         self._pointed: dict[Set, tuple[Descent, Target, Set]] = {}
+        self._growing: tuple[Set, Target, bool] = self.best, self.target, True
 
     def run(self) -> None:
         """Search, from the model as it is."""
@@ -196,14 +194,8 @@ class Search:
             return f"it takes the error on experiments that were not used from {now:.3f} to {then:.3g}"
         predictions = self.left_out([frozenset(), self.best, larger.effects])
         before, now, then = map(self.held_out.error, predictions)
-        is_last, noise = self._is_explained(larger.fit), self.measured.noise
-        needed = (_MATERIAL if not is_last else _FORMULA if self.best else 0.0) * (before**2 - noise**2)
-        if not is_last and now > WRONG * noise:
-            needed = min(needed, _PART * (now**2 - noise**2))
-        # Two effects that leave nothing are no more than one that leaves something, and needs as many parameters for it.
-        clear = _SEEN if len(larger.fit.free) <= len(here.fit.free) else _CLEAR
-        if is_last and now**2 > clear * noise**2:
-            needed = 0.0
+        is_last, is_as_large = self._is_explained(larger.fit), len(larger.fit.free) <= len(here.fit.free)
+        needed = to_take_away(before, now, self.measured.noise, not self.best, is_last, is_as_large)
         if not then < now or now**2 - then**2 < needed:
             return f"with training experiments left out in turn the error goes from {now:.3f} to {then:.3g} only"
         gain = Gain(self.held_out.squares(predictions[1]) - self.held_out.squares(predictions[2]))
@@ -346,6 +338,9 @@ class Search:
         likely = [m for m in others if m.log_posterior > here.log_posterior]
         is_wrong = self.measured.is_far_above_noise(here.fit.predicted)
         pool = (others if is_wrong else likely)[:_POOL]
+        # What fits so much worse than another one does not predict better.
+        fitted = [self.measured.error(m.fit.predicted) for m in pool]
+        pool = [m for i, m in enumerate(pool) if i < _TRIED or fitted[i] <= _WORSE * min(fitted)]
         if not pool or (likely and self._is_explained(likely[0].fit)):
             return likely
         self._report("what they predict of experiments left out")
@@ -360,9 +355,25 @@ class Search:
         best, others = self.best, [e for e in self.effects if e not in self.best]
         fewer = [best - {e} for e in best]
         exchanged = [best - {out} | {new} for out in best for new in others]
-        may_grow = not best or (len(best) < MOST_EFFECTS and self.is_open())
-        more = [best | {new} for new in others] if may_grow else []
+        more = [best | {new} for new in others] if self._may_grow() else []
         return [best, *fewer, *exchanged, *more]
+
+    def _may_grow(self) -> bool:
+        """Whether a further effect could take away what it has to, were it to leave nothing but the noise."""
+        if not self.best:
+            return True
+        if len(self.best) == MOST_EFFECTS or not self.is_open():
+            return False
+        of_set, of_target, may_grow = self._growing
+        if of_set != self.best or of_target is not self.target:
+            before, now = map(self.held_out.error, self.left_out([frozenset(), self.best]))
+            noise = self.measured.noise
+            needed = min(to_take_away(before, now, noise, False, is_last, False) for is_last in (True, False))
+            # The noise that there is may be less than what is expected of it, by so much of its square.
+            by_chance = _DEVIATIONS * math.sqrt(2 / self.measured.used.sum())
+            may_grow = now**2 - max(1 - by_chance, 0.0) * noise**2 >= needed
+            self._growing = self.best, self.target, may_grow
+        return may_grow
 
     def is_open(self) -> bool:
         """Whether anything is left for a further effect to explain, by size or by a score test."""

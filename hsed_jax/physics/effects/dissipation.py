@@ -242,8 +242,13 @@ class StribeckFriction(AbstractBristledEffect):
     forms: ClassVar[tuple[Form, ...]] = (
         Form("exponential"),
         Form("of any speed", r"v_r = r\,v_c", free=("falling",)),
-        Form("bristle", r"\delta F_c q,\ dq/d\Delta u = (1 - q\,\mathrm{sign}\,\Delta\dot u/[\ldots])/b u_c",
-             "Canudas de Wit, Olsson, Åström & Lischinsky 1995 (LuGre)", held={"of_bristle": 1.0}, free=("falling", "bristle")),
+        Form(
+            "bristle",
+            r"\delta F_c q,\ dq/d\Delta u = (1 - q\,\mathrm{sign}\,\Delta\dot u/[\ldots])/b u_c",
+            "Canudas de Wit, Olsson, Åström & Lischinsky 1995 (LuGre)",
+            held={"of_bristle": 1.0},
+            free=("falling", "bristle"),
+        ),
         Form(
             FREE,
             r"\delta F_c\left[\mu + (1-\mu)e^{-(|\Delta\dot u|/r v_c)^m}\right]\tanh(\Delta\dot u/w v_c),\ r \ge 3w",
