@@ -157,7 +157,8 @@ def rivals_of(problem: Problem, search: Search, models: Sequence[Model], best: M
     as_probable = [m for m in others if m.log_posterior - best.log_posterior >= math.log(_AS_GOOD)]
     if best.effects not in search.predicted:
         return as_probable
-    unlike = [m for m in others if m not in as_probable and m.effects and _families(problem, best, m)][:_MOST_TRIED]
+    unlike = [m for m in others if m not in as_probable and m.effects and _families(problem, best, m)]
+    unlike = search.fit_alike(unlike, [best])[:_MOST_TRIED]
     gains = search.gains([m.effects for m in unlike], best.effects)
     return [*as_probable, *(m for m, gain in zip(unlike, gains, strict=True) if gain.mean + gain.standard_error >= 0)]
 

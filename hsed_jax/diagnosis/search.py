@@ -37,7 +37,7 @@ _DEVIATIONS = 3.0
 _CHANCE = 0.05
 # Of so many models it is asked what they predict of experiments left out, where evidence does not rank them.
 _POOL = 24
-# Of those that fit no worse than so many times the best of them; and of the first in any case.
+# What leaves more than so many times what another model leaves does not predict as well.
 _WORSE = 2.0
 # Of the models that rank first so many are considered to go on from.
 _TRIED = 5
@@ -169,6 +169,11 @@ class Search:
             return False
         plain, now, then = self.unseen([frozenset(), here, larger])
         return not (then**2 <= (1 + _CHANCE) * now**2 and then <= plain)
+
+    def fit_alike(self, models: Sequence[Model], others: Sequence[Model]) -> list[Model]:
+        """Those models that may predict as well as others: what fits so much worse than the best of these does not."""
+        lowest = min((self.measured.error(m.fit.predicted) for m in others), default=math.inf)
+        return [m for m in models if self.measured.error(m.fit.predicted) <= _WORSE * lowest]
 
     def pointed_at(self, chosen: Set) -> Set:
         """The candidates that a score test around a fitted set is sure of, with their number accounted for."""
@@ -338,9 +343,7 @@ class Search:
         likely = [m for m in others if m.log_posterior > here.log_posterior]
         is_wrong = self.measured.is_far_above_noise(here.fit.predicted)
         pool = (others if is_wrong else likely)[:_POOL]
-        # What fits so much worse than another one does not predict better.
-        fitted = [self.measured.error(m.fit.predicted) for m in pool]
-        pool = [m for i, m in enumerate(pool) if i < _TRIED or fitted[i] <= _WORSE * min(fitted)]
+        pool = [*pool[:_TRIED], *self.fit_alike(pool[_TRIED:], pool)]
         if not pool or (likely and self._is_explained(likely[0].fit)):
             return likely
         self._report("what they predict of experiments left out")
