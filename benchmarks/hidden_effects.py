@@ -25,6 +25,8 @@ from hidden.cases import Case
 from hidden.catalogue import EFFECTS, FORMULAS, KINDS, applicable
 from hidden.opensees import is_available
 
+from hsed_jax.errors import UserError
+
 WEAK, MEDIUM, STRONG = 0.03, 0.10, 0.25
 SIZES = {WEAK: "weak", MEDIUM: "medium", STRONG: "strong"}
 NOISES = (0.02, 0.05, 0.10)
@@ -174,7 +176,12 @@ def scored(cases: Sequence[tuple[str, Case]]) -> Iterator[dict[str, Any]]:
                 yield row | {"skipped": message}
                 continue
             begin = time.perf_counter()
-            found = diagnosed(campaign)
+            try:
+                found = diagnosed(campaign)
+            except UserError as refusal:
+                # As a quantity that happens to be negative, of which a relative error is none.
+                yield row | {"skipped": f"refused: {refusal}"}
+                continue
             seconds = time.perf_counter() - begin
             yield row | score(found, json.loads(truth.read_text(encoding="utf-8"))) | {"seconds": seconds}
 

@@ -1,4 +1,4 @@
-"""Intervals cover, p-values keep their promise, nothing is found where nothing is hidden: `benchmarks/coverage.py`, in small."""
+"""Intervals cover, p-values keep their promise, nothing is found where nothing is hidden: `benchmarks/intervals.py`, in small."""
 
 import importlib.util
 import sys
@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-PROGRAM = Path(__file__).parents[1] / "benchmarks" / "coverage.py"
+PROGRAM = Path(__file__).parents[1] / "benchmarks" / "intervals.py"
 CAMPAIGNS = 100
 
 

@@ -6,6 +6,7 @@ been tested yet.  A new acquisition is a function, or an `eqx.Module` with data 
 ``acquisition(kriging, candidates, key)`` and returning one utility per candidate.
 """
 
+import functools
 from collections.abc import Callable
 from typing import final
 
@@ -25,8 +26,22 @@ Acquisition = Callable[[Kriging, Float[Array, "M d"], PRNGKeyArray], Float[Array
 SAME_POINT = 1e-6
 # Floor of a standard deviation, below any response's rounding; with it (difference/deviation)² stays a finite number.
 _LEAST_DEVIATION = 1e-60
-# Below −_SWITCH the terms of φ(z) + zΦ(z) cancel, and a continued fraction of _LEVELS levels is exact to 5e-14.
-_SWITCH, _LEVELS = 5.0, 16
+# Distances 0 to ∞ below the best are mapped to −1 to 1, and this one to 0: where a polynomial comes closest.
+_CENTRE = 4.0
+
+
+def _ratio_of_tails(y: np.ndarray) -> np.ndarray:
+    """(1 + t/c)²(φ(t) − tΦ(−t))/φ(t) at y = (t − c)/(t + c), where c is `_CENTRE`: smooth from t = 0 to ∞.
+
+    The ratio of both is ∫ x exp(−tx − x²/2) dx over x > 0, here in s = (t + c)x.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    s, tail = 20.0 * (nodes + 1.0), 0.5 * (1.0 - y[:, None]) / _CENTRE
+    return 20.0 / _CENTRE**2 * np.exp(-s * (1.0 - _CENTRE * tail) - 0.5 * (s * tail) ** 2) @ (s * weights)
+
+
+# Highest power first; exact to 4e-15.
+_RATIO = np.polynomial.Chebyshev.interpolate(_ratio_of_tails, 22).convert(kind=np.polynomial.Polynomial).coef[::-1]
 
 
 def expected_improvement(
@@ -69,25 +84,19 @@ def log_standard_improvement(z: Float[Array, " M"]) -> Float[Array, " M"]:
 
 
 def _standard_improvement(z: Float[Array, " M"]) -> tuple[Float[Array, " M"], Float[Array, " M"]]:
-    """φ(z) + zΦ(z) in a unit that keeps it from vanishing, and the logarithm of the unit: φ in the tail, or else one.
+    """φ(z) + zΦ(z) in a unit that keeps it from vanishing, and the logarithm of the unit: φ below zero, or else one.
 
-    For z < −5, with t = −z and H_n the n-fold repeated integral of the normal tail, φ + zΦ = H_1 and the ratios
-    ρ_n = H_n/H_{n−1} obey ρ_{n−1} = 1/(t + nρ_n) (DLMF 7.18(iv)): a sum of positive terms, where φ + zΦ cancels.
+    With t = |z| and H(t) = φ(t) − tΦ(−t) it is H(t) below zero and z + H(t) above: nothing cancels on either side.
     """
-    # Each branch sees only arguments that it can take, so that neither puts a NaN into the other's gradient.
-    in_tail = z < -_SWITCH
-    body, t = jnp.where(in_tail, -_SWITCH, z), jnp.where(in_tail, -z, _SWITCH)
-    density = jnp.exp(-0.5 * body**2) / np.sqrt(2.0 * np.pi)
-    direct = density + body * 0.5 * jax.scipy.special.erfc(-body / np.sqrt(2.0))
-    deepest = _LEVELS + 1
-    ratio = (jnp.sqrt(t**2 + 4.0 * deepest) - t) / (2.0 * deepest)
-    # Two levels at the price of one division: ρ_{n−2} from ρ_n, and at last H_1/φ = ρ_0ρ_1 from ρ_2.
-    for n in range(_LEVELS, 2, -2):
-        below = t + n * ratio
-        ratio = below / (t * below + n - 1)
-    tail = 1.0 / (t * (t + 2 * ratio) + 1)
-    log_unit = jnp.where(in_tail, -0.5 * t**2 - 0.5 * np.log(2.0 * np.pi), 0.0)
-    return jnp.where(in_tail, tail, direct), log_unit
+    below = z < 0
+    t = jnp.where(below, -z, z)
+    log_density = -0.5 * t**2 - 0.5 * np.log(2.0 * np.pi)
+    # H/φ as a polynomial, the same for every t: no tail of its own, whose cost all candidates would bear.
+    share = _CENTRE / (t + _CENTRE)
+    y = 1.0 - 2.0 * share
+    ratio = functools.reduce(lambda value, coefficient: value * y + coefficient, _RATIO) * share**2
+    improvement = jnp.where(below, ratio, z + jnp.exp(log_density) * ratio)
+    return improvement, jnp.where(below, log_density, 0.0)
 
 
 def improvement(kriging: Kriging, candidates: Float[Array, "M d"], key: PRNGKeyArray) -> Float[Array, " M"]:

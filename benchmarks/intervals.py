@@ -1,10 +1,10 @@
 """Do intervals cover, do p-values keep their promise, are there false alarms, and how small an effect is seen?
 
-    python benchmarks/coverage.py [--campaigns N] [--only intervals p_values alarms power] [--processes P] [--resume]
+    python benchmarks/intervals.py [--campaigns N] [--only intervals p_values alarms power] [--processes P] [--resume]
                                   [--markdown]
 
 Campaigns of the paper's structure with a known truth, under noises of several kinds; nothing of the noise is told but its size.
-Results go to `coverage.json` beside this file, from which `--markdown` prints the tables; `--resume` adds the campaigns that they
+Results go to `intervals.json` beside this file, from which `--markdown` prints the tables; `--resume` adds the campaigns that they
 lack, which is right as long as the package is the same.
 """
 
