@@ -4,8 +4,8 @@
                                   [--markdown]
 
 Campaigns of the paper's structure with a known truth, under noises of several kinds; nothing of the noise is told but its size.
-Results go to `intervals.json` beside this file, from which `--markdown` prints the tables; `--resume` adds the campaigns that they
-lack, which is right as long as the package is the same.
+Results go to `intervals.json` beside this file, from which `--markdown` prints the tables; `--resume` adds the campaigns that
+they lack, which is right as long as the package is the same.
 """
 
 import argparse
