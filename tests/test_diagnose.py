@@ -302,18 +302,18 @@ def test_evidence_gain_of_an_effect_is_the_exact_marginal_likelihoods():
 
 
 def height(values, sigma, further=0.0):
-    """Log marginal likelihood of the law beside a known contribution."""
+    """Log marginal likelihood of the law beside a known contribution, or beside each of many."""
     X = FUNCTIONS[:2].reshape(2, -1).T
     covariance = 9 * X @ X.T + sigma**2 * np.eye(N * J)
-    return float(stats.multivariate_normal(np.zeros(N * J), covariance).logpdf((values - further).ravel()))
+    return stats.multivariate_normal(np.zeros(N * J), covariance).logpdf((values - further).reshape(-1, N * J))
 
 
 def of_any_size(values, column, sigma):
     """Log marginal likelihood where the amplitude of one function has a density flat in its logarithm, from 1 % on, say."""
     sizes = np.linspace(0.05, 1.0, 400)
-    heights = [height(values, sigma, size * FUNCTIONS[column]) - math.log(2 * size * math.log(100)) for size in sizes]
+    heights = height(values, sigma, sizes[:, None, None] * FUNCTIONS[column]) - np.log(2 * sizes * math.log(100))
     top = max(heights)
-    return top + math.log(np.trapezoid(np.exp(np.array(heights) - top), sizes))
+    return top + math.log(np.trapezoid(np.exp(heights - top), sizes))
 
 
 def test_sets_of_one_size_share_their_probability():

@@ -104,7 +104,8 @@ def test_derivative_of_the_law_is_finite_at_zero_force(n, is_traced):
 
     arguments = (5e5, 0.7, 0.3, n, 0.0, 0.5)
     which = tuple(i for i in range(6) if is_traced or i != 3)
-    value, slopes = jax.value_and_grad(flow, which)(*(float(a) if i in which else a for i, a in enumerate(arguments)))
+    program = jax.jit(jax.value_and_grad(flow, which), static_argnums=() if is_traced else 3)
+    value, slopes = program(*(float(a) if i in which else a for i, a in enumerate(arguments)))
     assert value == pytest.approx(5e5 * 0.5, rel=1e-15)
     assert np.isfinite(slopes).all()
     expected = dict.fromkeys(which, 0.0) | {0: 0.5, 5: 5e5}  # ż = A Δu̇ at z = 0
@@ -120,10 +121,12 @@ def test_a_traced_exponent_gives_the_law_of_a_constant_one(n):
     z = np.linspace(-1e5, 1e5, 41)
     for rate in (0.7, -0.7):
         constant, traced = (
-            jax.vmap(
-                lambda z, n=n, rate=rate: Specimen(BoucWen(5e5, 0.7, 0.3, n)).rates(
-                    0.01, jnp.asarray(rate), {"hysteretic": z, "energy": 0.0}
-                )["hysteretic"]
+            jax.jit(
+                jax.vmap(
+                    lambda z, n=n, rate=rate: Specimen(BoucWen(5e5, 0.7, 0.3, n)).rates(
+                        0.01, jnp.asarray(rate), {"hysteretic": z, "energy": 0.0}
+                    )["hysteretic"]
+                )
             )(z)
             for n in (n, jnp.asarray(float(n)))
         )
@@ -170,8 +173,9 @@ def cost(outputs):
 def plain_truth(prediction):
     """Values (3, n, J) and Jacobians (3, n, J, 2) of plain code at THETA."""
     _, plain = prediction
-    both = jax.jit(lambda theta: (plain(theta), jax.jacfwd(plain)(theta)))
-    return tuple(np.stack(part) for part in zip(*(both(theta) for theta in THETA), strict=True))
+    both = jax.jit(jax.jacfwd(lambda theta: (plain(theta),) * 2, has_aux=True))
+    jacobians, values = zip(*(both(theta) for theta in THETA), strict=True)
+    return np.stack(values), np.stack(jacobians)
 
 
 def test_predictor_value_and_jvp_equal_plain_vmap(prediction, plain_truth):

@@ -90,10 +90,15 @@ def study_of(**changes):
     )
 
 
+# Of the predictor as an argument, so that equal ones share a program.
+outputs_of = eqx.filter_jit(lambda predictor, theta, data: predictor(theta, data.conditions, data.count))
+sigma_of = eqx.filter_jit(lambda posterior, *of: posterior.sigma(*of))
+
+
 def predict(built, campaign, theta):
     """Predicted outputs of all experiments, [experiment][output] -> samples of its record."""
     data = built.data(campaign, campaign.experiments)
-    predicted, ok = eqx.filter_jit(built.posterior.predict)(jnp.asarray(theta), data.conditions, data.count)
+    predicted, ok = outputs_of(built.posterior.predict, jnp.asarray(theta), data)
     assert np.all(np.asarray(ok) == 1)
     tables = np.asarray(predicted).reshape(len(campaign), len(built.outputs), -1)
     return [
@@ -216,8 +221,8 @@ def test_declared_noise_is_used_and_not_inferred():
     relative = Built(study_of(), component_campaign(noise=Noise(relative=0.03)))
     data = relative.data(relative.measured, relative.measured.train.experiments)
     theta = jnp.asarray([A, BETA])
-    predicted, ok = eqx.filter_jit(relative.posterior.predict)(theta, data.conditions, data.count)
-    sigma = np.asarray(relative.posterior.sigma(theta, predicted, ok, data))
+    predicted, ok = outputs_of(relative.posterior.predict, theta, data)
+    sigma = np.asarray(sigma_of(relative.posterior, theta, predicted, ok, data))
     for row, e in enumerate(relative.measured.train):
         # Less what the noise itself adds to it.
         used = np.asarray(data.weights[row]) > 0
@@ -236,7 +241,7 @@ def test_quantities_are_taken_from_records():
     exact = [np.abs(force).max(), np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(elongation))]
     np.testing.assert_allclose(built.observation.measured(campaign["E01"]), exact, rtol=1e-12)
     data = built.data(campaign, campaign.experiments)
-    predicted, _ = eqx.filter_jit(built.posterior.predict)(jnp.asarray([A, BETA]), data.conditions, data.count)
+    predicted, _ = outputs_of(built.posterior.predict, jnp.asarray([A, BETA]), data)
     # The specimen's own, without noise: the peak is exact at its turn; the trapezoid of the samples errs by 1e-3.
     for row, experiment in enumerate(campaign):
         u = experiment.record["elongation"]

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_calibration import EXACT, drawn, find, log_density, measured_at, posterior_of
+from test_calibration import EXACT, drawn, find, measured_at, posterior_of
 
 from hsed_jax.inference import blocks
 from hsed_jax.inference import maximum as search
@@ -17,6 +17,9 @@ from hsed_jax.inference.nuts import Chains, Settings, convergence
 from hsed_jax.inference.priors import Prior
 from hsed_jax.inference.sampling import _mixed, draw, weigh_around
 from hsed_jax.inference.watch import Watch
+
+# A size of chains is a program of its own, and one of NUTS takes seconds to compile: what may be of one size is.
+LONG, SHORT = Settings(4, 100, 4000), Settings(2, 100, 500)
 
 # Two parameters whose posterior is a bent ridge: y1 = a, y2 = b + a², so that (a, b + a²) is normal.
 BENT = {"a": Prior("normal", [0.0, 10.0]), "b": Prior("normal", [0.0, 10.0])}
@@ -51,15 +54,16 @@ def test_draws_are_exact_whatever_the_emulator(monkeypatch, factor, is_weighed):
         return dataclasses.replace(right, middle=factor * right.middle, components=factor * right.components)
 
     monkeypatch.setattr("hsed_jax.inference.chains.emulate", wrong)
-    chains = drawn(posterior, data, maximum, Settings(4, 300, 1500))
+    chains = drawn(posterior, data, maximum, LONG)
     assert chains.sampler == "nuts" and (chains.emulator_error is not None) == is_weighed
     normal = straight(chains, 0.3)
-    error = 4 / np.sqrt(convergence(chains._replace(theta=jnp.asarray(normal))).ess_bulk.min())
+    error = 4 / np.sqrt(convergence(chains._replace(theta=normal)).ess_bulk.min())
     assert error < 0.1
     assert (np.abs(normal.mean(axis=(0, 1))) < error).all()
     assert (np.abs(normal.std(axis=(0, 1)) - 1) < 2 * error).all()
-    for theta, height in zip(chains.theta[0, ::500], chains.log_density[0, ::500], strict=True):
-        assert float(height) == pytest.approx(float(log_density(posterior, posterior.unconstrain(theta), data)))
+    theta, heights = (np.asarray(values)[0, ::500] for values in (chains.theta, chains.log_density))
+    expected = jax.jit(jax.vmap(lambda t: posterior.log_density(posterior.unconstrain(t), data)))(theta)
+    np.testing.assert_allclose(heights, expected, rtol=1e-6)
 
 
 def saturating(theta, conditions):
@@ -106,24 +110,23 @@ class Notebook(Watch):
 
 def test_chains_stopped_and_taken_up_again_have_the_draws_of_chains_left_alone(monkeypatch):
     posterior, data, maximum = ridge(0.3)
-    settings = Settings(4, 100, 4000)
-    whole = drawn(posterior, data, maximum, settings)
+    whole = drawn(posterior, data, maximum, LONG)
     monkeypatch.setattr(blocks, "_BLOCK", 0.005)
     monkeypatch.setattr(blocks, "_LOOK", 0.002)
     watch = Notebook(patience=3)
     with pytest.raises(KeyboardInterrupt):
-        drawn(posterior, data, maximum, settings, watch=watch)
+        drawn(posterior, data, maximum, LONG, watch=watch)
     done, total = watch.counts[-1]
     assert 0 < done < total == 2 * 4100  # chains go in pairs
-    again = drawn(posterior, data, maximum, settings, watch=watch)
+    again = drawn(posterior, data, maximum, LONG, watch=watch)
     for found, expected in zip(again[:5], whole[:5], strict=True):
         np.testing.assert_array_equal(found, expected)
     # What is finished is not drawn again, and what was kept of one posterior is not taken for another's.
     heard = len(watch.counts)
-    np.testing.assert_array_equal(drawn(posterior, data, maximum, settings, watch=watch).theta, whole.theta)
+    np.testing.assert_array_equal(drawn(posterior, data, maximum, LONG, watch=watch).theta, whole.theta)
     assert len(watch.counts) == heard
     other = data._replace(values=data.values + 1)
-    assert not np.array_equal(drawn(posterior, other, maximum, settings, watch=watch).theta, whole.theta)
+    assert not np.array_equal(drawn(posterior, other, maximum, LONG, watch=watch).theta, whole.theta)
 
 
 def test_a_budget_leaves_the_draws_there_are_and_says_so():
@@ -142,8 +145,8 @@ def test_a_budget_leaves_the_draws_there_are_and_says_so():
 
 def test_a_budget_that_ends_in_the_adaptation_leaves_the_gaussian():
     posterior, data, maximum = ridge(0.3)
-    chains = drawn(posterior, data, maximum, Settings(2, 100, 50), seconds=1e-6)
-    assert chains.sampler == "laplace" and chains.theta.shape == (2, 50, 2)
+    chains = drawn(posterior, data, maximum, SHORT, seconds=1e-6)
+    assert chains.sampler == "laplace" and chains.theta.shape == (2, 500, 2)
     assert chains.doubt is not None and "Gaussian around the MAP" in chains.doubt
 
 
@@ -152,10 +155,10 @@ def test_weights_that_cannot_be_relied_on_leave_it_to_nuts():
     posterior, data, maximum = ridge(3.0, width=3.0, thin=0.002)
     weighted = weigh_around(posterior, data, maximum, 1000, np.random.default_rng(0))
     assert not weighted.reliable
-    chains = drawn(posterior, data, maximum, Settings(2, 100, 500, sampler="auto"))
+    chains = drawn(posterior, data, maximum, SHORT._replace(sampler="auto"))
     assert chains.sampler == "nuts" and chains.doubt is None
     # Who asks for them gets them, and is told.
-    chains = drawn(posterior, data, maximum, Settings(2, 100, 500, sampler="importance"))
+    chains = drawn(posterior, data, maximum, SHORT._replace(sampler="importance"))
     assert chains.sampler == "importance" and "Pareto shape" in str(chains.doubt)
 
 
@@ -167,10 +170,10 @@ def test_a_few_draws_are_left_to_nuts():
 
 def test_the_worth_of_weights_is_what_their_mean_scatters_by():
     posterior, data, maximum = ridge(0.2)
-    means, worths = [], []
+    constrained, means, worths = jax.jit(jax.vmap(posterior.constrain)), [], []
     for seed in range(60):
         weighted = weigh_around(posterior, data, maximum, 400, np.random.default_rng(seed))
-        means.append(weighted.weights @ np.asarray(jax.vmap(posterior.constrain)(jnp.asarray(weighted.points)))[:, 0])
+        means.append(weighted.weights @ np.asarray(constrained(weighted.points))[:, 0])
         worths.append(weighted.worth)
     # Var(mean) = Var(a)/worth, a being standard normal here; sixty repetitions know a variance to 18 %.
     assert np.var(means) * np.mean(worths) == pytest.approx(1.0, abs=0.55)

@@ -261,7 +261,7 @@ def simulate(
     # On all cores, and so from the first: while it compiles, the others wait for it.
     with ThreadPoolExecutor() as threads:
         parts = list(threads.map(chunk, range(0, size, _CHUNK)))
-    return jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)), *parts)
+    return jax.device_put(jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts))
 
 
 @program

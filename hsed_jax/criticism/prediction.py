@@ -166,8 +166,9 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
         experiments: the same experiments.
     """
     posterior = fit.posterior
-    draws = fit.chains.theta.reshape(-1, fit.chains.theta.shape[-1])
-    thetas = jnp.concatenate([fit.maximum.theta[None], draws[:: max(1, draws.shape[0] // _DRAWS)][:_DRAWS]])
+    draws = np.asarray(fit.chains.theta).reshape(-1, fit.chains.theta.shape[-1])
+    best = np.asarray(fit.maximum.theta)[None]
+    thetas = jax.device_put(np.concatenate([best, draws[:: max(1, len(draws) // _DRAWS)][:_DRAWS]]))
     measured, used = np.asarray(data.values), np.asarray(data.weights) > 0
     limits = ABSURD * _largest(measured, used, posterior.groups)
     strangers = posterior.population.strangers(data.members, len(thetas))

@@ -94,7 +94,8 @@ def _by_emulators(
         both = design if before is None else _joined(design, before)
         emulator, before = emulate(posterior, data, both, degree), design
         is_accurate = float(emulator.error) < _ACCURATE
-        at = maximum._replace(start=jnp.asarray(frame.center), whitening=jnp.asarray(frame.frame))
+        start, whitening = jax.device_put((frame.center, frame.frame))
+        at = maximum._replace(start=start, whitening=whitening)
         half = None if seconds is None else 0.5 * max(seconds - (time.perf_counter() - began), 0.0)
         asked = settings if is_accurate else learning
         chains, u, name = _chains(posterior, data, at, emulator, step_size, keys, asked, watch, half)
@@ -146,11 +147,12 @@ def _chains(
     )
     made = max(min(int(course.done) for course in courses) - settings.warmup, 0)
     parts = [arrived(posterior, maximum, course, settings) for course in courses]
+    # In NumPy: JAX would compile each of these for every number of chains and draws.
     of_draws, places, step_sizes = (
-        jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *of) for of in zip(*parts, strict=True)
+        jax.tree.map(lambda *leaves: np.concatenate(leaves), *of) for of in zip(*parts, strict=True)
     )
-    theta, *others = (values[:, :made] for values in of_draws)
-    return Chains(theta, *others, step_size=step_sizes), np.asarray(places[:, :made]), name
+    drawn = [values[:, :made] for values in of_draws]
+    return Chains(*jax.device_put([*drawn, step_sizes])), places[:, :made], name
 
 
 def _weighed(
@@ -183,8 +185,9 @@ def _weighed(
     at, there = u[rows, chosen].reshape(-1, u.shape[-1]), height[rows, chosen].ravel()
     if height.size >= TELLING and _missed(posterior, data, emulator, at, there, draws, name, random, watch) > _MAY_MISS:
         return None
-    of_draws = chains.theta, jnp.asarray(height), chains.diverging, chains.steps
-    return Chains(*(values[rows, chosen] for values in of_draws), step_size=chains.step_size)
+    of_draws = chains.theta, height, chains.diverging, chains.steps
+    kept = [np.asarray(values)[rows, chosen] for values in of_draws]
+    return Chains(*jax.device_put(kept), step_size=chains.step_size)
 
 
 def _missed(
@@ -206,7 +209,7 @@ def _missed(
     rows = random.permutation(len(points))[:count]
     looked = points[rows] + length[:, None] * axes[:, which].T
     there = heights(posterior, data, looked, watch, f"looks-of-{name}")
-    emulated = np.asarray(_emulated(posterior, data, emulator, jnp.asarray(looked)))
+    emulated = np.asarray(_emulated(posterior, data, emulator, jax.device_put(looked)))
     accepted = np.exp(np.minimum(there - height[rows], 0.0))
     # The evidence of the weights is what the two densities differ by throughout.
     return float(np.mean(accepted * ~(there - draws.log_evidence - emulated < _LESS)))

@@ -27,10 +27,10 @@ _SPELLINGS = {
 
 
 def inverted(distribution: dist.Distribution, probability: Any) -> Any:
-    """Inverse distribution function: hundreds of operations, compiled (for one size) where more than one number is asked for."""
+    """Inverse distribution function: hundreds of operations, compiled together, and for one size of what has several numbers."""
     asked = jnp.asarray(probability)
     if not asked.ndim:
-        return distribution.icdf(asked)
+        return _inverse(distribution, asked)
     padded = jnp.pad(asked.ravel(), (0, -asked.size % 512), constant_values=0.5)
     return _inverse(distribution, padded)[: asked.size].reshape(asked.shape)
 

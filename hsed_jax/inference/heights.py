@@ -6,7 +6,6 @@ from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from itertools import islice
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -97,7 +96,7 @@ def _over(
     def block_of(at: int) -> None:
         block = points[at : at + size]
         # One program serves the last block, too.
-        one(at, jnp.asarray(np.concatenate([block, np.repeat(block[-1:], size - len(block), axis=0)])), len(block))
+        one(at, jax.device_put(np.concatenate([block, np.repeat(block[-1:], size - len(block), axis=0)])), len(block))
 
     def next_of(blocks: Iterator[int]) -> list[int]:
         is_spent = seconds is not None and time.perf_counter() - began >= seconds

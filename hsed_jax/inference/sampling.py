@@ -7,7 +7,6 @@ draws are mixed as the modes share the posterior.
 """
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
@@ -75,13 +74,12 @@ def _mixed(found: list[Chains], shares: Float[np.ndarray, " modes"], key: PRNGKe
         mode = random.permutation(np.repeat(np.arange(len(found)), counts))
         for k, count in enumerate(counts):
             chain[mode == k] = k * draws + np.sort(random.choice(draws, count, replace=False))
-    arrays = [
-        jnp.take_along_axis(joined, jnp.asarray(chosen).reshape(chosen.shape + (1,) * (joined.ndim - 2)), axis=1)
-        for joined in (
-            jnp.concatenate([leaf[:, :draws] for leaf in leaves], axis=1)
+    arrays = jax.device_put(
+        [
+            np.concatenate([np.asarray(leaf)[:, :draws] for leaf in leaves], axis=1)[np.arange(chains)[:, None], chosen]
             for leaves in zip(*(c[: _ARRAYS - 1] for c in found), strict=True)
-        )
-    ]
+        ]
+    )
     # Mixing hides that draws of one mode follow one another: they are worth what they were.
     worths = [min(chains * count, convergence(c).ess_bulk.min()) for c, count in zip(found, counts, strict=True)]
     errors = [c.emulator_error for c in found if c.emulator_error is not None]
@@ -118,7 +116,9 @@ def _of_one_mode(
             u, height = resampled(weights, number, random)
             by_weight = settings._replace(sampler="importance")
             return _independent(posterior, u, height, step_size, by_weight, weights.worth)._replace(doubt=weights.doubt)
-    found = by_nuts(posterior, data, maximum, step_size, second, settings, watch, seconds)
+    # Whoever asked for them, they are the same programs.
+    of_nuts = settings._replace(sampler="nuts")
+    found = by_nuts(posterior, data, maximum, step_size, second, of_nuts, watch, seconds)
     made, budget = found.theta.shape[1], f"stopped by the budget of {seconds} s (calibration.seconds)"
     if made == settings.draws:
         return found

@@ -51,8 +51,8 @@ def tree_like(template: PyTree, arrays: Sequence[np.ndarray]) -> PyTree:
     """The tree of the leaves that `arrays_of` gave, in the shape of another one."""
     leaves, structure = jax.tree.flatten(template)
     found = [
-        jax.random.wrap_key_data(jnp.asarray(values)) if _is_key(leaf) else jnp.asarray(values)
-        for leaf, values in zip(leaves, arrays, strict=True)
+        jax.random.wrap_key_data(values) if _is_key(leaf) else values
+        for leaf, values in zip(leaves, jax.device_put(list(arrays)), strict=True)
     ]
     return jax.tree.unflatten(structure, found)
 

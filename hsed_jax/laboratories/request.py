@@ -7,13 +7,12 @@ drives the experiment: `ground_motion.csv` and `.AT2`, `applied_force.csv`, or `
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
 import jax
-import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from hsed_jax.laboratories.base import experiment_id
 from hsed_jax.measurements import Channel, parse_unit, write_at2
@@ -22,6 +21,7 @@ from hsed_jax.physics.excitations import AbstractExcitation, channels_of
 from hsed_jax.physics.outputs import output
 from hsed_jax.physics.simulator import Parametrised
 from hsed_jax.physics.timeline import Timeline, times
+from hsed_jax.programs import program
 
 # Between samples a motion is read as a line; with so many samples to a step of the integration (some 190 to the shortest
 # period) that cuts 1.3e-4 off a peak.
@@ -116,7 +116,7 @@ class Programme:
     def request(self, number: int, inputs: Mapping[str, float]) -> Request:
         """The request for experiment `number` (from 0) at `inputs` (SI)."""
         si = {name: float(value) for name, value in inputs.items()}
-        time, driver, sample_times = self._driven({name: jnp.asarray(value) for name, value in si.items()})
+        time, driver, sample_times = _driven(self.excitation, self.timeline, jax.device_put(si))
         return Request(
             experiment_id(number),
             number,
@@ -129,19 +129,17 @@ class Programme:
             np.asarray(sample_times),
         )
 
-    @cached_property
-    def _driven(self):
-        """Times and samples of what drives an experiment, and the times of its record, from the inputs."""
-        step, steps, every = self.timeline
-        fine = Timeline(None if step is None else step / _SAMPLES_PER_STEP, steps * _SAMPLES_PER_STEP)
 
-        def driven(inputs):
-            excitation = self.excitation(inputs)
-            time = times(excitation.step_length(fine), 1, fine.samples)
-            length = excitation.step_length(self.timeline)
-            return time, channels_of(jax.vmap(excitation.sample)(time)), times(length, every, self.timeline.samples)
-
-        return jax.jit(driven)
+@program
+def _driven(
+    excitation: Parametrised[AbstractExcitation], timeline: Timeline, inputs: Mapping[str, Float[Array, ""]]
+) -> tuple[Array, dict[str, Array], Array]:
+    """Times and samples of what drives an experiment, and the times of its record."""
+    step, steps, every = timeline
+    fine = Timeline(None if step is None else step / _SAMPLES_PER_STEP, steps * _SAMPLES_PER_STEP)
+    driver = excitation(inputs)
+    time, length = times(driver.step_length(fine), 1, fine.samples), driver.step_length(timeline)
+    return time, channels_of(jax.vmap(driver.sample)(time)), times(length, every, timeline.samples)
 
 
 def _grid(time: np.ndarray) -> dict[str, Any]:

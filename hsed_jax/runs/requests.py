@@ -5,14 +5,14 @@ The folder of a request is `laboratory/E07-1` for the first attempt at E07; wher
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
+from jaxtyping import Array, Float
 
 from hsed_jax.errors import UserError
 from hsed_jax.laboratories.answer import QUANTITIES, RECORD, is_answered, left, read_quantities, read_record
@@ -20,7 +20,8 @@ from hsed_jax.laboratories.base import ExperimentFailed, Measured
 from hsed_jax.laboratories.request import Request
 from hsed_jax.measurements import Record, parse_unit
 from hsed_jax.physics.outputs import EQ_18, further, is_driver, of_each
-from hsed_jax.physics.simulator import Conditions
+from hsed_jax.physics.simulator import AbstractModel, Conditions
+from hsed_jax.programs import program
 from hsed_jax.runs.conduct import Asked, Conduct
 from hsed_jax.study.build import Built
 
@@ -42,6 +43,26 @@ class Expected(NamedTuple):
     time: np.ndarray
     channels: dict[str, np.ndarray]
     quantities: dict[str, np.ndarray]
+
+
+@program
+def _responses(
+    model: AbstractModel,
+    names: tuple[str, ...],
+    channels: tuple[str, ...],
+    quantities: tuple[str, ...],
+    more: tuple[str, ...],
+    inputs: Mapping[str, Float[Array, ""]],
+    draws: Float[Array | np.ndarray, "N p"],
+) -> tuple[dict[str, Array], dict[str, Array], Array]:
+    """These channels and quantities of the model at draws of its named parameters, and whether it converged."""
+
+    def one(theta):
+        response = model.respond(dict(zip(names, theta, strict=False)), Conditions(inputs), channels, more)
+        given = {name: response.channels[name] for name in channels}
+        return given, {name: response.quantities[name] for name in quantities}, response.ok
+
+    return jax.vmap(one)(draws)
 
 
 @dataclass(frozen=True)
@@ -69,7 +90,7 @@ class Requests:
         Raises:
             UserError: every simulation diverges.
         """
-        inputs = {name: jnp.asarray(value) for name, value in asked.si.items()}
+        inputs = jax.device_put({name: float(value) for name, value in asked.si.items()})
         channels, quantities, ok = self._respond(inputs, self.conduct.draws)
         good = np.asarray(ok) > 0
         if not good.any():
@@ -92,14 +113,7 @@ class Requests:
         wanted = [*measured, *of_each(model.owners, ("elongation", "force"))]
         wanted = [name for name in dict.fromkeys(wanted) if model.gives(name)]
         peaks = [name for name in dict.fromkeys((*of_each(model.owners, EQ_18), *more)) if model.gives(name)]
-
-        def one(theta, inputs):
-            parameters = dict(zip(names, theta, strict=False))
-            response = model.respond(parameters, Conditions(inputs), tuple(wanted), more)
-            quantities = {name: response.quantities[name] for name in peaks}
-            return {name: response.channels[name] for name in wanted}, quantities, response.ok
-
-        return jax.jit(lambda inputs, draws: jax.vmap(lambda theta: one(theta, inputs))(jnp.asarray(draws)))
+        return partial(_responses, model, names, tuple(wanted), tuple(peaks), more)
 
     def _request(self, id: str, si: Mapping[str, float], number: int = 0) -> Request:
         return replace(self.built.programme.request(number, si), id=id)
