@@ -331,6 +331,7 @@ EQUATIONS = {
         "power": ("force", lambda p, x, s: p.delta * F * np.abs(s.u / U) ** p.power * np.sign(s.u)),
         "saturating": ("force", lambda p, x, s: p.delta * F * (s.u / U) / (1 + p.bend * np.abs(s.u / U))),
         "back-stress": ("force", lambda p, x, s: p.delta * F * pulled_back(p, s)),
+        "wearing of energy": ("force", lambda p, x, s: p.delta * F / U * s.u * lasting(p, s.energy / E)),
         "free": ("force", lambda p, x, s: p.delta * F * bending(p, s) * np.sign(s.u) * share(p, s.u)),
     },
     "cubic_stiffness": {

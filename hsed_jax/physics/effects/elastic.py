@@ -6,6 +6,7 @@ import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
 from hsed_jax.physics.effects.bristles import AbstractBristledEffect
+from hsed_jax.physics.effects.driven import AbstractWornEffect, heating
 from hsed_jax.physics.effects.forms import (
     FREE,
     Form,
@@ -34,7 +35,7 @@ _BLUNTEST = 2.5
 
 @register
 @final
-class Hardening(AbstractBristledEffect):
+class Hardening(AbstractBristledEffect, AbstractWornEffect):
     r"""A linear spring in parallel: $\delta\,\frac{F_c}{u_c}\,\Delta u$; negative is P-Δ.
 
     As a back-stress it follows the plastic elongation $u_p = \Delta u - z/k_0$, and is a bristle that recovers from it.
@@ -62,6 +63,7 @@ class Hardening(AbstractBristledEffect):
             held={"of_bristle": 1.0},
             free=("bristle",),
         ),
+        heating(r"\delta\,\frac{F_c}{u_c}\,\Delta u\,", "Mullins 1969 (rubber that softens)", "wearing of energy"),
         _BENT,
     )
 
@@ -96,7 +98,7 @@ class Hardening(AbstractBristledEffect):
         pulled = sided(saturated(ratio, self.bend, self.passing), self.side)
         if not is_zero(self.of_bristle):
             pulled = pulled + self.of_bristle * (self.bristle * self.bent(point) - pulled)
-        return {"force": self.delta * point.scales.force * pulled}
+        return {"force": self.delta * point.scales.force * pulled * self.lasting(point)}
 
     def foot(self, point: SpringPoint) -> Scalar:
         """The plastic elongation [m]."""
