@@ -692,6 +692,7 @@ def test_the_entry_of_an_effect_shows_its_forms_without_latex(name):
         (r"so: $\dot q = \frac{F_c}{u_c}\Delta\dot u - q/\tau$.", "so: q\u0307 = (F_c/u_c) Δu\u0307 - q/τ."),
         (r"\delta F_c|\Delta u/u_c|^p\,\mathrm{sign}\,\Delta u", "δF_c|Δu/u_c|^p sign Δu"),
         (r"\delta F_c\,b^{3/2} + x^2", "δF_c b^(3/2) + x²"),
+        (r"1 - \frac{\alpha}{\ell},\ \text{one way}", "1 - (α/ℓ), one way"),
     ],
 )
 def test_a_formula_reads_as_text(latex, text):

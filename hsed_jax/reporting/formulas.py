@@ -2,11 +2,14 @@
 
 import re
 
-_GREEK = {
+_LETTERS = {
     "alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "Delta": "Δ", "epsilon": "ε", "zeta": "ζ", "eta": "η", "kappa": "κ",
     "lambda": "λ", "mu": "μ", "nu": "ν", "pi": "π", "rho": "ρ", "sigma": "σ", "tau": "τ", "phi": "φ", "psi": "ψ", "omega": "ω",
+    "ell": "ℓ",
 }  # fmt: skip
-_SIGNS = {"propto": "∝", "to": "→", "int": "∫", "sum": "Σ", "infty": "∞", "cdot": "·", "le": "≤", "ge": "≥"}
+_SIGNS = {
+    "propto": "∝", "to": "→", "int": "∫", "sum": "Σ", "infty": "∞", "cdot": "·", "le": "≤", "ge": "≥", "pm": "±", "ldots": "…",
+}  # fmt: skip
 _POWERS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 # A group in braces, with groups in it.
 _GROUP = r"\{((?:[^{}]|\{(?:[^{}]|\{[^{}]*\})*\})*)\}"
@@ -14,10 +17,10 @@ _GROUP = r"\{((?:[^{}]|\{(?:[^{}]|\{[^{}]*\})*\})*)\}"
 
 def in_text(latex: str) -> str:
     r"""A formula, or a sentence with some, without LaTeX: `e^{\delta x}` is e^(δx)."""
-    text = re.sub(r"\\mathrm\{([^{}]*)\}", r" \1 ", latex)
+    text = re.sub(r"\\(?:mathrm|text)\{([^{}]*)\}", r" \1 ", latex)
     text = re.sub(r"\\(?:[Bb]ig|left|right)(?![a-z])", "", text)
     text = re.sub(r"\\(?:[,;:! ]|q?quad)", " ", text)
-    text = re.sub(rf"\\({'|'.join(_GREEK)})(?![A-Za-z])(?: (?=[A-Za-z]))?", lambda m: _GREEK[m[1]], text)
+    text = re.sub(rf"\\({'|'.join(_LETTERS)})(?![A-Za-z])(?: (?=[A-Za-z]))?", lambda m: _LETTERS[m[1]], text)
     text = re.sub(r"\\dot\{? *(\w)\}?", "\\1\u0307", text.replace("$", ""))
     text = re.sub(r"\\frac" + _GROUP + _GROUP, lambda m: f"({_term(m[1])}/{_factor(m[2])}) ", text)
     text = re.sub(r"\\sqrt" + _GROUP, r"√(\1) ", text)
