@@ -63,8 +63,8 @@ class Program[**P, R]:
         self._function: Callable[..., Any] = function
         self._signature = inspect.signature(function)
         self._traced = eqx.filter_jit(function)
-        # Those that were used last stand last.
-        self._made: dict[Any, Callable[..., Any] | None] = {}
+        # By their keys, None where it cannot be kept; those that were used last stand last.
+        self._made: dict[Any, Any] = {}
         self._making, self._ordering = threading.Lock(), threading.Lock()
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
