@@ -205,6 +205,23 @@ def test_a_small_part_of_the_error_is_named_where_what_is_left_is_many_times_the
     assert found_in(values).best == {"effect_3"}
 
 
+@pytest.mark.parametrize(("weaker", "is_looked_for"), [(0.4, False), (1.0, True)])
+def test_beside_what_leaves_too_little_for_another_effect_none_is_looked_for(weaker, is_looked_for):
+    # A further effect has to take a twentieth of the squared error away, here 0.6 of 12: of 0.16 it cannot, of one it can.
+    search = found_in(data_of(0, effect_3=3.5, effect_5=weaker))
+    assert search.path[1] == {"effect_3"}
+    assert ({"effect_3", "effect_5"} in search._fits) == is_looked_for
+    assert search.best == ({"effect_3", "effect_5"} if is_looked_for else {"effect_3"})
+
+
+def test_what_fits_twice_as_badly_as_another_model_is_not_asked_what_it_predicts():
+    search = found_in(data_of(0, effect_3=3.0))
+    models = [search.model({name}) for name in ("effect_3", "effect_0")]
+    assert search.measured.error(models[1].fit.predicted) > 2 * search.measured.error(models[0].fit.predicted)
+    assert search.fit_alike(models, models) == models[:1]
+    assert search.fit_alike(models, models[1:]) == models
+
+
 def test_where_what_is_left_is_many_times_the_noise_prediction_decides_whatever_the_odds(monkeypatch):
     # Odds against every effect that no data here can overcome.
     monkeypatch.setattr(Search, "_log_prior", lambda self, size: -1e3 * size)
