@@ -65,7 +65,8 @@ class Program[**P, R]:
         self._traced = eqx.filter_jit(function)
         # By their keys, None where it cannot be kept; those that were used last stand last.
         self._made: dict[Any, Any] = {}
-        self._making, self._ordering = threading.Lock(), threading.Lock()
+        self._ordering = threading.Lock()
+        self._making: dict[Any, threading.Lock] = {}
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
         """Run the program; within another one, be a part of it."""
@@ -83,7 +84,10 @@ class Program[**P, R]:
         key = structure, is_operand, static, tuple([_kind(operand) for operand in operands])
         made = self._kept(key)
         if made is _MISSING:
-            with self._making:
+            # One thread makes a program that several need; those that need others make them meanwhile.
+            with self._ordering:
+                making = self._making.setdefault(key, threading.Lock())
+            with making:
                 made = self._kept(key)
                 if made is _MISSING:
                     made = self._keep(key, self._make(structure, is_operand, static, operands))
@@ -107,6 +111,7 @@ class Program[**P, R]:
         """Keep a program; those that were not used for longest are given up."""
         with self._ordering:
             self._made[key] = made
+            self._making.pop(key, None)
             for oldest in list(self._made)[:-_MOST]:
                 del self._made[oldest]
         return made

@@ -45,7 +45,7 @@ def case(request):
 @pytest.mark.parametrize(
     "price",
     [pytest.param(-1, marks=pytest.mark.whole), 10**12],
-    ids=["programs of their own", "the programs there are"],
+    ids=["programs of their own", "one program"],
 )
 def test_lanes_give_what_the_whole_model_gives(case, monkeypatch, price):
     built, names, conditions, parts, thetas, experiments = case
@@ -54,7 +54,8 @@ def test_lanes_give_what_the_whole_model_gives(case, monkeypatch, price):
     whole, ok = Lanes(built.simulator, built.observation, names, conditions)(thetas, experiments)
     lanes = Lanes(built.simulator, built.observation, names, conditions, parts)
     kinds = lanes._by_program(thetas)
-    assert len(kinds) == (7 if price < 0 else 5)
+    # One of its own for each set, or one for whatever is asked, which is not every parameter.
+    assert len(kinds) == (7 if price < 0 else 1)
     found, converged = lanes(thetas, experiments)
     np.testing.assert_array_equal(converged, ok)
     assert ok.all()
@@ -66,29 +67,44 @@ def test_lanes_give_what_the_whole_model_gives(case, monkeypatch, price):
     np.testing.assert_allclose(found[4], exact, rtol=1e-9)
 
 
-def test_what_is_tried_beside_one_effect_gets_a_program_and_what_is_asked_on_and_on_gets_another(case, monkeypatch):
+@pytest.fixture
+def sized(case, monkeypatch):
+    """Lanes with effects of several sizes, where a program costs a thousand steps of a parameter; and the columns of effects."""
     sizes = {"found": (0, 5), "one": (1, 2), "other": (1, 2), "large": (2, 50)}
     ends = np.cumsum([size for _, size in sizes.values()])
     columns = {name: np.arange(end - size, end) for (name, (_, size)), end in zip(sizes.items(), ends, strict=True)}
     parts = [Part(name, group, columns[name], np.zeros(size)) for name, (group, size) in sizes.items()]
     built, names, conditions, *_ = case
-    lanes = Lanes(built.simulator, built.observation, names, conditions, parts)
     monkeypatch.setattr(module, "_PROGRAM", 1000 * built.simulator.timeline.steps)
     monkeypatch.setattr(module, "_PARAMETER", 0)
+    lanes = Lanes(built.simulator, built.observation, names, conditions, parts)
+    return lanes, lambda *effects: frozenset(np.concatenate([columns[name] for name in effects]).tolist())
 
-    def served(needed, count):
-        lanes._count(needed, count)
-        return lanes._serving(needed)
 
-    def of(*effects):
-        return frozenset(np.concatenate([columns[name] for name in effects]).tolist())
+def served(lanes, *asked):
+    """Sizes of the programs that lanes with these parameters run."""
+    thetas = np.zeros((sum(count for _, count in asked), 59))
+    ends = np.cumsum([count for _, count in asked])
+    for (needed, count), end in zip(asked, ends, strict=True):
+        thetas[end - count : end, sorted(needed)] = 1.0
+    return sorted((len(columns), len(rows)) for columns, rows in lanes._by_program(thetas).items())
 
-    # A form of the effect that was found, of one parameter.
+
+def test_programs_have_what_is_asked_of_them(sized):
+    lanes, of = sized
+    # Few lanes share a program, whatever their effects; many of one group have one of their own.
+    assert served(lanes, (of("one"), 1), (of("other"), 1), (frozenset({0}), 1)) == [(5, 3)]
+    assert served(lanes, (of("large"), 100), (frozenset({1}), 100)) == [(1, 100), (50, 100)]
+    # What is missing a second time gets what had been missing as well.
+    assert served(lanes, (of("other") | {1}, 1)) == [(6, 1)]
+    assert served(lanes, (of("one") | {4}, 1), (of("large"), 1)) == [(7, 1), (50, 1)]
+
+
+def test_what_is_asked_on_and_on_gets_a_program_of_its_own(sized):
+    lanes, of = sized
     pairs = [of("one") | {0}, of("other") | {0}]
-    # A lane saves 54 in a program of both pairs, and 56 in one of its own, which sees half of the lanes.
-    assert [served(pairs[k % 2], 1) for k in range(18)] == [of(*sizes)] * 18
-    assert [served(pairs[k % 2], 1) for k in range(10)] == [of("one", "other") | {0}] * 10
-    # Beyond that one a lane saves two more.
-    assert [len(served(pairs[0], 100)) for _ in range(8)] == [5] * 4 + [3] * 4
-    assert served(of("other"), 1) == of("one", "other")
-    assert served(frozenset(), 10**6) == frozenset()
+    assert served(lanes, (pairs[0], 1), (pairs[1], 1)) == [(5, 2)]
+    # A lane saves two steps in a program of its own, which costs a thousand.
+    assert [served(lanes, (pairs[0], 100)) for _ in range(8)] == [[(5, 100)]] * 4 + [[(3, 100)]] * 4
+    assert served(lanes, (of("other"), 1), (pairs[0], 1)) == [(3, 1), (5, 1)]
+    assert served(lanes, (frozenset(), 600)) == [(0, 600)]

@@ -6,7 +6,7 @@ this kind on one core, and several at a time on several.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import NamedTuple
@@ -40,7 +40,7 @@ class Part(NamedTuple):
 
     Attributes:
         effect: its name.
-        group: those of one group share a program from the start.
+        group: those of one group are likely to be tried beside the same others, and share programs.
         columns: of its parameters, (q,).
         neutral: what these are where it is absent, (q,).
     """
@@ -91,8 +91,8 @@ class Lanes:
     """Outputs of a model over lanes, each a parameter vector and the number of an experiment.
 
     An effect that is neutral does exactly nothing, and costs as much as any other; and so does what a form of an effect leaves
-    out.  A lane runs the cheapest program that has its parameters, where others are numbers that the compiler knows.  There are
-    those of single groups of effects and that of all; what a search comes back to gets programs of its own.
+    out.  A lane runs the cheapest program that has its parameters, where others are numbers that the compiler knows.  Programs
+    are made for what is asked for; what a search comes back to gets programs of its own.
 
     Arguments:
         model: the computational model.
@@ -112,12 +112,15 @@ class Lanes:
     ):
         self._model, self._observation, self._names, self._conditions = model, observation, names, conditions
         self._of_effect = {part.effect: frozenset(part.columns.tolist()) for part in parts}
+        self._group = {part.effect: part.group for part in parts}
+        self._neutral = dict(zip(_joined([p.columns for p in parts]), _joined([p.neutral for p in parts]), strict=True))
         self._of_group = {
             part.effect: frozenset[int]().union(*(self._of_effect[p.effect] for p in parts if p.group == part.group))
             for part in parts
         }
-        self._neutral = dict(zip(_joined([p.columns for p in parts]), _joined([p.neutral for p in parts]), strict=True))
-        self._available = list(dict.fromkeys([frozenset(), *self._of_group.values(), frozenset(self._neutral)]))
+        self._available: list[_Columns] = []
+        # Of groups of effects, what was missing so far.
+        self._provided: dict[frozenset[int], _Columns] = {}
         self._saved: Counter[_Columns] = Counter()
         self._programs: dict[_Columns, tuple[Outputs, np.ndarray]] = {}
         self._threads = ThreadPoolExecutor(cores())
@@ -126,10 +129,13 @@ class Lanes:
         self, thetas: Float[np.ndarray, "L P"], experiments: Int[np.ndarray, " L"]
     ) -> tuple[Float[np.ndarray, "L J"], Float[np.ndarray, " L"]]:
         """Outputs (L, J) and whether each lane converged (L,); outputs of a lane that diverged are zero."""
+        served = [(*self._program(columns), lanes) for columns, lanes in self._by_program(thetas).items()]
+        # The first chunk of each program before all others, so that programs are made side by side.
         chunks = [
-            (*self._program(columns), lanes[start : start + _CHUNK])
-            for columns, lanes in self._by_program(thetas).items()
-            for start in range(0, len(lanes), _CHUNK)
+            (outputs, columns, lanes[start : start + _CHUNK])
+            for start in range(0, len(thetas), _CHUNK)
+            for outputs, columns, lanes in served
+            if start < len(lanes)
         ]
 
         def run(chunk: tuple[Outputs, np.ndarray, np.ndarray]):
@@ -154,12 +160,31 @@ class Lanes:
         has = thetas[:, columns] != np.asarray(list(self._neutral.values()))
         kinds, kind_of, counts = np.unique(has, axis=0, return_inverse=True, return_counts=True)
         needs = [frozenset(columns[kind].tolist()) for kind in kinds]
-        for needed, lanes in zip(needs, counts.tolist(), strict=True):
+        asked = dict(zip(needs, counts.tolist(), strict=True))
+        if missing := {needed: lanes for needed, lanes in asked.items() if not self._is_there(needed)}:
+            self._provide(missing)
+        for needed, lanes in asked.items():
             self._count(needed, lanes)
         found: dict[_Columns, list[np.ndarray]] = {}
         for number, needed in enumerate(needs):
             found.setdefault(self._serving(needed), []).append(np.flatnonzero(kind_of.ravel() == number))
         return {columns: np.concatenate(lanes) for columns, lanes in found.items()}
+
+    def _provide(self, missing: Mapping[_Columns, int]) -> None:
+        """Have programs for so many lanes with each of these parameters, which none has: one for those with effects of the same
+        groups, or one for all of them, whichever costs less.  What is missing again gets what had been missing as well."""
+        apart: dict[frozenset[int], _Columns] = {}
+        lanes: Counter[frozenset[int]] = Counter()
+        for needed, count in missing.items():
+            groups = frozenset(self._group[effect] for effect, own in self._of_effect.items() if own & needed)
+            apart[groups] = apart.get(groups, self._provided.get(groups, frozenset())) | needed
+            lanes[groups] += count
+        together = frozenset[int]().union(*apart)
+        whole = self._provided.get(together, frozenset[int]()).union(*missing)
+        price_apart = sum(self._price(columns, lanes[groups]) for groups, columns in apart.items())
+        chosen = apart if price_apart < self._price(whole, lanes.total()) else {together: whole}
+        self._provided |= chosen
+        self._available += chosen.values()
 
     def _count(self, needed: _Columns, lanes: int) -> None:
         """Count what programs would have saved for lanes with these parameters."""
@@ -171,7 +196,7 @@ class Lanes:
         """The program for lanes with these parameters: the cheapest one there is, or one that has become worth it."""
 
         def worth(columns: _Columns) -> int:
-            return self._saved[columns] * self._steps - _PROGRAM - _PARAMETER * len(columns)
+            return self._saved[columns] * self._steps - self._price(columns)
 
         best = max(self._options(needed), key=worth)
         if worth(best) > 0:
@@ -183,6 +208,9 @@ class Lanes:
         """The cheapest program there is for lanes with these parameters."""
         return min((one for one in self._available if needed <= one), key=self._cost)
 
+    def _is_there(self, needed: _Columns) -> bool:
+        return any(needed <= one for one in self._available)
+
     def _options(self, needed: _Columns) -> list[_Columns]:
         """Programs for lanes with these parameters: one that has them alone; one that has all forms of the effects, or of one of
         them; or the group of one of them, which serves all that is tried beside the others; or all their groups."""
@@ -192,7 +220,12 @@ class Lanes:
         unions = [frozenset[int]().union(*some) for some in (forms, beside)]
         return list(dict.fromkeys([needed, *forms, *beside, *unions]))
 
+    def _price(self, columns: _Columns, lanes: int = 0) -> int:
+        """What it costs to make a program, and to run so many lanes of it."""
+        return _PROGRAM + _PARAMETER * len(columns) + lanes * self._steps * self._cost(columns)
+
     def _cost(self, columns: _Columns) -> int:
+        """What a step of a lane costs."""
         return _LAW + len(columns)
 
     @property
