@@ -12,6 +12,7 @@ import hsed_jax as hx
 from hsed_jax.diagnosis.averaging import averaged, stacking
 from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.diagnose import diagnose
+from hsed_jax.diagnosis.fits import shares_of
 from hsed_jax.diagnosis.held_out import Gain
 from hsed_jax.diagnosis.lanes import Lanes
 from hsed_jax.diagnosis.measured import Measured
@@ -103,7 +104,7 @@ def test_the_effect_that_is_there_is_named():
         model = search.model(search.best)
         assert search.all()[0].effects == search.best
         inside = [f"effect_{number}" in m.effects for m in search.all()]
-        assert search.probabilities(search.all())[inside].sum() > 0.999
+        assert shares_of(search.all())[inside].sum() > 0.999
         amplitude = search.models.theta(model.fit.x, model.fit.member)[2 + number]
         assert amplitude == pytest.approx(0.5, abs=4 * SIGMA / math.sqrt(N * J))
 
@@ -351,9 +352,9 @@ FORMS = {
 }
 
 
-def with_forms(values):
-    models = NestedModels(Dictionary(FUNCTIONS), BOX, np.zeros(2 + K))
-    search = Search(models, measured_of(values), LAW, FORMS, lambda fit: False)
+def with_forms(values, functions=FUNCTIONS, forms=FORMS, **more):
+    models = NestedModels(Dictionary(functions), BOX, np.zeros(2 + K))
+    search = Search(models, measured_of(values, **more), LAW, forms, lambda fit: False)
     search.start()
     search.run()
     return search
@@ -364,6 +365,27 @@ def test_an_effect_is_named_by_any_of_its_forms_and_the_form_is_told():
     model = search.model({"effect_0"})
     assert search.best == {"effect_0"}
     assert model.forms == {"effect_0": "two"} and model.shares["effect_0"]["two"] > 0.999
+
+
+def test_where_the_model_is_wrong_the_form_is_the_one_that_predicts():
+    # One form is there in the first experiment alone, stronger than the other there, and says nothing of any other.
+    functions = FUNCTIONS.copy()
+    functions[9, 1:] = 0.0
+    theta = np.zeros(2 + K)
+    theta[5], theta[9] = 0.8, 1.8
+    values = np.einsum("k,knj->nj", theta, functions) + SIGMA * np.random.default_rng(0).standard_normal((N, J))
+    places = {"once": np.array([9]), "everywhere": np.array([5])}
+    forms = {"effect_0": {label: FormColumns(Form(), columns, {}) for label, columns in places.items()}}
+    search = with_forms(values, functions, forms, declared=0.1 * SIGMA)
+    model = search.model({"effect_0"})
+    assert model.shares["effect_0"]["once"] > 0.99
+    assert model.forms == {"effect_0": "everywhere"}
+    assert search.best == {"effect_0"}
+    # Evidence alone takes the other one, which predicts nothing and is not named.
+    search._fits.prefer(())
+    assert search.model({"effect_0"}).forms == {"effect_0": "once"}
+    search.best = frozenset()
+    assert search.obstacle(search.model({"effect_0"})) is not None
 
 
 def test_evidence_of_an_effect_is_that_of_its_forms_by_their_shares():
@@ -487,7 +509,7 @@ def test_what_an_experiment_is_expected_to_tell_is_what_it_tells_on_average():
     problem, search = rival_case(0.15)
     one, other = (search.model({name}) for name in ("effect_0", "effect_2"))
     promised = separation(problem, search, [one, other])
-    shares = search.probabilities([one, other])
+    shares = shares_of([one, other])
     functions, sigma = problem.models.lanes.functions, float(search.errors[0])
 
     def posterior(columns):
@@ -557,7 +579,7 @@ def test_an_average_over_explanations_is_their_mixture():
     models = [search.model({name}) for name in ("effect_0", "effect_2")]
     search.predicted = {}  # as where the evidence ranked them
     found = averaged(problem, search, models)
-    shares, functions, sigma = search.probabilities(models), problem.models.lanes.functions, float(search.errors[0])
+    shares, functions, sigma = shares_of(models), problem.models.lanes.functions, float(search.errors[0])
     means, variances = [], []
     for columns in ([0, 1, 2], [0, 1, 4]):
         # Bayesian linear regression in closed form.

@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float
 from scipy.optimize import nnls
 
 from hsed_jax.criticism.prediction import Prediction
-from hsed_jax.diagnosis.fits import Model
+from hsed_jax.diagnosis.fits import Model, shares_of
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.diagnosis.rivals import predictive
 from hsed_jax.diagnosis.search import Search
@@ -119,7 +119,7 @@ def _moments(problem: Problem, model: Model, rows: np.ndarray) -> tuple[np.ndarr
 def _weights(problem: Problem, search: Search, models: Sequence[Model]) -> Float[np.ndarray, " m"]:
     """Posterior probabilities among the models, or those of stacking where prediction chose the first."""
     if models[0].effects not in search.predicted:
-        return search.probabilities(models)
+        return shares_of(models)
     predicted = search.left_out([m.effects for m in models])
     left_out = search.held_out.folds.left_out.any(axis=0)
     sigma = problem.train.sigma(search.errors, problem.train.values)

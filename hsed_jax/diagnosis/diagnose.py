@@ -13,7 +13,7 @@ from hsed_jax.diagnosis.averaging import averaged
 from hsed_jax.diagnosis.descent import Descent
 from hsed_jax.diagnosis.evidence import Sampled, gaussian, sample_posterior
 from hsed_jax.diagnosis.findings import Candidate, Diagnosis
-from hsed_jax.diagnosis.fits import Model, Set
+from hsed_jax.diagnosis.fits import Model, Set, shares_of
 from hsed_jax.diagnosis.held_out import Gain
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.diagnosis.rivals import difference, joined, look_alikes_of, next_experiment, rivals_of, separation
@@ -57,7 +57,7 @@ def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None
     models = search.all()
     best, sampled, models = _confirmed(problem, search, models)
     search.best = best.effects
-    probabilities = search.probabilities(models)
+    probabilities = shares_of(models)
     ranking = _ranking(problem, search, models, probabilities, sampled)
     none = search.model(())
     rivals = rivals_of(problem, search, models, best)
@@ -112,7 +112,7 @@ def _sample(problem: Problem, search: Search, model: Model) -> Sampled:
 
 def _confirmed(problem: Problem, search: Search, models: list[Model]) -> tuple[Model, dict[Set, Sampled], list[Model]]:
     """The best model after close calls were confirmed by sampling, the samples, and all models with their evidence."""
-    shares = search.probabilities(models)
+    shares = shares_of(models)
     chosen = search.model(search.best)
     close = [m for m, share in zip(models, shares, strict=True) if share >= _CLOSE][:_MOST_CLOSE]
     if not chosen.effects and not search.is_open():

@@ -11,8 +11,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Int
-from scipy.special import logsumexp
+from jaxtyping import Float, Int
+from scipy.special import logsumexp, softmax
 
 from hsed_jax.diagnosis.descent import Descent, Member, Target, Task
 from hsed_jax.diagnosis.evidence import laplace, of_any_size
@@ -38,9 +38,9 @@ class Model(NamedTuple):
 
     Attributes:
         effects: the set.
-        forms: of each effect the most probable form, by its label.
+        forms: of each effect the form in which it is taken, by its label.
         shares: of each effect the probabilities of its forms.
-        fit: where the fit of the most probable forms ended.
+        fit: where the fit of these forms ended.
         fit_log_evidence: log Z of that alone.
         log_evidence: log Z over the forms, with effects of any size.
         log_posterior: log Z plus the log prior of the set.
@@ -69,6 +69,7 @@ class Fits:
         self._known: dict[Choice, Descent] = {}
         self._hopeless: set[Choice] = set()
         self._evidence: dict[Choice, tuple[Descent, float]] = {}
+        self._preferred: dict[Set, Choice] = {}
 
     def __contains__(self, effects: Set) -> bool:
         """Whether a set was fitted in any form."""
@@ -78,13 +79,35 @@ class Fits:
         """The forms of a set that were fitted."""
         return [choice for choice in self._known if names_of(choice) == effects]
 
+    def starts_of_law(self) -> Float[np.ndarray, "8 P"]:
+        """Points all over the priors of the law, without effects; the first is the neutral one."""
+        from scipy.stats import qmc
+
+        starts = np.tile(self.models.neutral, (8, 1))
+        shares = 0.1 + 0.8 * qmc.Sobol(len(self.law), scramble=True, rng=0).random_base2(3)
+        starts[1:, self.law] = self.models.box.quantiles(self.law, shares[1:])
+        return starts
+
     def set_law(self, fit: Descent) -> None:
         """Take the fit of the model without effects."""
         self._known[frozenset()] = fit
 
+    def prefer(self, choices: Iterable[Choice]) -> None:
+        """Take the sets of these choices in their forms, and all others in the most probable ones."""
+        self._preferred = {names_of(choice): choice for choice in choices}
+
     def top(self, effects: Set) -> Choice:
-        """The most probable forms of a set that was fitted."""
-        return max(self.of(effects), key=self._worth)
+        """The forms in which a set that was fitted is taken."""
+        preferred = self._preferred.get(effects)
+        return preferred if preferred in self._known else max(self.of(effects), key=self._worth)
+
+    def likeliest(self, effects: Set, most: int) -> list[Choice]:
+        """The most probable forms of a set that was fitted, at most so many."""
+        return sorted(self.of(effects), key=self._worth, reverse=True)[:most]
+
+    def __getitem__(self, choice: Choice) -> Descent:
+        """The fit of a choice."""
+        return self._known[choice]
 
     def leading(self, effects: Set, most: int) -> list[Choice]:
         """The most probable forms of a set that was fitted, one of each driver and at most so many, as far as another shape may
@@ -100,7 +123,7 @@ class Fits:
         return [choice for choice in list(of_drivers.values())[:most] if worths[choice] >= least]
 
     def best(self, effects: Set) -> Descent:
-        """The fit of the most probable forms of a set."""
+        """The fit of a set in the forms in which it is taken."""
         return self._known[self.top(effects)]
 
     def model(self, effects: Set, log_prior: float) -> Model:
@@ -113,7 +136,7 @@ class Fits:
             for effect, label in choice:
                 share = math.exp(worth - total) if math.isfinite(total) else 1 / len(choices)
                 shares[effect][label] = shares[effect].get(label, 0.0) + share
-        top = choices[int(np.argmax(worths))]
+        top = self.top(effects)
         return Model(effects, dict(top), shares, self._known[top], self._log_evidence(top), total, total + log_prior)
 
     def fit(
@@ -254,6 +277,11 @@ class Fits:
         if choice not in self._evidence or self._evidence[choice][0] is not fit:
             self._evidence[choice] = (fit, laplace(fit, self.models))
         return self._evidence[choice][1]
+
+
+def shares_of(models: Sequence[Model]) -> np.ndarray:
+    """Posterior probabilities of models, among themselves."""
+    return np.asarray(softmax([m.log_posterior for m in models]))
 
 
 def names_of(choice: Choice) -> Set:

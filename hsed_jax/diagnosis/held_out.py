@@ -143,6 +143,16 @@ class HeldOut:
         """Of each model what it predicts of every part that is left out, (n, J), as `left_out_predictions` says."""
         return left_out_predictions(self.models, target, self.folds, fits)
 
+    def foremost(self, target: Target, options: Sequence[Sequence[Descent]]) -> list[int]:
+        """Of each of several choices between fits the one that predicts best what is left out, by `by_prediction`."""
+        every = [fit for fits in options for fit in fits]
+        predicted = iter(self.left_out(target, every) if every else [])
+        found = []
+        for fits in options:
+            gains = [Gain(-self.squares(next(predicted))) for _ in fits]
+            found.append(by_prediction(gains, [len(fit.free) for fit in fits])[0])
+        return found
+
     def error(self, predicted: np.ndarray | None) -> float:
         """Error of what a model predicts of the folds."""
         return math.inf if predicted is None else self.measured.error(predicted, self.folds.left_out.any(axis=0))

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from hsed_jax.diagnosis.descent import Descent
 from hsed_jax.diagnosis.evidence import gaussian
-from hsed_jax.diagnosis.fits import Model, Set
+from hsed_jax.diagnosis.fits import Model, Set, shares_of
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.diagnosis.search import Search
@@ -44,7 +44,7 @@ def separation(problem: Problem, search: Search, rivals: Sequence[Model]) -> Flo
         return np.zeros(count)
     predictions = [predictive(problem.models, m.fit, rows) for m in rivals]
     root = np.sqrt(search.worth[problem.train.groups]) / problem.sigma(search.errors, predictions[0].mean)
-    shares = search.probabilities(rivals)
+    shares = shares_of(rivals)
     if rivals[0].effects in search.predicted:
         # Of wrong models the evidence says nothing.
         shares = np.full(len(rivals), 1 / len(rivals))

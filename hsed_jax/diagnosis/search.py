@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.special import softmax
 
 from hsed_jax.diagnosis.descent import Descent, Target, Task
 from hsed_jax.diagnosis.fits import Choice, Fits, Model, Set, names_of
@@ -52,6 +51,8 @@ _OTHERS, _BESIDE = 4, 2
 _DEEP, _NEAR = 4, 10.0
 # Of so many sets that rank first so many forms are fitted anew, once the errors are known.
 _AGAIN = 3
+# Of so many likely forms of a set it is asked what they predict, where evidence does not rank them.
+_FORMS = 6
 # With so many drivers the shapes of a form are fitted, where these may be the most probable.
 _DRIVERS = 7
 
@@ -99,12 +100,8 @@ class Search:
         self._report = report
         self.errors = np.where(np.isnan(measured.declared), 0.3, measured.declared)
         self.worth = np.ones(len(self.errors))
-        self.target = Target(
-            measured.values,
-            measured.sigma(self.errors, measured.values),
-            self.held_out.folds.fitted * 1.0,
-            np.zeros(measured.values.shape),
-        )
+        sigma, uses = measured.sigma(self.errors, measured.values), self.held_out.folds.fitted * 1.0
+        self.target = Target(measured.values, sigma, uses, np.zeros(measured.values.shape))
         self.best: Set = frozenset()
         self.path: list[Set] = [self.best]
         self.scores: dict[str, float] = {}
@@ -145,10 +142,6 @@ class Search:
         """All models that were fitted to the end of the last round, the most probable first."""
         found = [self.model(effects) for effects in self._around()]
         return sorted(found, key=lambda m: -m.log_posterior)
-
-    def probabilities(self, models: Sequence[Model]) -> np.ndarray:
-        """Posterior probabilities of models, among themselves."""
-        return np.asarray(softmax([m.log_posterior for m in models]))
 
     def unseen(self, chosen: Sequence[Set]) -> list[float]:
         """Error on the experiments that nothing is fitted to, for several sets; without any, on those left out in turn."""
@@ -215,13 +208,8 @@ class Search:
 
     def start(self) -> None:
         """The model without further effects, and a first look at every candidate from its gradient."""
-        from scipy.stats import qmc
-
         self._report("the model as it is")
-        starts = np.tile(self.models.neutral, (8, 1))
-        shares = 0.1 + 0.8 * qmc.Sobol(len(self.law), scramble=True, rng=0).random_base2(3)
-        starts[1:, self.law] = self.models.box.quantiles(self.law, shares[1:])
-        member = self.models.member(self.law)
+        member, starts = self.models.member(self.law), self._fits.starts_of_law()
         tasks = [Task(member, start, rivals=0) for start in starts]
         tasks += [] if self._start is None else [Task(member, self._start)]
         fit = None
@@ -347,11 +335,20 @@ class Search:
         if not pool or (likely and self._is_explained(likely[0].fit)):
             return likely
         self._report("what they predict of experiments left out")
+        self._choose_forms([here, *pool[:_TRIED]] if is_wrong else [])
+        pool = [self.model(m.effects) for m in pool]
         found = list(zip(pool, self.gains([m.effects for m in pool], self.best), strict=True))
         self.predicted |= {m.effects: gain for m, gain in found}
         if is_wrong:
             found = [(m, g) for m, g in found if g.mean > (-1 if m.effects < self.best else 1) * g.standard_error]
         return [found[i][0] for i in by_prediction([gain for _, gain in found], [len(m.fit.free) for m, _ in found])]
+
+    def _choose_forms(self, models: Sequence[Model]) -> None:
+        """Take sets that leave many times the noise in those of their likely forms that predict best what is left out."""
+        wrong = [m.effects for m in models if self.measured.is_far_above_noise(m.fit.predicted)]
+        forms = [self._fits.likeliest(effects, _FORMS) for effects in wrong]
+        best = self.held_out.foremost(self.target, [[self._fits[choice] for choice in own] for own in forms])
+        self._fits.prefer(own[number] for own, number in zip(forms, best, strict=True))
 
     def _neighbours(self) -> list[Set]:
         """The sets one change away from the best."""
