@@ -35,7 +35,8 @@ class Candidate:
         reason: why it is not named though it is likely; None where it is named, or unlikely.
         score: where prediction decided, the squared error that the model with it takes away from what was left out (`gain`),
             with its `standard_error`.
-        form: the most probable of its forms, in which all of this is said; None where it has but one.
+        form: the one of its forms in which all of this is said, the most probable one or, under a wrong model, the one that
+            predicts best; None where it has but one.
         forms: probabilities of its forms.
     """
 
