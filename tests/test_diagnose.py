@@ -181,13 +181,20 @@ def test_noise_alone_opens_no_gate():
     assert not any(found_in(data_of(seed), is_explained=lambda fit: True).best for seed in range(12))
 
 
-def test_under_a_wrong_model_what_predicts_comes_before_what_fits():
-    # effect_7 is there in the first experiment alone, much stronger than effect_3, and says nothing of any other.
+def one_everywhere_and_one_once(everywhere, once):
+    """Functions of which the one of effect_7 is nothing but in the first experiment, and data with that and effect_3."""
     functions = FUNCTIONS.copy()
     functions[9, 1:] = 0.0
     theta = np.zeros(2 + K)
-    theta[5], theta[9] = 0.5, 3.0
-    values = np.einsum("k,knj->nj", theta, functions) + SIGMA * np.random.default_rng(0).standard_normal((N, J))
+    theta[5], theta[9] = everywhere, once
+    return functions, np.einsum("k,knj->nj", theta, functions) + SIGMA * np.random.default_rng(0).standard_normal(
+        (N, J)
+    )
+
+
+def test_under_a_wrong_model_what_predicts_comes_before_what_fits():
+    # effect_7 is much stronger in the one experiment where it is there, and says nothing of any other.
+    functions, values = one_everywhere_and_one_once(0.5, 3.0)
     search = found_in(values, functions=functions)
     once, always = (search.model({name}) for name in ("effect_7", "effect_3"))
     assert once.log_evidence > always.log_evidence + 20
@@ -368,12 +375,8 @@ def test_an_effect_is_named_by_any_of_its_forms_and_the_form_is_told():
 
 
 def test_where_the_model_is_wrong_the_form_is_the_one_that_predicts():
-    # One form is there in the first experiment alone, stronger than the other there, and says nothing of any other.
-    functions = FUNCTIONS.copy()
-    functions[9, 1:] = 0.0
-    theta = np.zeros(2 + K)
-    theta[5], theta[9] = 0.8, 1.8
-    values = np.einsum("k,knj->nj", theta, functions) + SIGMA * np.random.default_rng(0).standard_normal((N, J))
+    # One form is stronger in the one experiment where it is there, and says nothing of any other.
+    functions, values = one_everywhere_and_one_once(0.8, 1.8)
     places = {"once": np.array([9]), "everywhere": np.array([5])}
     forms = {"effect_0": {label: FormColumns(Form(), columns, {}) for label, columns in places.items()}}
     search = with_forms(values, functions, forms, declared=0.1 * SIGMA)
