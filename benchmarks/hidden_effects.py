@@ -23,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from hidden.campaigns import TooSmall, make
 from hidden.cases import Case
 from hidden.catalogue import EFFECTS, FORMULAS, KINDS, applicable
+from hidden.mixtures import drawn, mixable
 from hidden.opensees import is_available
 
 from hsed_jax.errors import UserError
@@ -31,13 +32,15 @@ WEAK, MEDIUM, STRONG = 0.03, 0.10, 0.25
 SIZES = {WEAK: "weak", MEDIUM: "medium", STRONG: "strong"}
 NOISES = (0.02, 0.05, 0.10)
 _PAIRS, _CONTROLS = 24, 100
+# So many mixtures of formulas for each effect and kind of campaign.
+_MIXTURES = 4
 # What is left with this probability is noise.
 _NOISE = 0.05
 
 
 def plan() -> dict[str, list[Case]]:
     """The cases, by group; every n-th of a group is spread evenly over kinds of campaign, effects and their formulas."""
-    groups = _same_formula() | _other_formulas() | _controls()
+    groups = _same_formula() | _other_formulas() | _mixed_formulas() | _controls()
     if is_available():
         groups["OpenSees materials, medium"] = [
             Case("component", ((effect, formula),), MEDIUM, 0.02, 6, 4, 700 + number)
@@ -87,6 +90,23 @@ def _other_formulas() -> dict[str, list[Case]]:
                 for label, size, noise in (("medium", MEDIUM, 0.05), ("strong", STRONG, 0.02)):
                     case = Case(kind, hidden, size, noise, experiments, test, seed + (1000 if label == "strong" else 0))
                     _add(groups, f"other formula, {label}", case)
+    return groups
+
+
+def _mixed_formulas() -> dict[str, list[Case]]:
+    """One effect in a mixture of two of its formulas, the kinds and effects in turn."""
+    groups: dict[str, list[Case]] = {}
+    for label, size, noise in (("medium", MEDIUM, 0.05), ("strong", STRONG, 0.02)):
+        for turn in range(_MIXTURES):
+            for place, kind in enumerate(KINDS):
+                experiments, test = (20, 6) if kind == "quantities" else (6, 4)
+                for number, effect in enumerate(EFFECTS):
+                    if len(mixable(effect)) > 1 and applicable(effect, kind):
+                        seed = 10000 + 1000 * turn + 100 * place + number + (5000 if label == "strong" else 0)
+                        hidden = ((effect, drawn(effect, seed)),)
+                        _add(
+                            groups, f"mixed formulas, {label}", Case(kind, hidden, size, noise, experiments, test, seed)
+                        )
     return groups
 
 

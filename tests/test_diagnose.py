@@ -130,6 +130,33 @@ def test_a_wrong_first_step_is_taken_back():
     assert search.best == {"effect_0", "effect_1"}
 
 
+class Two(Dictionary):
+    """Two values of b are the same law, and beside one of them alone effect_5 does anything."""
+
+    def __call__(self, thetas, experiments):
+        thetas, b = thetas.copy(), thetas[:, 1]
+        thetas[:, 1] = -0.7 + 0.3 * (b + 0.7) * (b - 3)
+        thetas[:, 7] *= np.maximum(b - 2, 0)
+        return super().__call__(thetas, experiments)
+
+
+def test_an_effect_is_found_that_does_nothing_beside_the_law_as_it_was_fitted():
+    theta = np.zeros((1, 2 + K))
+    theta[0, [0, 1, 7]] = 1.5, 3.0, 2.0
+    outputs, _ = Two(FUNCTIONS)(np.repeat(theta, N, axis=0), np.arange(N))
+    values = outputs + 0.1 * SIGMA * np.random.default_rng(0).standard_normal((N, J))
+    models = NestedModels(Two(FUNCTIONS), BOX, np.zeros(2 + K))
+    measured = measured_of(values, declared=0.1 * SIGMA)
+    search = Search(models, measured, LAW, EFFECTS, lambda fit: measured.error(fit.predicted) < 1.1 * measured.noise)
+    search.start()
+    alone = search.model(())
+    assert models.theta(alone.fit.x, alone.fit.member)[1] < 0
+    search.run()
+    assert search.best == {"effect_5"}
+    found = search.model(search.best).fit
+    assert models.theta(found.x, found.member)[[1, 7]] == pytest.approx([3.0, 2.0], abs=0.1)
+
+
 def test_two_effects_are_found_though_one_like_neither_takes_nearly_all_of_both():
     # A 60th of the error is left, no one effect beside effect_7 takes that, and neither of the two is much alone.
     functions, noise = FUNCTIONS.copy(), 0.1 * SIGMA
@@ -428,6 +455,19 @@ def test_errors_on_what_was_left_out_are_those_of_fits_made_by_hand():
             predicted = by_hand(values, keep, free, search.errors[0], search.worth[0])
             squares[out] = (predicted - values)[out] ** 2
         assert error == pytest.approx(np.sqrt(np.mean(squares[used])) / scale, rel=2e-3)
+
+
+def test_what_was_predicted_of_experiments_left_out_is_not_asked_twice(monkeypatch):
+    search = found_in(data_of(2, effect_1=0.4))
+    sets = [frozenset(), frozenset({"effect_1"})]
+    first, asked = search.left_out(sets), []
+    monkeypatch.setattr(search.models, "fit", lambda target, tasks: asked.append(tasks))
+    assert all(one is other for one, other in zip(search.left_out(sets[::-1]), first[::-1], strict=True))
+    assert not asked
+    # With other errors they are other fits.
+    monkeypatch.undo()
+    search.target = search.target._replace(sigma=2 * search.target.sigma)
+    assert not np.array_equal(search.left_out(sets)[0], first[0])
 
 
 def test_of_one_experiment_the_past_predicts_the_future():

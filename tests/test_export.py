@@ -237,7 +237,7 @@ def test_tcl_and_python_give_the_same_loop(case, tmp_path):
         ("bouc_wen", BOUC_WEN, {"hardening": ("linear", {"delta": 0.1}), "strength_degradation": ("linear", {"delta": 0.1})},
          "strength_degradation with hardening: OpenSees' material counts the energy of its own force"),
         ("bouc_wen", BOUC_WEN, {"viscous_damping": ("linear", {"delta": -0.1})}, "viscous_damping with a negative amplitude"),
-        ("bouc_wen", BOUC_WEN, {"viscous_damping": ("saturating", {"delta": 0.1, "bend": 1.0})}, "viscous_damping in this form"),
+        ("bouc_wen", BOUC_WEN, {"viscous_damping": ("thinning", {"delta": 0.1, "bend": 0.4})}, "viscous_damping in this form"),
         ("bouc_wen", BOUC_WEN, {"power_damping": ("free", {"delta": 0.1, "bend": 1.0})}, "power_damping in this form"),
         ("bouc_wen", BOUC_WEN, {"coulomb_friction": ("sharp", {"delta": 0.1})}, "coulomb_friction in this form .* is bristle"),
     ],

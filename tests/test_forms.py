@@ -67,10 +67,14 @@ def point(at: dict) -> SpringPoint:
     return SpringPoint(at["u"], at["v"], at["z"], at, scales, np.full(count, STRENGTH), np.full(count, STIFFNESS))
 
 
-def drawn(name: str, label: str, quantile: float) -> dict[str, float]:
-    """The free parameters of a form at a quantile of their priors."""
+def drawn(name: str, label: str, quantile: float | np.ndarray) -> dict[str, float]:
+    """The free parameters of a form at a quantile of their priors, or each at one of its own, within their bounds."""
     known = forms_of(EFFECTS[name])[label].parameters(EFFECTS[name]).values()
-    return {p.name: float(Prior(*next(iter(p.prior.items()))).quantile(quantile)) for p in known}
+    quantiles = np.broadcast_to(quantile, 12)
+    values = {
+        p.name: float(Prior(*next(iter(p.prior.items()))).quantile(q)) for p, q in zip(known, quantiles, strict=False)
+    }
+    return {p.name: float(np.clip(values[p.name], p.lower, p.upper)) for p in known}
 
 
 # --- each form against its equation ------------------------------------------------------------------------------
@@ -143,6 +147,18 @@ def dented(p, s):
     deepest = np.where(s.u > 0, s.largest_tension, s.largest_compression) / U
     touched = p.clearance + p.kept * np.maximum(deepest - p.clearance, 0)
     return np.maximum(np.abs(s.u) / U - touched, 0) * np.sign(s.u)
+
+
+def grown_straight(p, rate):
+    """A power of the rate that bends to one between it and a straight line."""
+    after = 1 + p.passing * (p.power - 1)
+    return rate**p.power * (1 + p.bend * rate**p.power) ** (after / p.power - 1)
+
+
+def relieved(p, grown):
+    """What a valve relieves: of a share of it no more than 1/b is left."""
+    valve = grown / (1 + (p.bend * grown) ** p.abruptness) ** (1 / p.abruptness)
+    return p.passing * grown + (1 - p.passing) * valve
 
 
 def two_powers(p, grown):
@@ -243,7 +259,7 @@ EQUATIONS = {
     "viscous_damping": {
         "linear": dashpot[""],
         "of elongation": ("force", lambda p, x, s: p.delta * F * np.abs(s.u) / U * s.v / V),
-        "saturating": ("force", lambda p, x, s: p.delta * F * (s.v / V) / (1 + p.bend * np.abs(s.v / V))),
+        "thinning": ("force", lambda p, x, s: p.delta * F * (s.v / V) / (1 + p.bend * np.abs(s.v / V))),
         "opening only": dashpot["positive"],
         "closing only": dashpot["negative"],
         "free": (
@@ -261,7 +277,7 @@ EQUATIONS = {
         "closing only": drag["negative"],
         "free": (
             "force",
-            lambda p, x, s: p.delta * F * two_powers(p, np.abs(s.v / V) ** p.power) * np.sign(s.v) * share(p, s.v),
+            lambda p, x, s: p.delta * F * grown_straight(p, np.abs(s.v / V)) * np.sign(s.v) * share(p, s.v),
         ),
     },
     "coulomb_friction": {
@@ -279,7 +295,7 @@ EQUATIONS = {
         "power": ("force", lambda p, x, s: p.delta * F * rate_to(p, s) * np.sign(s.v)),
         "free": (
             "force",
-            lambda p, x, s: p.delta * F * two_powers(p, rate_to(p, s)) * np.sign(s.v) * share(p, s.v),
+            lambda p, x, s: p.delta * F * relieved(p, rate_to(p, s)) * np.sign(s.v) * share(p, s.v),
         ),
         "heating": ("force", lambda p, x, s: p.delta * F * rate_to(p, s) * np.sign(s.v) * lasting(p, s.energy / E)),
     },
@@ -490,6 +506,24 @@ def test_a_form_is_its_equation(name, label):
             # A small power is linear next to zero: (1e-9)^p, where the virgin state has none.
             np.testing.assert_allclose(found[slot], expected, rtol=2e-7 if name == "slip" else 1e-11, atol=1e-12 * F)
             assert np.ptp(expected) > 1e-3 * np.abs(expected).max() or (name, form.name) in CONSTANT
+
+
+@pytest.mark.parametrize(
+    ("name", "least", "most"),
+    [("viscous_damping", 0.5, 1.0), ("quadratic_damping", 1.0, 6.0), ("power_damping", 0.0, 1.0)],
+)
+def test_no_form_of_a_damper_grows_with_the_rate_as_another_damper_does(name, least, most):
+    # The slope of log force over log rate; to the other side and where it has warmed it is the same.
+    random, rates = np.random.default_rng(0), V * np.geomspace(0.01, 2.0, 60)
+    at = {key: np.zeros(60) for key in state()} | {"v": rates, "u": np.full(60, 0.3 * U)}
+    for label, form in forms_of(EFFECTS[name]).items():
+        if label == "closing only":
+            continue
+        for _ in range(40):
+            values = drawn(name, label, random.uniform(0.02, 0.98, 12))
+            found = jax.vmap(EFFECTS[name](**form.held, **values).contribute)(point(at))["force"]
+            slopes = np.gradient(np.log(np.asarray(found)), np.log(rates))
+            assert np.all((slopes > least - 1e-3) & (slopes < most + 1e-3)), (label, values)
 
 
 @pytest.mark.parametrize("label", CREEP)

@@ -17,6 +17,7 @@ from hidden.campaigns import coloured, make
 from hidden.cases import Case
 from hidden.catalogue import EFFECTS, FORMULAS
 from hidden.degrading import reversals
+from hidden.mixtures import drawn, mixable, mixture
 from hidden.sensors import Program
 from hidden.specimen import EXTRA, Scales, Specimen, pull
 from hidden_effects import diagnosed, plan, score, table
@@ -96,10 +97,10 @@ def test_three_numbers_per_experiment_tell_it_too(tmp_path):
     assert found["named"] == ["stiffness_degradation"]
 
 
-def moved(effect, name, delta):
+def moved(effect, name, delta, formula=None):
     """Force and slope of a specimen at 200 random states, with and without an effect of amplitude δ."""
     random, n = np.random.default_rng(3), 200
-    formula, scales = FORMULAS[effect, name], Scales(2.0e5, 0.2, 1.0, 5.0e4)
+    formula, scales = formula or FORMULAS[effect, name], Scales(2.0e5, 0.2, 1.0, 5.0e4)
     state = np.zeros((EXTRA + formula.states, n))
     state[4], state[5:7] = random.uniform(-3e5, 3e5, n), random.uniform(0, 8e4, (2, n))
     u, v = random.uniform(-0.3, 0.3, n), random.uniform(-1.5, 1.5, n)
@@ -112,6 +113,32 @@ def moved(effect, name, delta):
     drawn = {key: np.mean(bounds) for key, bounds in formula.draws.items()}
     specimen.acts = [(formula.act, {"delta": np.full(n, delta), **drawn}, formula.states)]
     return plain, specimen(u, v, state, reach), specimen.rows
+
+
+def added(effect, name, delta, formula=None):
+    plain, changed, _ = moved(effect, name, delta, formula)
+    return changed[0] - plain[0]
+
+
+def test_each_part_of_a_mixture_has_its_share_of_the_amplitude():
+    mixed = mixture("hardening", "0.40 log + 0.60 three slopes")
+    parts = added("hardening", "log", 0.4 * 0.3) + added("hardening", "three slopes", 0.6 * 0.3)
+    assert_allclose(added("hardening", None, 0.3, mixed), parts, rtol=1e-9, atol=1e-6)
+
+
+def test_parts_of_a_mixture_have_states_of_their_own():
+    formula = mixture("relaxation", "0.50 same + 0.50 three times")
+    assert formula.states == sum(FORMULAS["relaxation", name].states for name in ("same", "three times"))
+    assert len(moved("relaxation", None, 0.3, formula)[1][2]) == formula.states
+
+
+def test_a_mixture_has_two_formulas_and_another_number_others():
+    names = {drawn("pinching", seed) for seed in range(20)}
+    assert len(names) > 10
+    for name in names:
+        (one, first), (other, second) = (part.split(" ", 1)[::-1] for part in name.split(" + "))
+        assert one != other and {one, other} <= set(mixable("pinching"))
+        assert float(first) + float(second) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(("effect", "name"), IN_THE_SPECIMEN)

@@ -11,6 +11,7 @@ from . import forces as forces
 from . import loops as loops
 from . import sensors as sensors
 from .catalogue import EFFECTS, KINDS, Formula, applicable, formula
+from .mixtures import mixture
 from .specimen import Scales
 
 
@@ -111,7 +112,7 @@ def draw(case: Case) -> Plan:
             raise ValueError(f"no effect {effect!r}; effects are {', '.join(EFFECTS)}")
         if not applicable(effect, case.kind):
             raise ValueError(f"{effect!r} cannot show in a campaign of kind {case.kind!r}")
-        chosen = formula(effect, name)
+        chosen = mixture(effect, name) if " + " in name else formula(effect, name)
         if chosen.place == "opensees" and (case.kind != "component" or len(case.effects) != 1):
             raise ValueError(f"{effect!r} by OpenSees is for component tests with this one effect")
         sign = random.choice([-1.0, 1.0]) if chosen.is_signed else 1.0

@@ -179,10 +179,10 @@ def _stroke_dashpot(x, q, p, point):
     return q * (0.75 + 0.5 * x**2 / (x**2 + 0.3))
 
 
-@_beside("viscous_damping", "rational", 20.0)
-def _rational_dashpot(x, q, p, point):
-    """1.25 q/(1 + 0.25|q|): shear thinning."""
-    return 1.25 * q / (1 + 0.25 * np.abs(q))
+@_beside("viscous_damping", "Eyring", 20.0)
+def _eyring(x, q, p, point):
+    """arsinh(0.8 q)/arsinh(0.8): oil that thins."""
+    return np.arcsinh(0.8 * q) / np.arcsinh(0.8)
 
 
 @_beside("quadratic_damping", "laminar to turbulent", 20.0)
@@ -216,10 +216,10 @@ def _valve(x, q, p, point):
     return np.sign(q) * np.minimum(2.5 * np.abs(q), 0.5 + 0.6 * (np.abs(q) - 0.2))
 
 
-@_beside("power_damping", "rational", 5.0)
-def _thinning(x, q, p, point):
-    """q (0.8/(0.2 + |q|) + 0.3)."""
-    return q * (0.8 / (0.2 + np.abs(q)) + 0.3)
+@_beside("power_damping", "orifice and capillary", 5.0)
+def _orifice_and_capillary(x, q, p, point):
+    """The F ≥ 0 of |q| = 0.15 F + 0.85 F²: laminar and turbulent losses in series."""
+    return np.sign(q) * (np.sqrt(0.15**2 + 4 * 0.85 * np.abs(q)) - 0.15) / (2 * 0.85)
 
 
 # ---- friction ---------------------------------------------------------------------------------------------------------

@@ -81,12 +81,7 @@ class Fits:
 
     def starts_of_law(self) -> Float[np.ndarray, "8 P"]:
         """Points all over the priors of the law, without effects; the first is the neutral one."""
-        from scipy.stats import qmc
-
-        starts = np.tile(self.models.neutral, (8, 1))
-        shares = 0.1 + 0.8 * qmc.Sobol(len(self.law), scramble=True, rng=0).random_base2(3)
-        starts[1:, self.law] = self.models.box.quantiles(self.law, shares[1:])
-        return starts
+        return np.stack([self.models.neutral, *self._everywhere(self.law)[1:]])
 
     def set_law(self, fit: Descent) -> None:
         """Take the fit of the model without effects."""
@@ -165,6 +160,16 @@ class Fits:
         """Fit choices from points all over the priors of their effects: what was best with other errors need not be so now."""
         self._fit_from(target, {c: self._all_over(self._known[c].x, c) for c in choices})
 
+    def look_all_over(self, target: Target) -> None:
+        """Fit each effect alone, in every shape, from points all over the priors of law and effect: beside another law it may be
+        what it cannot be beside the fitted one."""
+        starts = {}
+        for effect, forms in self.effects.items():
+            for label, form in forms.items():
+                if not form.form.driver:
+                    starts[frozenset({(effect, label)})] = self._everywhere(np.concatenate([self.law, form.columns]))
+        self._fit_from(target, starts)
+
     def member(self, choice: Choice) -> Member:
         """The nested model of a choice."""
         forms = [self._form(pair) for pair in sorted(choice)]
@@ -188,6 +193,15 @@ class Fits:
         columns = np.concatenate([self._form(pair).columns for pair in sorted(pairs)])
         shares = spread(len(columns))
         starts = np.tile(x, (len(shares), 1))
+        starts[:, columns] = self.models.box.quantiles(columns, shares)
+        return list(starts)
+
+    def _everywhere(self, columns: np.ndarray) -> list[np.ndarray]:
+        """Points at which some parameters have values from all over their priors, and the others are neutral."""
+        from scipy.stats import qmc
+
+        starts = np.tile(self.models.neutral, (8, 1))
+        shares = 0.1 + 0.8 * qmc.Sobol(len(columns), scramble=True, rng=0).random_base2(3)
         starts[:, columns] = self.models.box.quantiles(columns, shares)
         return list(starts)
 

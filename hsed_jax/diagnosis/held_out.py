@@ -126,6 +126,9 @@ class HeldOut:
     def __init__(self, models: NestedModels, measured: Measured, test: Measured | None):
         self.models, self.measured, self.test = models, measured, test
         self.folds = folds_of(measured.used, measured.groups)
+        # What the last target's fits predict, by identity; the fit is kept with it, so that no other one gets its number.
+        self._target: Target | None = None
+        self._predicted: dict[int, tuple[Descent, np.ndarray | None]] = {}
 
     def unseen(self, target: Target, fits: Sequence[Descent]) -> list[float]:
         """Error of fits on the test experiments; without any, on those left out in turn (on what comes later, where there is
@@ -141,12 +144,18 @@ class HeldOut:
 
     def left_out(self, target: Target, fits: Sequence[Descent]) -> list[np.ndarray | None]:
         """Of each model what it predicts of every part that is left out, (n, J), as `left_out_predictions` says."""
-        return left_out_predictions(self.models, target, self.folds, fits)
+        if target is not self._target:
+            self._target, self._predicted = target, {}
+        new = list({id(fit): fit for fit in fits if id(fit) not in self._predicted}.values())
+        if new:
+            found = left_out_predictions(self.models, target, self.folds, new)
+            self._predicted |= {id(fit): (fit, one) for fit, one in zip(new, found, strict=True)}
+        return [self._predicted[id(fit)][1] for fit in fits]
 
     def foremost(self, target: Target, options: Sequence[Sequence[Descent]]) -> list[int]:
         """Of each of several choices between fits the one that predicts best what is left out, by `by_prediction`."""
         every = [fit for fits in options for fit in fits]
-        predicted = iter(self.left_out(target, every) if every else [])
+        predicted = iter(self.left_out(target, every))
         found = []
         for fits in options:
             gains = [Gain(-self.squares(next(predicted))) for _ in fits]

@@ -123,6 +123,10 @@ class Search:
                 self._fit_pairs()
                 self._deepen([*around, *self._pairs])
             self._judge()
+            if not self.best and self.measured.is_far_above_noise(self.all()[0].fit.predicted):
+                self._report("every effect beside any law")
+                self._fits.look_all_over(self.target)
+                self._judge()
             found = self._next()
             if found == self.best:
                 return
@@ -203,8 +207,6 @@ class Search:
                 f"{gain.mean:.2g} ± {gain.standard_error:.2g} only"
             )
         return None
-
-    # The rounds.
 
     def start(self) -> None:
         """The model without further effects, and a first look at every candidate from its gradient."""

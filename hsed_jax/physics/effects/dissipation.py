@@ -12,7 +12,6 @@ from hsed_jax.physics.effects.forms import (
     Form,
     bend_parameter,
     one_side,
-    passing_parameter,
     raised,
     saturated,
     sided,
@@ -61,7 +60,7 @@ class ViscousDamping(AbstractWornEffect):
         Form("linear", r"\delta F_c\,\Delta\dot u/v_c"),
         Form("of elongation", r"\delta F_c\,(|\Delta u|/u_c)\,\Delta\dot u/v_c", "Inaudi & Kelly 1995",
              held={"of_elongation": 1.0}, in_units=False),
-        Form("saturating", r"\delta F_c\frac{\Delta\dot u/v_c}{1 + b|\Delta\dot u|/v_c}",
+        Form("thinning", r"\delta F_c\frac{\Delta\dot u/v_c}{1 + b|\Delta\dot u|/v_c},\ b \le 1/2",
              "Cross 1965 (oil that thins)", free=("bend",)),
         Form("opening only", r"\delta F_c\max(\Delta\dot u, 0)/v_c", held={"side": 1.0}),
         Form("closing only", r"\delta F_c\min(\Delta\dot u, 0)/v_c", held={"side": -1.0}),
@@ -80,7 +79,15 @@ class ViscousDamping(AbstractWornEffect):
         physical=PhysicalForm("c", "N*s/m", lambda scales: scales.force / scales.rate),
     )
     side: Scalar = one_side()
-    bend: Scalar = bend_parameter()
+    bend: Scalar = shape_parameter(
+        "b",
+        "how soon it thins",
+        neutral=0.0,
+        lower=0.0,
+        # One that thins more is a power damper.
+        upper=0.5,
+        prior={"half_normal": 0.3},
+    )
     of_elongation: Scalar = share_parameter("w_u", "whether it grows with the elongation")
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
@@ -106,7 +113,7 @@ class QuadraticDamping(AbstractSpringEffect):
              free=("power",), in_units=False),
         Form("opening only", r"\delta F_c\max(\Delta\dot u, 0)^2/v_c^2", held={"side": 1.0}),
         Form("closing only", r"-\delta F_c\min(\Delta\dot u, 0)^2/v_c^2", held={"side": -1.0}),
-        Form(FREE, r"\delta F_c\frac{x}{(1 + b\,x)^{1-r}}\,\mathrm{sign}\,\Delta\dot u,\ x = |\Delta\dot u/v_c|^p,\ "
+        Form(FREE, r"\delta F_c\,x\,(1 + b\,x)^{(1-r)(1/p-1)}\,\mathrm{sign}\,\Delta\dot u,\ x = |\Delta\dot u/v_c|^p,\ "
              r"\text{times } 1 - |w| \text{ one way}", free=("power", "bend", "passing", "side"), in_units=False),
     )  # fmt: skip
 
@@ -123,14 +130,16 @@ class QuadraticDamping(AbstractSpringEffect):
         "p", "power of the rate", neutral=2.0, lower=1.1, upper=6.0, prior={"lognormal": [0.6, 0.4]}
     )
     bend: Scalar = bend_parameter()
-    passing: Scalar = passing_parameter()
+    passing: Scalar = share_parameter("r", "how it goes on once it has bent: straight (0), or as before (1)")
     side: Scalar = one_side()
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
         ratio = point.rate / point.scales.rate
         drag = ratio * raised(jnp.abs(ratio), self.power - 1)
-        drag = sided(saturated(drag, self.bend, self.passing), self.side)
+        # Its power is nowhere less than one: a damper that flattens is another effect.
+        going_on = self.passing + (1 - self.passing) / self.power
+        drag = sided(drag if is_zero(self.bend) else saturated(drag, self.bend, going_on), self.side)
         return {"force": self.delta * point.scales.force * drag}
 
 
@@ -145,8 +154,9 @@ class PowerDamping(AbstractWornEffect):
     needs_time: ClassVar[bool] = True
     forms: ClassVar[tuple[Form, ...]] = (
         Form("power"),
-        Form(FREE, r"\delta F_c\frac{x}{(1 + b\,x)^{1-r}}\,\mathrm{sign}\,\Delta\dot u,\ x = |\Delta\dot u/v_c|^\alpha,\ "
-             r"\text{times } 1 - |w| \text{ one way}", free=("bend", "passing", "side"), in_units=False),
+        Form(FREE, r"\delta F_c\,x\left[r + (1 - r)\left(1 + (b\,x)^m\right)^{-1/m}\right]\mathrm{sign}\,\Delta\dot u,\ "
+             r"x = |\Delta\dot u/v_c|^\alpha,\ \text{times } 1 - |w| \text{ one way}",
+             "JSSI 2005 (oil dampers whose valve opens)", free=("bend", "passing", "abruptness", "side"), in_units=False),
         heating(r"\delta F_c|\Delta\dot u/v_c|^\alpha\,\mathrm{sign}\,\Delta\dot u\,", "Black & Makris 2007 (oil that warms)"),
     )  # fmt: skip
 
@@ -163,7 +173,10 @@ class PowerDamping(AbstractWornEffect):
         r"\alpha", "1", "exponent of the rate", neutral=0.5, lower=0.1, upper=2.0, prior={"uniform": [0.1, 1.0]}
     )
     bend: Scalar = bend_parameter()
-    passing: Scalar = passing_parameter()
+    passing: Scalar = share_parameter("r", "share that goes on as before once it has bent")
+    abruptness: Scalar = shape_parameter(
+        "m", "how abruptly it bends", neutral=1.0, lower=0.5, upper=12.0, prior={"lognormal": [0.4, 0.7]}
+    )
     side: Scalar = one_side()
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
@@ -171,7 +184,11 @@ class PowerDamping(AbstractWornEffect):
         ratio = point.rate / point.scales.rate
         # |v|^α has no derivative at rest; below this rate it is linear.
         size = jnp.maximum(jnp.abs(ratio), 1e-3)
-        drag = sided(saturated(jnp.exp((self.alpha - 1) * jnp.log(size)) * ratio, self.bend, self.passing), self.side)
+        drag = jnp.exp((self.alpha - 1) * jnp.log(size)) * ratio
+        if not is_zero(self.bend):
+            bent = jnp.exp(-jnp.log1p(raised(self.bend * jnp.abs(drag), self.abruptness)) / self.abruptness)
+            drag = drag * (self.passing + (1 - self.passing) * bent)
+        drag = sided(drag, self.side)
         return {"force": self.delta * point.scales.force * drag * self.lasting(point)}
 
 
