@@ -13,7 +13,7 @@ from hsed_jax.diagnosis.averaging import averaged, stacking
 from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.diagnose import diagnose
 from hsed_jax.diagnosis.fits import shares_of
-from hsed_jax.diagnosis.held_out import Gain
+from hsed_jax.diagnosis.held_out import Gain, folds_of
 from hsed_jax.diagnosis.lanes import Lanes
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
@@ -485,6 +485,19 @@ def test_of_one_experiment_the_past_predicts_the_future():
     squares = (predicted - values[0])[scored] ** 2
     # A fit may stop 0.02 nats above its end.
     assert error == pytest.approx(np.sqrt(np.mean(squares)) / np.std(values[0, scored]), rel=1e-2)
+
+
+def test_of_two_experiments_the_past_of_both_predicts_their_future():
+    values = data_of(2, effect_1=0.4)[:2]
+    folds = found_in(values).held_out.folds
+    block = np.broadcast_to(np.arange(J) * 4 // J, (2, J))
+    for number in (1, 2, 3):
+        assert np.array_equal(folds.fitted[number], block < number)
+        assert np.array_equal(folds.left_out[number], block == number)
+    # Of two numbers there is no past.
+    numbers = folds_of(np.ones((2, 3), dtype=bool), np.arange(3))
+    assert numbers.fitted.shape == (3, 2, 3)
+    assert numbers.left_out[1].sum() == numbers.left_out[1, 0].sum() == 3
 
 
 def test_scores_are_chi_square_where_the_effect_is_absent():

@@ -1,4 +1,4 @@
-"""Errors on what was not fitted: experiments left out in turn, and of a single one what comes later."""
+"""Errors on what was not fitted: experiments left out in turn, and of one or two what comes later."""
 
 import math
 from collections.abc import Sequence
@@ -11,6 +11,8 @@ from hsed_jax.diagnosis.descent import Descent, Target, Task
 from hsed_jax.diagnosis.measured import WRONG, Measured
 from hsed_jax.diagnosis.nested import NestedModels
 
+# Of more experiments than so few, they are left out in turn: two parts say nothing of how sure their mean is.
+_FEW = 2
 _FOLDS = 6
 _BLOCKS = 4
 # Share of the squared held-out error, less the noise, that an effect takes away; the first may take less, if that is all.
@@ -96,19 +98,19 @@ def to_take_away(before: float, now: float, noise: float, is_first: bool, is_las
 def folds_of(used: Bool[np.ndarray, "n J"], groups: np.ndarray) -> Folds:
     """Several experiments are left out in turn.
 
-    Of a single one the past predicts the future: the blocks of time before each block are fitted, since a specimen that has
-    been damaged is another one.
+    Of one or two the past predicts the future: the blocks of time before each block are fitted, since a specimen that has been
+    damaged is another one.  Two of which there are no histories are left out in turn, too.
     """
     n = len(used)
-    if n > 1:
+    if n > _FEW or (n > 1 and np.bincount(groups)[groups].min() < _BLOCKS):
         fold = np.broadcast_to((np.arange(n) % min(n, _FOLDS))[:, None], used.shape)
         fitted = [used & (fold != k) for k in range(int(fold.max()) + 1)]
         left_out = [used & (fold == k) for k in range(int(fold.max()) + 1)]
     else:
         block = np.zeros(used.shape, dtype=int)
         for own in (groups == g for g in np.unique(groups)):
-            order = np.cumsum(used[0, own]) - 1
-            block[0, own] = np.clip(order * _BLOCKS // max(int(used[0, own].sum()), 1), 0, _BLOCKS - 1)
+            order, count = np.cumsum(used[:, own], axis=1) - 1, used[:, own].sum(axis=1, keepdims=True)
+            block[:, own] = np.clip(order * _BLOCKS // np.maximum(count, 1), 0, _BLOCKS - 1)
         fitted = [used & (block < k) for k in range(1, _BLOCKS)]
         left_out = [used & (block == k) for k in range(1, _BLOCKS)]
     return Folds(np.stack([used, *fitted]), np.stack([np.zeros_like(used), *left_out]))
