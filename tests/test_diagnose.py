@@ -157,6 +157,31 @@ def test_an_effect_is_found_that_does_nothing_beside_the_law_as_it_was_fitted():
     assert models.theta(found.x, found.member)[[1, 7]] == pytest.approx([3.0, 2.0], abs=0.1)
 
 
+def test_two_effects_are_not_given_up_for_one_with_more_parameters_that_predicts_as_well():
+    # effect_1 has a second form, which does what effect_0 does, too, and has two parameters for nothing.
+    functions = FUNCTIONS.copy()
+    functions[4] = functions[2]
+    one, other = Form("narrow", is_default=True), Form("wide", free=("c", "d", "e"))
+    both = {"narrow": FormColumns(one, np.array([3]), {}), "wide": FormColumns(other, np.array([3, 4, 5, 6]), {})}
+    effects = {"effect_0": EFFECTS["effect_0"], "effect_1": both}
+    theta = np.zeros(2 + K)
+    theta[2:4] = 0.6
+    # What none of them does is many times the noise.
+    values = np.einsum("k,knj->nj", theta, functions) + 0.2 * np.random.default_rng(1).standard_normal((N, J))
+    models = NestedModels(Dictionary(functions), BOX, np.zeros(2 + K))
+    search = Search(models, measured_of(values, declared=0.02), LAW, effects, lambda fit: False)
+    search.start()
+    search.run()
+    narrow = frozenset({("effect_0", ""), ("effect_1", "narrow")})
+    search._fits.fit(search.target, [narrow])
+    search.best = frozenset(effects)
+    search.path = [frozenset(), search.best]
+    search.run()
+    wide = search.model({"effect_1"})
+    assert wide.forms["effect_1"] == "wide" and len(wide.fit.free) > len(search.model(effects).fit.free)
+    assert search.best == frozenset(effects)
+
+
 def test_two_effects_are_found_though_one_like_neither_takes_nearly_all_of_both():
     # A 60th of the error is left, no one effect beside effect_7 takes that, and neither of the two is much alone.
     functions, noise = FUNCTIONS.copy(), 0.1 * SIGMA

@@ -127,15 +127,13 @@ class Search:
                 self._report("every effect beside any law")
                 self._fits.look_all_over(self.target)
                 self._judge()
-            found = self._next()
-            if found == self.best:
+            before, self.best = self.best, self._next()
+            if self.best == before:
                 return
-            if found in self.path:
-                self.best = found
+            if self.best in self.path:
                 self._judge()
                 return
-            self.best = found
-            self.path.append(found)
+            self.path.append(self.best)
 
     def model(self, effects: Iterable[str]) -> Model:
         """A model that was fitted."""
@@ -326,9 +324,9 @@ class Search:
         return self.path[-2] if self.best and self.harms(self.best) else self.best
 
     def _candidates(self) -> list[Model]:
-        """Models more probable than the best, the most probable first where the noise explains what that one leaves; else in the
-        order of `by_prediction`.  Where the best leaves many times the noise, it does not matter how probable they are: they have
-        to predict better than it by more than a standard error, or with an effect less no worse by that."""
+        """Models more probable than the best, the most probable first where the noise explains what that one leaves, else in the
+        order of `by_prediction`.  Where the best leaves many times the noise, whatever their odds they have to predict better
+        than it by more than a standard error, or with an effect less no worse by that."""
         here, others = self.model(self.best), [m for m in self.all() if m.effects != self.best]
         likely = [m for m in others if m.log_posterior > here.log_posterior]
         is_wrong = self.measured.is_far_above_noise(here.fit.predicted)
@@ -342,7 +340,10 @@ class Search:
         found = list(zip(pool, self.gains([m.effects for m in pool], self.best), strict=True))
         self.predicted |= {m.effects: gain for m, gain in found}
         if is_wrong:
-            found = [(m, g) for m, g in found if g.mean > (-1 if m.effects < self.best else 1) * g.standard_error]
+            # A set of fewer effects is no simpler where their forms have more parameters.
+            fewer = [m.effects < self.best and len(m.fit.free) <= len(here.fit.free) for m, _ in found]
+            least = [(-1 if is_less else 1) * g.standard_error for is_less, (_, g) in zip(fewer, found, strict=True)]
+            found = [one for one, enough in zip(found, least, strict=True) if one[1].mean > enough]
         return [found[i][0] for i in by_prediction([gain for _, gain in found], [len(m.fit.free) for m, _ in found])]
 
     def _choose_forms(self, models: Sequence[Model]) -> None:
