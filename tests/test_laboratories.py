@@ -248,6 +248,17 @@ def wait_until(condition, seconds=20.0):
         time.sleep(0.02)
 
 
+def test_folders_in_no_workspace_are_gone_with_the_process():
+    code = (
+        "from hsed_jax.laboratories.command import CommandLaboratory\n"
+        "folder = CommandLaboratory(('true',), None, None, 1.0)._new_folder('E01')\n"
+        "assert folder.is_dir()\n"
+        "print(folder)\n"
+    )
+    made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
+    assert not Path(made.stdout.strip()).parent.exists()
+
+
 def test_at_its_time_limit_a_program_and_its_children_die(tmp_path):
     begin = time.monotonic()
     with pytest.raises(ExperimentFailed, match=r"sh was stopped after its time limit of 0\.8 s"):

@@ -1,5 +1,6 @@
 """A command laboratory: any program that reads a request from its folder and leaves its measurements there."""
 
+import atexit
 import re
 import sys
 import tempfile
@@ -7,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from shutil import which
+from shutil import rmtree, which
 from typing import Any
 
 from hsed_jax.errors import UserError
@@ -42,7 +43,7 @@ class CommandLaboratory:
         programme: what experiments have in common.
         sensors: what it measures.
         timeout: [s] for one experiment.
-        workspace: folder of the experiments' folders; None: a temporary one.
+        workspace: folder of the experiments' folders; None: a temporary one, until the end of the process.
         files: further files for the program, name and text.
     """
 
@@ -69,7 +70,11 @@ class CommandLaboratory:
 
     @cached_property
     def _root(self) -> Path:
-        return Path(tempfile.mkdtemp(prefix="laboratory-")) if self.workspace is None else self.workspace.absolute()
+        if self.workspace is not None:
+            return self.workspace.absolute()
+        root = Path(tempfile.mkdtemp(prefix="laboratory-"))
+        atexit.register(rmtree, root, ignore_errors=True)
+        return root
 
     def _new_folder(self, name: str) -> Path:
         """A folder that did not exist before."""
