@@ -144,13 +144,7 @@ class SupportFlexibility(AbstractWornEffect):
         physical=PhysicalForm("compliance", "m/N", lambda scales: scales.elongation / scales.force),
     )
     power: Scalar = shape_parameter(
-        "p",
-        "power of the force",
-        neutral=1.0,
-        # Of spheres in contact it is two thirds; one that gives way about no force and hardly any more is play, too.
-        lower=0.5,
-        upper=6.0,
-        prior={"lognormal": [0.0, 0.6]},
+        "p", "power of the force", neutral=1.0, lower=0.3, upper=6.0, prior={"lognormal": [0.0, 0.6]}
     )
     bedding: Scalar = shape_parameter(
         "b", "how much softer it is before it is bedded", neutral=0.0, lower=0.0, upper=50.0, prior={"half_normal": 3.0}
