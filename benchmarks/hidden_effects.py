@@ -32,6 +32,9 @@ WEAK, MEDIUM, STRONG = 0.03, 0.10, 0.25
 SIZES = {WEAK: "weak", MEDIUM: "medium", STRONG: "strong"}
 NOISES = (0.02, 0.05, 0.10)
 _PAIRS, _CONTROLS = 24, 100
+# Sizes of an effect in another formula, with the noise; experiments to train with and held out, by kind of campaign.
+_SIZED = (("medium", MEDIUM, 0.05), ("strong", STRONG, 0.02))
+_EXPERIMENTS = {"shaken": (6, 4), "component": (6, 4), "quantities": (20, 6)}
 # So many mixtures of formulas for each effect and kind of campaign.
 _MIXTURES = 4
 # What is left with this probability is noise.
@@ -79,7 +82,6 @@ def _other_formulas() -> dict[str, list[Case]]:
     """
     groups: dict[str, list[Case]] = {}
     for turn, kind in enumerate(KINDS):
-        experiments, test = (20, 6) if kind == "quantities" else (6, 4)
         for number, effect in enumerate(EFFECTS):
             names = [name for e, name in FORMULAS if e == effect and name not in ("same", "opensees")]
             if not names or not applicable(effect, kind):
@@ -87,8 +89,9 @@ def _other_formulas() -> dict[str, list[Case]]:
             for place in range(len(names)):
                 index = (place + number + turn) % len(names)
                 hidden, seed = ((effect, names[index]),), 1000 + 10 * number + index
-                for label, size, noise in (("medium", MEDIUM, 0.05), ("strong", STRONG, 0.02)):
-                    case = Case(kind, hidden, size, noise, experiments, test, seed + (1000 if label == "strong" else 0))
+                for label, size, noise in _SIZED:
+                    own = seed + (1000 if label == "strong" else 0)
+                    case = Case(kind, hidden, size, noise, *_EXPERIMENTS[kind], own)
                     _add(groups, f"other formula, {label}", case)
     return groups
 
@@ -96,16 +99,17 @@ def _other_formulas() -> dict[str, list[Case]]:
 def _mixed_formulas() -> dict[str, list[Case]]:
     """One effect in a mixture of two of its formulas, the kinds and effects in turn."""
     groups: dict[str, list[Case]] = {}
-    for label, size, noise in (("medium", MEDIUM, 0.05), ("strong", STRONG, 0.02)):
+    for label, size, noise in _SIZED:
         for turn in range(_MIXTURES):
             for place, kind in enumerate(KINDS):
-                experiments, test = (20, 6) if kind == "quantities" else (6, 4)
                 for number, effect in enumerate(EFFECTS):
                     if len(mixable(effect)) > 1 and applicable(effect, kind):
                         seed = 10000 + 1000 * turn + 100 * place + number + (5000 if label == "strong" else 0)
                         hidden = ((effect, drawn(effect, seed)),)
                         _add(
-                            groups, f"mixed formulas, {label}", Case(kind, hidden, size, noise, experiments, test, seed)
+                            groups,
+                            f"mixed formulas, {label}",
+                            Case(kind, hidden, size, noise, *_EXPERIMENTS[kind], seed),
                         )
     return groups
 

@@ -71,10 +71,8 @@ def drawn(name: str, label: str, quantile: float | np.ndarray) -> dict[str, floa
     """The free parameters of a form at a quantile of their priors, or each at one of its own, within their bounds."""
     known = forms_of(EFFECTS[name])[label].parameters(EFFECTS[name]).values()
     quantiles = np.broadcast_to(quantile, 12)[: len(known)]
-    values = {
-        p.name: float(Prior(*next(iter(p.prior.items()))).quantile(q)) for p, q in zip(known, quantiles, strict=True)
-    }
-    return {p.name: float(np.clip(values[p.name], p.lower, p.upper)) for p in known}
+    values = [float(Prior(*next(iter(p.prior.items()))).quantile(q)) for p, q in zip(known, quantiles, strict=True)]
+    return {p.name: float(np.clip(value, p.lower, p.upper)) for p, value in zip(known, values, strict=True)}
 
 
 # --- each form against its equation ------------------------------------------------------------------------------

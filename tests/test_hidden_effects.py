@@ -98,10 +98,10 @@ def test_three_numbers_per_experiment_tell_it_too(tmp_path):
     assert found["named"] == ["stiffness_degradation"]
 
 
-def moved(effect, name, delta, formula=None):
-    """Force and slope of a specimen at 200 random states, with and without an effect of amplitude δ."""
+def moved(formula, delta):
+    """Force and slope of a specimen at 200 random states, with and without an effect of amplitude δ in a formula."""
     random, n = np.random.default_rng(3), 200
-    formula, scales = formula or FORMULAS[effect, name], Scales(2.0e5, 0.2, 1.0, 5.0e4)
+    scales = Scales(2.0e5, 0.2, 1.0, 5.0e4)
     state = np.zeros((EXTRA + formula.states, n))
     state[4], state[5:7] = random.uniform(-3e5, 3e5, n), random.uniform(0, 8e4, (2, n))
     u, v = random.uniform(-0.3, 0.3, n), random.uniform(-1.5, 1.5, n)
@@ -116,21 +116,22 @@ def moved(effect, name, delta, formula=None):
     return plain, specimen(u, v, state, reach), specimen.rows
 
 
-def added(effect, name, delta, formula=None):
-    plain, changed, _ = moved(effect, name, delta, formula)
+def added(formula, delta):
+    plain, changed, _ = moved(formula, delta)
     return changed[0] - plain[0]
 
 
 def test_each_part_of_a_mixture_has_its_share_of_the_amplitude():
     mixed = mixture("hardening", "0.40 log + 0.60 three slopes")
-    parts = added("hardening", "log", 0.4 * 0.3) + added("hardening", "three slopes", 0.6 * 0.3)
-    assert_allclose(added("hardening", None, 0.3, mixed), parts, rtol=1e-9, atol=1e-6)
+    log, slopes = (FORMULAS["hardening", name] for name in ("log", "three slopes"))
+    parts = added(log, 0.4 * 0.3) + added(slopes, 0.6 * 0.3)
+    assert_allclose(added(mixed, 0.3), parts, rtol=1e-9, atol=1e-6)
 
 
 def test_parts_of_a_mixture_have_states_of_their_own():
     formula = mixture("relaxation", "0.50 same + 0.50 three times")
     assert formula.states == sum(FORMULAS["relaxation", name].states for name in ("same", "three times"))
-    assert len(moved("relaxation", None, 0.3, formula)[1][2]) == formula.states
+    assert len(moved(formula, 0.3)[1][2]) == formula.states
 
 
 def test_a_mixture_has_two_formulas_and_another_number_others():
@@ -144,11 +145,11 @@ def test_a_mixture_has_two_formulas_and_another_number_others():
 
 @pytest.mark.parametrize(("effect", "name"), IN_THE_SPECIMEN)
 def test_a_formula_does_nothing_at_zero_and_something_elsewhere(effect, name):
-    plain, neutral, rows = moved(effect, name, 0.0)
+    plain, neutral, rows = moved(FORMULAS[effect, name], 0.0)
     assert_allclose(neutral[0], plain[0], rtol=1e-15)
     assert_allclose(neutral[1], plain[1], rtol=1e-12)
     assert len(neutral[2]) == rows - EXTRA
-    plain, changed, _ = moved(effect, name, 0.3)
+    plain, changed, _ = moved(FORMULAS[effect, name], 0.3)
     assert all(np.isfinite(part).all() for part in changed[:2])
     assert max(np.max(np.abs(changed[i] - plain[i]) / np.max(np.abs(plain[i]))) for i in range(2)) > 1e-6
 

@@ -5,7 +5,7 @@ A mixture is named by its parts, as `0.4 log + 0.6 three slopes`: each acts with
 
 import numpy as np
 
-from .catalogue import FORMULAS, Formula
+from .catalogue import FORMULAS, Formula, formula
 
 
 def mixable(effect: str) -> list[str]:
@@ -30,11 +30,10 @@ def mixture(effect: str, name: str) -> Formula:
     parts = []
     for words in name.split(" + "):
         share, _, part = words.partition(" ")
-        if part not in mixable(effect):
-            raise ValueError(
-                f"{effect!r} has no formula {part!r} to mix; it has {', '.join(mixable(effect)) or 'none'}"
-            )
-        parts.append((float(share), FORMULAS[effect, part]))
+        known = formula(effect, part)
+        if known.place != "specimen":
+            raise ValueError(f"{effect!r} ({part}) acts in the {known.place}, and is no part of a mixture")
+        parts.append((float(share), known))
 
     def act(x, s, p):
         row, rows = 0, x.w

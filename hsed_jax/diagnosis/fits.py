@@ -191,17 +191,18 @@ class Fits:
     def _all_over(self, x: np.ndarray, pairs: Iterable[tuple[str, str]]) -> list[np.ndarray]:
         """Points at which effects have values from all over their priors, and everything else is as it is at x."""
         columns = np.concatenate([self._form(pair).columns for pair in sorted(pairs)])
-        shares = spread(len(columns))
-        starts = np.tile(x, (len(shares), 1))
-        starts[:, columns] = self.models.box.quantiles(columns, shares)
-        return list(starts)
+        return self._with_shares(x, columns, spread(len(columns)))
 
     def _everywhere(self, columns: np.ndarray) -> list[np.ndarray]:
         """Points at which some parameters have values from all over their priors, and the others are neutral."""
         from scipy.stats import qmc
 
-        starts = np.tile(self.models.neutral, (8, 1))
         shares = 0.1 + 0.8 * qmc.Sobol(len(columns), scramble=True, rng=0).random_base2(3)
+        return self._with_shares(self.models.neutral, columns, shares)
+
+    def _with_shares(self, x: np.ndarray, columns: np.ndarray, shares: Float[np.ndarray, "s q"]) -> list[np.ndarray]:
+        """Points at which these shares of the priors of some parameters lie below them, and everything else is as it is at x."""
+        starts = np.tile(x, (len(shares), 1))
         starts[:, columns] = self.models.box.quantiles(columns, shares)
         return list(starts)
 

@@ -133,8 +133,8 @@ class HeldOut:
         self._predicted: dict[int, tuple[Descent, np.ndarray | None]] = {}
 
     def unseen(self, target: Target, fits: Sequence[Descent]) -> list[float]:
-        """Error of fits on the test experiments; without any, on those left out in turn (on what comes later, where there is
-        one experiment).  Infinite where a simulation fails: what cannot be predicted is no improvement."""
+        """Error of fits on the test experiments; without any, on those left out in turn (on what comes later, where there
+        are one or two).  Infinite where a simulation fails: what cannot be predicted is no improvement."""
         if self.test is None:
             return [self.error(predicted) for predicted in self.left_out(target, fits)]
         rows = len(self.measured.values) + np.arange(len(self.test.values))

@@ -139,7 +139,7 @@ class QuadraticDamping(AbstractSpringEffect):
         drag = ratio * raised(jnp.abs(ratio), self.power - 1)
         # Its power is nowhere less than one: a damper that flattens is another effect.
         going_on = self.passing + (1 - self.passing) / self.power
-        drag = sided(drag if is_zero(self.bend) else saturated(drag, self.bend, going_on), self.side)
+        drag = sided(saturated(drag, self.bend, going_on), self.side)
         return {"force": self.delta * point.scales.force * drag}
 
 
