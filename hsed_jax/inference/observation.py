@@ -31,10 +31,33 @@ Respond = Callable[[Mapping[str, Any], Conditions], tuple[Float[Array, " J"], Ar
 
 @dataclass(frozen=True)
 class Grid:
-    """The time grid of recorded experiments: samples (padded to the longest record) and integration steps per sample."""
+    """The grid of recorded experiments.
+
+    Attributes:
+        samples: of a history; shorter records are padded.
+        every: integration steps from one sample to the next.
+        change: of an imposed elongation, the largest change in one step [m]: each interval then has steps of its own number, and
+            `every` is 1; None where every interval has as many.
+        steps: of the integration; a record that needs fewer is padded with steps of length zero.
+    """
 
     samples: int
     every: int
+    change: float | None = None
+    steps: int = 0
+
+    def __post_init__(self):
+        """Count the steps where every interval has as many."""
+        if self.change is None:
+            object.__setattr__(self, "steps", self.every * (self.samples - 1))
+
+    def divisions(self, record: Record) -> np.ndarray:
+        """Steps of each interval of a record, (len(record) − 1,)."""
+        if self.change is None:
+            return np.full(len(record) - 1, self.every)
+        changes = np.abs(np.diff(record["elongation"]))
+        # A relative tolerance: a ramp of equal intervals has equal numbers of steps.
+        return np.maximum(np.ceil(changes / self.change - 1e-9), 1).astype(int)
 
 
 @dataclass(frozen=True)
@@ -218,7 +241,7 @@ def conditions_of(experiment: Experiment, campaign: Campaign, grid: Grid | None,
             f"experiment {experiment.id!r}: its record has {len(record)} samples, more than the {grid.samples} of the "
             "longest one that the model was built for; calibrate on a campaign that holds it (as a test experiment)"
         )
-    lengths, half_steps = _grid_of(record.time, grid)
+    lengths, half_steps, ends = _grid_of(record, grid)
     measured = [name for name in record.channels if is_driver(name)]
     # An experiment that could be made has times, and nothing that was measured.
     if campaign.protocol == "displacement" and (record.channels or excitation is None):
@@ -232,7 +255,7 @@ def conditions_of(experiment: Experiment, campaign: Campaign, grid: Grid | None,
             f"experiment {experiment.id!r}: its record has no ground_acceleration and the study no excitation; give one (or "
             "the force on mass 1 as a channel applied_force_1)"
         )
-    return Conditions(inputs, Recorded(Tabulated(jax.device_put(samples)), jax.device_put(lengths)))
+    return Conditions(inputs, Recorded(Tabulated(jax.device_put(samples)), jax.device_put(lengths), jax.device_put(ends)))
 
 
 @eqx.filter_jit
@@ -246,12 +269,17 @@ def _record(experiment: Experiment) -> Record:
     return experiment.record
 
 
-def _grid_of(time: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
-    """Step lengths (steps,) and the times of the half-step grid (2·steps+1,); padded steps have length zero."""
-    steps = grid.every * (grid.samples - 1)
-    lengths = np.zeros(steps)
-    lengths[: grid.every * (len(time) - 1)] = np.repeat(np.diff(time) / grid.every, grid.every)
-    return lengths, time[0] + np.concatenate([[0.0], np.cumsum(np.repeat(lengths / 2, 2))])
+def _grid_of(record: Record, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Step lengths (steps,), the times of the half-step grid (2·steps+1,), and after how many steps each sample is (samples,).
+
+    Padded steps have length zero, and padded samples are at the end.
+    """
+    divisions, time = grid.divisions(record), record.time
+    lengths = np.zeros(grid.steps)
+    lengths[: divisions.sum()] = np.repeat(np.diff(time) / divisions, divisions)
+    ends = np.full(grid.samples, grid.steps)
+    ends[: len(time)] = np.concatenate([[0], np.cumsum(divisions)])
+    return lengths, time[0] + np.concatenate([[0.0], np.cumsum(np.repeat(lengths / 2, 2))]), ends
 
 
 def _driven(record: Record, times: np.ndarray, measured: Sequence[str]) -> Any:
@@ -301,5 +329,5 @@ def _imposed(record: Record, times: np.ndarray, name: str) -> Imposed:
 
 def stacked(conditions: Sequence[Conditions]) -> Conditions:
     """Conditions of several experiments, leading axis n."""
-    stacks = jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf, dtype=float) for leaf in leaves]), *conditions)
+    stacks = jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *conditions)
     return jax.device_put(stacks)

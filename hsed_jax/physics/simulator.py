@@ -35,10 +35,17 @@ Scalar = Float[Array, ""] | float
 
 
 class Recorded(NamedTuple):
-    """A recorded excitation on the grid of its own experiment."""
+    """A recorded excitation on the grid of its own experiment.
+
+    Attributes:
+        forcing: on the half-step grid.
+        step_length: [s], zero where the record has ended.
+        ends: after how many steps each sample of the record is, where `every` is 1 and histories are kept at these only.
+    """
 
     forcing: AbstractForcing
     step_length: Float[Array, " steps"]
+    ends: Any = None
 
 
 class Conditions(NamedTuple):
@@ -214,7 +221,7 @@ class Simulator(AbstractModel):
 
         steps, every = self.timeline.steps, self.timeline.every
         if conditions.recorded is not None:
-            forcing, length = conditions.recorded
+            forcing, length, _ = conditions.recorded
         else:
             assert self.excitation is not None
             excitation = self.excitation(conditions.inputs)
@@ -229,9 +236,12 @@ class Simulator(AbstractModel):
             forcing = felt(forcing, slots, jax.numpy.asarray(length))
         system = self._system(given, slots)
         response = integrate(system, forcing, length, steps, channels=channels, quantities=quantities, every=every)
-        if slots is None:
+        if slots is not None:
+            response = measured(response, slots, length, every, is_imposed=self.structure is None)
+        if every > 1 or conditions.recorded is None or conditions.recorded.ends is None:
             return response
-        return measured(response, slots, length, every, is_imposed=self.structure is None)
+        at = conditions.recorded.ends
+        return response._replace(channels={name: values[at] for name, values in response.channels.items()})
 
     def _given(self, parameters: Mapping[str, Scalar]) -> "_Given":
         owners: dict[str, dict[str, Scalar]] = defaultdict(dict)

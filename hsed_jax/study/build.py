@@ -216,7 +216,7 @@ class Built:
     def timeline(self) -> Timeline:
         """The grid of the integration."""
         if self.grid is not None:
-            return Timeline(None, self.grid.every * (self.grid.samples - 1), self.grid.every)
+            return Timeline(None, self.grid.steps, self.grid.every)
         return self.planned
 
     @cached_property
@@ -288,7 +288,7 @@ class Built:
         """What is compared with the model."""
         if self.study.observe == "quantities":
             return Quantities(self.outputs, self.grid, self.excitation, structures.masses_of(self.structure))
-        samples = self.timeline.steps // self.timeline.every + 1
+        samples = self.timeline.samples if self.grid is None else self.grid.samples
         return Histories(self.outputs, samples, self.grid, self.excitation)
 
     @cached_property

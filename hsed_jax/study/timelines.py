@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,10 +32,12 @@ _SAMPLES = 400
 _SAMPLES_PER_BRANCH = 4
 # Steps of a quarter of a cycle, where the spring needs no more to be stable.
 _MOST_PER_BRANCH = 100
-# A step of a measured elongation is at most this share of the yield elongation, where that takes no more divisions than these;
-# and at most the yield elongation, however many it takes.
+# A step of a measured elongation is at most this share of the yield elongation, where that takes no more steps per sample than
+# these; and at most the yield elongation, however many it takes.
 _STEP_PER_YIELD = 0.2
 _DIVISIONS = 20
+# Sizes of a compiled program in an octave: records of similar length share one, and at most a fifth of it is padding.
+_SIZES_PER_OCTAVE = 4
 TOLD = 1000
 """Samples of what drives an experiment, as a model is told that integrates nothing here."""
 
@@ -151,26 +154,30 @@ def _check_mass(where: str, channel: str, built: "Built") -> None:
 def imposed_grid(
     records: Sequence[Record], found: Characteristics, middle: AbstractSpringLaw, steepest: AbstractSpringLaw
 ) -> Grid:
-    """The grid of measured elongations that were imposed.
+    """The grid of measured elongations that were imposed: more steps where the elongation changes more.
 
     Arguments:
-        records: the longest first or not, each with its elongation.
+        records: each with its elongation.
         found: characteristic values of the campaign.
         middle, steepest: the law in the middle of its priors, and where they make it yield soonest.
     """
-    steps = [
-        float(np.max(np.abs(np.diff(r["elongation"])), initial=0.0)) for r in records if "elongation" in r.channels
-    ]
+    samples = padded(max(len(record) for record in records))
+    records = [record for record in records if "elongation" in record.channels]
+    path = max((float(np.sum(np.abs(np.diff(r["elongation"])))) for r in records), default=0.0)
+    if not path > 0:
+        return Grid(samples, 1)
     yields = [found.force / found.stiffness, float(middle.yield_elongation)]
-    wanted, least, stable = _divisions(max(steps, default=0.0), yields, steepest)
-    return _divided(records, max(wanted, stable), least)
+    wanted, least, stable = _divisions(path, yields, steepest)
+    count = max(min(max(wanted, stable), _DIVISIONS * (samples - 1)), least)
+    grid = Grid(samples, 1, path / count)
+    return replace(grid, steps=padded(1 + max(int(grid.divisions(record).sum()) for record in records)) - 1)
 
 
 def _divisions(longest: float, yields: Sequence[float], steepest: AbstractSpringLaw) -> tuple[float, float, float]:
-    """Into how many steps a change of an imposed elongation is divided: to be exact, at least, and for a stable integration.
+    """Into how many steps a path of an imposed elongation is divided: to be exact, at least, and for a stable integration.
 
     Arguments:
-        longest: the change [m].
+        longest: the path [m].
         yields: elongations [m] at which the specimen may yield; those that are no positive numbers tell nothing.
         steepest: the law where its priors make it yield soonest.
     """
@@ -178,10 +185,17 @@ def _divisions(longest: float, yields: Sequence[float], steepest: AbstractSpring
     return longest / (_STEP_PER_YIELD * yielding), longest / yielding, longest * float(steepest.steepness) / RESOLVED
 
 
-def _divided(records: Sequence[Record], needed: float, least: float = 1.0) -> Grid:
-    """The grid of records: as many steps per sample as are needed, within reason, and never less than the least."""
+def _divided(records: Sequence[Record], needed: float) -> Grid:
+    """The grid of records: as many steps per sample as are needed, within reason."""
     steps = min(max(math.ceil(needed - 1e-9), 1), _DIVISIONS)
-    return Grid(max(len(record) for record in records), max(steps, math.ceil(least - 1e-9)))
+    return Grid(padded(max(len(record) for record in records)), steps)
+
+
+def padded(count: int) -> int:
+    """The least size of a compiled program for so many samples, at least 64."""
+    octave = 2.0 ** max(math.ceil(math.log2(max(count, 1))), 6)
+    sizes = (int(octave * (1 - share / (2 * _SIZES_PER_OCTAVE))) for share in reversed(range(_SIZES_PER_OCTAVE)))
+    return next(size for size in sizes if size >= count)
 
 
 def _checked(steps: int, words: str) -> int:
