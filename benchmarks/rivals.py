@@ -8,7 +8,7 @@ catalogue allow for effects that any two experiments tell, and for some effects 
 After every experiment both models are fitted and weighed as a diagnosis does it: bounded descents from several starts, Laplace's
 method, even prior odds, an error that is relative to what the better one predicts.  All designs of a seed choose from the same
 candidates, of which each has one noise, whoever asks for it, and advance in lockstep: their simulations are lanes of one batch
-(`hsed_jax.diagnosis.lanes`).
+(`hsed_jax.diagnosis.batch`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -128,7 +128,7 @@ def large(test: str, seed: int) -> Large:
     forms = {effect: next(iter(problem.effects[effect].values())) for effect in effects}
 
     def lanes(thetas, candidates):
-        return problem.models.lanes(thetas, candidates + problem.rows)
+        return problem.models.batch(thetas, candidates + problem.rows)
 
     columns, held = ({e: getattr(form, what) for e, form in forms.items()} for what in ("columns", "held"))
     found = Large(lanes, problem.models.within(problem.models.box, lanes), problem.law, columns, held, cube, kind.noise)

@@ -14,7 +14,7 @@ from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.diagnose import diagnose
 from hsed_jax.diagnosis.fits import shares_of
 from hsed_jax.diagnosis.held_out import Gain, folds_of
-from hsed_jax.diagnosis.lanes import Lanes
+from hsed_jax.diagnosis.batch import Batch
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import FormColumns, Problem
@@ -41,7 +41,7 @@ EFFECTS = {name: {"": FormColumns(Form(is_default=True), columns, {})} for name,
 LAW = np.arange(2)
 
 
-class Dictionary(Lanes):
+class Dictionary(Batch):
     """Outputs are linear in θ."""
 
     def __init__(self, functions, fails=False):
@@ -591,7 +591,7 @@ def test_what_an_experiment_is_expected_to_tell_is_what_it_tells_on_average():
     one, other = (search.model({name}) for name in ("effect_0", "effect_2"))
     promised = separation(problem, search, [one, other])
     shares = shares_of([one, other])
-    functions, sigma = problem.models.lanes.functions, float(search.errors[0])
+    functions, sigma = problem.models.batch.functions, float(search.errors[0])
 
     def posterior(columns):
         # Bayesian linear regression in closed form.
@@ -660,7 +660,7 @@ def test_an_average_over_explanations_is_their_mixture():
     models = [search.model({name}) for name in ("effect_0", "effect_2")]
     search.predicted = {}  # as where the evidence ranked them
     found = averaged(problem, search, models)
-    shares, functions, sigma = shares_of(models), problem.models.lanes.functions, float(search.errors[0])
+    shares, functions, sigma = shares_of(models), problem.models.batch.functions, float(search.errors[0])
     means, variances = [], []
     for columns in ([0, 1, 2], [0, 1, 4]):
         # Bayesian linear regression in closed form.

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.descent import Descent, Target, Task
 from hsed_jax.diagnosis.evidence import laplace, of_any_size, sample_posterior
-from hsed_jax.diagnosis.lanes import Lanes
+from hsed_jax.diagnosis.batch import Batch
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.inference.priors import Prior
 
@@ -23,7 +23,7 @@ DATA = DESIGN @ np.array([1.1, 0.1, -0.6]) + SIGMA * np.random.default_rng(3).st
 LEFT_OUT = 12 * np.log(SIGMA * np.sqrt(2 * np.pi))
 
 
-class Analytic(Lanes):
+class Analytic(Batch):
     """Predictions by a formula f(θ) -> (L, J), θ of shape (P, L)."""
 
     def __init__(self, formula):

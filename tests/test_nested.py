@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from hsed_jax.diagnosis import nested
 from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.descent import Target, Task
-from hsed_jax.diagnosis.lanes import Lanes
+from hsed_jax.diagnosis.batch import Batch
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.inference.priors import Prior
 from hsed_jax.inference.watch import Watch
@@ -133,7 +133,7 @@ def test_what_is_possible_bounds_a_prior_that_reaches_further():
 # --- fits ------------------------------------------------------------------------------------------------------------
 
 
-class Analytic(Lanes):
+class Analytic(Batch):
     """Predictions by a formula f(θ, experiment) -> (J,); remembers what it was asked."""
 
     def __init__(self, formula, diverges=lambda theta: False):
@@ -242,12 +242,12 @@ def test_weights_choose_experiments_and_count_them(decays):
     values = decays * np.array([[1.0], [1.3], [0.8]])
     target = target_of(values, weights)
     for use in range(4):
-        models.lanes.asked.clear()
+        models.batch.asked.clear()
         (fit,) = models.fit(target, [Task(models.member(np.arange(2)), models.neutral, use)])
         best, sd, _ = best_decay(values, weights[use])
         assert np.all(np.abs(in_logs(models.theta(fit.x, fit.member)) - best) < 0.2 * sd)
         rows = np.flatnonzero(weights[use].any(axis=1))
-        assert set(np.concatenate([e for _, e in models.lanes.asked])) == set(rows)
+        assert set(np.concatenate([e for _, e in models.batch.asked])) == set(rows)
         unused = np.setdiff1d(np.arange(3), rows)
         assert not fit.predicted[unused].any() and fit.predicted[rows].any()
 
@@ -274,12 +274,12 @@ def test_a_fit_that_goes_on_with_other_errors_begins_with_what_is_known(decays):
         models = models_of(decay, DECAY, [1.0, 1.0])
         member = models.member(np.arange(2))
         (fit,) = models.fit(target_of(decays), [Task(member, models.neutral)])
-        models.lanes.asked.clear()
+        models.batch.asked.clear()
         weights = np.ones((2, *decays.shape))
         weights[1, 2] = 0.0
         other = target_of(decays, weights, sigma=3 * SIGMA)
         tasks = [Task(member, fit.x, use, known=fit if is_known else None) for use in (0, 1)]
-        return models.fit(other, tasks), sum(len(thetas) for thetas, _ in models.lanes.asked)
+        return models.fit(other, tasks), sum(len(thetas) for thetas, _ in models.batch.asked)
 
     (known, little), (anew, work) = ends(True), ends(False)
     # Once at the start and two differences, of three experiments and of two.
@@ -295,9 +295,9 @@ def test_a_fit_with_nothing_to_gain_asks_for_no_simulation_and_one_that_moves_ge
     models, target = models_of(decay, DECAY, [1.0, 1.0]), target_of(decays)
     member = models.member(np.arange(2))
     (fit,) = models.fit(target, [Task(member, models.neutral)])
-    models.lanes.asked.clear()
+    models.batch.asked.clear()
     (again,) = models.fit(target, [Task(member, fit.x, known=fit)])
-    assert not models.lanes.asked
+    assert not models.batch.asked
     np.testing.assert_array_equal(again.x, fit.x)
     np.testing.assert_allclose([again.cost, *again.gradient], [fit.cost, *fit.gradient], rtol=1e-12)
     # Other measurements move it.
@@ -345,13 +345,13 @@ def test_fits_that_were_kept_are_not_made_again_and_are_the_same_to_the_last_bit
 
     def ends(start):
         models = models_of(decay, DECAY, [1.0, 1.0])
-        models = NestedModels(models.lanes, models.box, np.array([1.0, 1.0]), Notebook())
+        models = NestedModels(models.batch, models.box, np.array([1.0, 1.0]), Notebook())
         tasks = [
             Task(models.member(np.arange(2)), models.neutral, rivals=0),
             Task(models.member(np.arange(2)), models.neutral + start, rivals=0),
         ]
         fits = models.fit(target_of(decays), [*tasks, Task(models.member(np.array([1])), models.neutral)])
-        return fits, sum(len(thetas) for thetas, _ in models.lanes.asked)
+        return fits, sum(len(thetas) for thetas, _ in models.batch.asked)
 
     (made, work), (again, little), (_, anew) = ends(0.3), ends(0.3), ends(0.4)
     for one, other in zip(made, again, strict=True):
@@ -369,7 +369,7 @@ def test_held_parameters_keep_their_neutral_values_to_the_last_bit(decays):
     assert models.box.theta(models.neutral)[1] != rate
     (fit,) = models.fit(target_of(decays), [Task(models.member(np.array([0])), models.neutral)])
     assert np.isfinite(fit.cost)
-    for thetas, _ in models.lanes.asked:
+    for thetas, _ in models.batch.asked:
         assert np.all(thetas[:, 1] == rate)
     assert models.theta(fit.x, fit.member)[1] == rate
 

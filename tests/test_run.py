@@ -678,11 +678,11 @@ def test_a_run_says_at_which_step_it_was_stopped(study, tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_a_diagnosis_that_was_stopped_goes_on_where_it_was(study, tmp_path, monkeypatch):
-    from hsed_jax.diagnosis.lanes import Lanes
+    from hsed_jax.diagnosis.batch import Batch
 
     simulated = 0
 
-    def counted(self, thetas, experiments, of=Lanes.__call__):
+    def counted(self, thetas, experiments, of=Batch.__call__):
         nonlocal simulated
         simulated += len(experiments)
         if simulated > limit:
@@ -696,7 +696,7 @@ def test_a_diagnosis_that_was_stopped_goes_on_where_it_was(study, tmp_path, monk
         run(steps, folder, progress=False, figures=False, **flags)
         return simulated, summary_text(folder)
 
-    monkeypatch.setattr(Lanes, "__call__", counted)
+    monkeypatch.setattr(Batch, "__call__", counted)
     limit = 10**9
     work, expected = go(tmp_path / "whole")
     limit = work * 3 // 4

@@ -39,16 +39,16 @@ def measure(quick: bool) -> list[dict[str, Any]]:
 def diagnosed(seeds: tuple[int, ...], settings: tuple[str, ...]) -> list[dict[str, Any]]:
     """What the diagnosis of each campaign took [s], how many simulations it made, and whether it named the hidden effect."""
     import hsed_jax as hx
-    from hsed_jax.diagnosis.lanes import Lanes
+    from hsed_jax.diagnosis.batch import Batch
 
     simulated = [0]
-    run = Lanes.__call__
+    run = Batch.__call__
 
     def counted(self, thetas, experiments):
         simulated[0] += len(experiments)
         return run(self, thetas, experiments)
 
-    Lanes.__call__ = counted
+    Batch.__call__ = counted
     found = []
     for seed in seeds:
         calibration = hx.calibrate(hx.load_study(_STUDY, (f"seed={seed}", _CALIBRATION, *settings)))

@@ -17,7 +17,7 @@ from hsed_jax.criticism import locate as locating
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.locate import Location
 from hsed_jax.criticism.prediction import Prediction, learned_misfit, predict
-from hsed_jax.diagnosis.lanes import Apart
+from hsed_jax.diagnosis.batch import Apart
 from hsed_jax.errors import UserError
 from hsed_jax.inference.fit import Fit, fit
 from hsed_jax.inference.watch import Watch

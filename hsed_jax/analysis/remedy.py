@@ -267,7 +267,7 @@ def _between(problem: Problem, fit: Descent, effects: Sequence[str]) -> Step:
     """A step of the trail between the model as it was and the improved one."""
     theta = problem.models.theta(fit.x, fit.member)
     rows = np.arange(problem.rows)
-    outputs, _ = problem.models.lanes(np.repeat(theta[None], len(rows), axis=0), rows)
+    outputs, _ = problem.models.batch(np.repeat(theta[None], len(rows), axis=0), rows)
     size = len(problem.train.values)
     test = None if problem.test is None else problem.test.error(outputs[size:])
     parameters = {problem.names[k]: float(theta[k]) for k in fit.free}

@@ -70,6 +70,7 @@ class Task(NamedTuple):
         use: which of the target's weights to fit.
         rivals: tasks of one number, if not negative, are starts of one fit: those that fall behind are given up.
         known: a fit of the same model that ended at the start; its use has weights for these experiments, too.
+        stays: it is judged anew where it is, and goes no further.
     """
 
     member: Member
@@ -77,6 +78,7 @@ class Task(NamedTuple):
     use: int = 0
     rivals: int = -1
     known: "Descent | None" = None
+    stays: bool = False
 
 
 @dataclass

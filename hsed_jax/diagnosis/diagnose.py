@@ -150,6 +150,8 @@ def _ranking(
             continue
         # In place of what the best model has, else (or where that is more probable than the best) beside it.
         options = [m for m in models if effect in m.effects and m.effects - {effect} in by_set]
+        if not options:
+            continue  # it promises less than others, and was not fitted
         instead = [m for m in options if len(m.effects) <= max(len(best), 1)] or options
         beside = by_set.get(best | {effect})
         if beside is None or beside.log_posterior <= by_set[best].log_posterior:

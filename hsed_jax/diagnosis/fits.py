@@ -25,6 +25,8 @@ _CAUGHT = 0.1
 _ABSENT = 1e-3
 # Another shape may make good what a form lacks of the best one of its set: so much of what that gains over an effect less.
 _SHAPE = 0.5
+# Of choices that are judged with other errors so many, those that lead, are fitted again.
+_LEAD = 12
 # Forms this many nats below the best one of their set are given up.
 _HOPELESS = 8.0
 
@@ -142,7 +144,8 @@ class Fits:
         self._fit_from(target, {choice: (starts or {}).get(choice) or self._starts(choice) for choice in new})
 
     def judge(self, target: Target, sets: Sequence[Set]) -> None:
-        """Fit sets again with other errors, each from where it was; forms that are far below others of their set are left."""
+        """Judge sets with other errors, and fit the choices that lead then again, each from where it was; forms that are far
+        below others of their set are left."""
         kept = []
         for effects in sets:
             choices = self.of(effects)
@@ -153,22 +156,14 @@ class Fits:
                 else:
                     self._hopeless.add(choice)
                     del self._known[choice]
-        self._known |= self._go_on(target, {choice: self._known[choice].x for choice in kept})
-        self._reconcile(target, kept)
+        self._known |= self._go_on(target, {choice: self._known[choice].x for choice in kept}, stay=True)
+        lead = sorted(kept, key=self._worth, reverse=True)[:_LEAD]
+        self._known |= self._go_on(target, {choice: self._known[choice].x for choice in lead})
+        self._reconcile(target, lead)
 
     def look_again(self, target: Target, choices: Sequence[Choice]) -> None:
         """Fit choices from points all over the priors of their effects: what was best with other errors need not be so now."""
         self._fit_from(target, {c: self._all_over(self._known[c].x, c) for c in choices})
-
-    def look_all_over(self, target: Target) -> None:
-        """Fit each effect alone, in every shape, from points all over the priors of law and effect: beside another law it may be
-        what it cannot be beside the fitted one."""
-        starts = {}
-        for effect, forms in self.effects.items():
-            for label, form in forms.items():
-                if not form.form.driver:
-                    starts[frozenset({(effect, label)})] = self._everywhere(np.concatenate([self.law, form.columns]))
-        self._fit_from(target, starts)
 
     def member(self, choice: Choice) -> Member:
         """The nested model of a choice."""
@@ -213,10 +208,12 @@ class Fits:
         effect, label = pair
         return self.effects[effect][label]
 
-    def _go_on(self, target: Target, starts: Mapping[Choice, np.ndarray]) -> dict[Choice, Descent]:
+    def _go_on(
+        self, target: Target, starts: Mapping[Choice, np.ndarray], stay: bool = False
+    ) -> dict[Choice, Descent]:
         # Each is a start of its own, and ends where it cannot catch up with the others.
         tasks = [
-            Task(self.member(choice), start, rivals=number, known=self._known[choice])
+            Task(self.member(choice), start, rivals=number, known=self._known[choice], stays=stay)
             for number, (choice, start) in enumerate(starts.items())
         ]
         return dict(zip(starts, self.models.fit(target, tasks), strict=True))

@@ -1,7 +1,7 @@
-r"""Fits of many nested models at once: bounded Levenberg–Marquardt whose simulations are lanes of one program.
+r"""Fits of many nested models at once: bounded Levenberg–Marquardt whose simulations are one batch.
 
 All models are the same large one, with all but a few parameters held at their neutral values.  Hence one compiled program
-serves every candidate, every start and every subset of the experiments; derivatives are differences between lanes, which cost
+serves every candidate, every start and every subset of the experiments; derivatives are differences between simulations, which cost
 one simulation each and also see an effect that has no derivative at its neutral value (a gap, a stop).  As long as steps gain
 what was expected of them, each mends the derivatives along itself instead (Broyden 1965), which costs none; nor does a fit that
 goes on, with other errors or without some of the experiments, from where another one ended.
@@ -36,27 +36,27 @@ _NUMBERS, _KEPT = 2**24, 2**17
 _MENDED, _EXPECTED = 3, 0.3
 
 Predictions = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Of parameters (L, P) and numbers of experiments (L,): outputs (L, J), and whether each converged (L,); `Lanes`, say."""
+"""Of parameters (L, P) and numbers of experiments (L,): outputs (L, J), and whether each converged (L,); `Batch`, say."""
 
 
 class NestedModels:
     """A large model whose parameters are mostly held.
 
     Arguments:
-        lanes: its predictions.
-        box: coordinates of its parameters, in the order of the lanes'.
+        batch: its predictions.
+        box: coordinates of its parameters, in the order of the batch.
         neutral: θ at which every effect is absent; law parameters at any value, (P,).
         watch: hears how many fits have ended, and keeps the ends.
     """
 
-    def __init__(self, lanes: Predictions, box: Box, neutral: Float[np.ndarray, " P"], watch: Watch | None = None):
-        self.lanes, self.box, self._watch = lanes, box, watch or Watch()
+    def __init__(self, batch: Predictions, box: Box, neutral: Float[np.ndarray, " P"], watch: Watch | None = None):
+        self.batch, self.box, self._watch = batch, box, watch or Watch()
         self._neutral = neutral
         self.neutral = box.x(neutral)
 
-    def within(self, box: Box, lanes: Predictions | None = None) -> "NestedModels":
+    def within(self, box: Box, batch: Predictions | None = None) -> "NestedModels":
         """The same models with other priors of their parameters, and with these in another meaning."""
-        return NestedModels(self.lanes if lanes is None else lanes, box, self._neutral)
+        return NestedModels(self.batch if batch is None else batch, box, self._neutral)
 
     def member(self, free: Int[np.ndarray, " p"], held: Mapping[int, float] | None = None) -> Member:
         """A model with some coordinates free, some parameters held at given values, and the others neutral."""
@@ -122,10 +122,11 @@ class NestedModels:
             one.cost, one.predicted = cost, predicted
             one.done = not np.isfinite(cost)
         lead = _lead(fits)
-        for one in (one for one, is_known in zip(fits, known, strict=True) if is_known):
+        for one, task, is_known in zip(fits, tasks, known, strict=True):
             # With other errors there may be nothing to gain where it is: that is seen without a simulation.
-            gain = self._expected(one, self._step(one))
-            one.done = gain < _GAIN or _is_beaten(one, gain, lead)
+            if is_known:
+                gain = self._expected(one, self._step(one))
+                one.done = task.stays or gain < _GAIN or _is_beaten(one, gain, lead)
         for number in range(_MOST_STEPS):
             for stage, left in _RACE.items():
                 if number == stage:
@@ -281,7 +282,7 @@ class NestedModels:
         if not requests:
             return [], []
         thetas = [np.repeat(self.theta(x, member)[None], len(rows), axis=0) for x, member, rows in requests]
-        outputs, ok = self.lanes(np.concatenate(thetas), np.concatenate([rows for _, _, rows in requests]))
+        outputs, ok = self.batch(np.concatenate(thetas), np.concatenate([rows for _, _, rows in requests]))
         ends = np.cumsum([len(rows) for _, _, rows in requests])[:-1]
         return np.split(outputs, ends), np.split(ok, ends)
 

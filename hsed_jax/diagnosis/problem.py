@@ -39,6 +39,16 @@ def amplitude_of(forms: Forms) -> tuple[int, Mapping[int, float]]:
     return int(form.columns[0]), form.held
 
 
+def of_simplest_shape(forms: Forms) -> list[str]:
+    """The forms of the default one's shape, with whatever driver that has no parameters of its own."""
+    default = next(iter(forms.values()))
+    return [
+        label
+        for label, form in forms.items()
+        if form.form.name == default.form.name and len(form.columns) == len(default.columns)
+    ]
+
+
 def of_other_drivers(forms: Forms, label: str) -> list[str]:
     """The forms with whatever driver: of the same shape, and of the simplest one, whose fit misses no driver for its shape."""
     simplest = min(forms.values(), key=lambda form: len(form.columns)).form.name

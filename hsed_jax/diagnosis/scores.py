@@ -23,7 +23,7 @@ from scipy.special import chdtrc
 from hsed_jax.diagnosis.descent import Descent, Member, Target
 from hsed_jax.diagnosis.fits import spread
 from hsed_jax.diagnosis.nested import NestedModels
-from hsed_jax.diagnosis.problem import Forms
+from hsed_jax.diagnosis.problem import Forms, of_simplest_shape
 
 # Of a difference, in coordinates of order one.
 _STEP = 1e-3
@@ -111,16 +111,12 @@ class Around:
             found.append(Promise(size * along - 0.5 * size**2 * power, start))
         return found
 
-    def of_forms(self, effects: Mapping[str, Forms], only_default: bool) -> dict[str, dict[str, list[Promise]]]:
-        """Of each effect and form what several sizes of it promise, the best first.
-
-        Arguments:
-            effects: the forms of each.
-            only_default: no other form.
-        """
+    def of_places(self, effects: Mapping[str, Forms]) -> dict[str, dict[str, list[Promise]]]:
+        """Of each effect, in its simplest shape and by driver, what several sizes of it promise, the best first."""
         trials: list[tuple[str, str, Trial]] = []
         for effect, forms in effects.items():
-            for label, form in list(forms.items())[: 1 if only_default else None]:
+            for label in of_simplest_shape(forms):
+                form = forms[label]
                 for x in self._models.box.quantiles(form.columns, spread(len(form.columns), _TRIALS)):
                     start = self._fit.x.copy()
                     start[form.columns] = x

@@ -44,8 +44,6 @@ _TRIED = 5
 _PROMISING, _STARTS = 2, 2
 # Beside a set so many effects are fitted: those that promise most.
 _REACH = 8
-# In place of an effect so many others, the most probable ones, are tried with so many beside each that promise most.
-_OTHERS, _BESIDE = 4, 2
 # All forms are fitted of so many sets (of twice as many of one effect), if they are no more nats below the most probable one
 # than this, or gain half as much as it.
 _DEEP, _NEAR = 4, 10.0
@@ -108,7 +106,6 @@ class Search:
         self.missed = 0.0
         self.predicted: dict[Set, Gain] = {}
         self._tried: set[Set] = set()
-        self._pairs: list[Set] = []
         self._pointed: dict[Set, tuple[Descent, Target, Set]] = {}
         self._growing: tuple[Set, Target, bool] = self.best, self.target, True
 
@@ -120,13 +117,8 @@ class Search:
             self._fit(around)
             # Where nothing will be named, what is said of a candidate is how large it may be.
             if self.best or self.is_open():
-                self._fit_pairs()
-                self._deepen([*around, *self._pairs])
+                self._deepen(around)
             self._judge()
-            if not self.best and self.measured.is_far_above_noise(self.all()[0].fit.predicted):
-                self._report("every effect beside any law")
-                self._fits.look_all_over(self.target)
-                self._judge()
             before, self.best = self.best, self._next()
             if self.best == before:
                 return
@@ -245,42 +237,19 @@ class Search:
                 starts |= self._promising(base, others)
         self._fits.fit(self.target, starts, starts)
 
-    def _fit_pairs(self) -> None:
-        """Fit pairs in place of each effect of the best set, where that leaves more than the noise: another effect, with what
-        promises most beside it.  One that is like neither may have taken what two effects do."""
-        self._pairs = []
-        if not self.best or len(self.best) == MOST_EFFECTS or self._is_explained(self._fits.best(self.best)):
-            return
-        self._report(f"pairs in place of {_text(self.best)}")
-        starts: dict[Choice, list[np.ndarray]] = {}
-        for base in (self.best - {out} for out in sorted(self.best)):
-            others = [e for e in self.effects if e not in self.best]
-            singles = [self.model(base | {one}) for one in others if base | {one} in self._fits]
-            for single in sorted(singles, key=lambda m: -m.log_posterior)[:_OTHERS]:
-                further = {e: self.effects[e] for e in others if e not in single.effects}
-                around = Around(self.models, self.target, single.fit, telling(self.target, single.fit))
-                promises = around.of_forms(further, only_default=True)
-                defaults = [(effect, *one) for effect, forms in promises.items() for one in forms.items()]
-                for effect, label, found in sorted(defaults, key=lambda one: -one[2][0].gain)[:_BESIDE]:
-                    choice = self._fits.top(single.effects) | {(effect, label)}
-                    starts.setdefault(choice, []).extend(p.start for p in found[:_STARTS])
-        self._pairs = list(dict.fromkeys(names_of(choice) for choice in starts))
-        self._fits.fit(self.target, starts, starts)
-
     def _promising(self, base: Set, others: Sequence[str]) -> dict[Choice, list[np.ndarray]]:
-        """Choices of one effect beside a fitted set, in the forms that promise most, and where to fit each from."""
-        top, is_open = self._fits.top(base), bool(base) or self.is_open()
-        chosen: dict[Choice, list[np.ndarray]] = {}
-        fit = self._fits.best(base)
+        """Choices of one effect beside a fitted set: the effects that promise most, by their best drivers, and starts of each."""
+        top, fit = self._fits.top(base), self._fits.best(base)
         around = Around(self.models, self.target, fit, telling(self.target, fit))
-        promises = around.of_forms({e: self.effects[e] for e in others}, only_default=not is_open)
+        promises = around.of_places({e: self.effects[e] for e in others})
         ranked = sorted(promises.items(), key=lambda item: -max(found[0].gain for found in item[1].values()))
-        for effect, forms in ranked[: _REACH if base else None]:
+        chosen: dict[Choice, list[np.ndarray]] = {}
+        for effect, forms in ranked[:_REACH]:
             default, *further = forms
             # A trial tells what there is to gain, and not what there is not: they need not promise more than the default one.
             further.sort(key=lambda f: -forms[f][0].gain)
             for label in (default, *further[:_PROMISING]):
-                chosen[top | {(effect, label)}] = [p.start for p in forms[label][: _STARTS if is_open else 1]]
+                chosen[top | {(effect, label)}] = [p.start for p in forms[label][:_STARTS]]
         return chosen
 
     def _in_forms(self, effects: Set) -> Choice:
@@ -294,7 +263,7 @@ class Search:
         # A formula that is not the specimen's costs many nats where the noise is small.
         top = ranked[0].log_posterior
         enough = min(top - _NEAR, 0.5 * (top + self.model(self.best).log_posterior))
-        near = [m for m in ranked[: _DEEP if self.best else 2 * _DEEP] if m.log_posterior >= enough]
+        near = [m for m in ranked[:_DEEP] if m.log_posterior >= enough]
         for others, several in ((of_other_drivers, 1), (of_other_shapes, _DRIVERS)):
             self._report(f"forms of {_text(near[0].effects)}")
             choices = []
@@ -312,7 +281,7 @@ class Search:
             self._fits.judge(self.target, around)
         if self.best or self.is_open():
             first = [m.effects for m in self.all() if m.effects][:_AGAIN]
-            self._fits.look_again(self.target, [choice for s in first for choice in self._fits.leading(s, _AGAIN)])
+            self._fits.look_again(self.target, [self._fits.top(s) for s in first])
 
     def _next(self) -> Set:
         """The set to go on from: the first that is supported and predicts what was not used."""
@@ -384,7 +353,7 @@ class Search:
 
     def _around(self) -> list[Set]:
         """The fitted sets around the best; of a candidate that none of them has, the set of it alone."""
-        near = dict.fromkeys([frozenset(), *self.path, *self._neighbours(), *self._pairs])
+        near = dict.fromkeys([frozenset(), *self.path, *self._neighbours()])
         sets = [s for s in near if s in self._fits]
         alone = [frozenset({e}) for e in self.effects if not any(e in s for s in sets)]
         return [*sets, *(s for s in alone if s in self._fits)]

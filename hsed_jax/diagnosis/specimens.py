@@ -94,7 +94,7 @@ def _judged(
     own = np.asarray([k for k in problem.law if problem.names[k] in membership.varying], dtype=int)
     used = problem.train.used & membership.rows[:, :, None]
     rows = np.arange(len(problem.train.values))
-    outputs, _ = models.lanes(np.repeat(theta[None], len(rows), axis=0), rows)
+    outputs, _ = models.batch(np.repeat(theta[None], len(rows), axis=0), rows)
     target = problem.train.standard(outputs, used).target
     # Each member with its own size: what that leaves is the error that sizes are judged with.
     free = np.append(own, column)

@@ -94,7 +94,7 @@ def located(place: Place, names: Sequence[str], reaches: Reaches) -> tuple[np.nd
 
 
 class ByPolynomials:
-    """Lanes whose free function is given coefficients of polynomials in place of powers.
+    """Batch whose free function is given coefficients of polynomials in place of powers.
 
     Arguments:
         lanes: that are given powers.

@@ -126,7 +126,7 @@ class PlaceSearch:
 
     def __init__(self, problem: Problem, reaches: Reaches, report: Callable[[str], None] = lambda line: None):
         self._problem, self._reaches, self._report = problem, reaches, report
-        self._lanes = ByPolynomials(problem.models.lanes, problem.names)
+        self._lanes = ByPolynomials(problem.models.batch, problem.names)
         self._folds = folds_of(problem.train.used, problem.train.groups)
         self.models = self._with({})
         free = self.models.member(problem.law)

@@ -11,10 +11,10 @@ from hsed_jax.config.schema import ImproveEntry, ScalesEntry, Study
 from hsed_jax.criticism.compare import compare
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.diagnosis.box import Box
-from hsed_jax.diagnosis.lanes import Apart, Lanes, LanesApart, Part
+from hsed_jax.diagnosis.batch import Apart, Batch, BatchApart, Part
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
-from hsed_jax.diagnosis.problem import FormColumns, Problem
+from hsed_jax.diagnosis.problem import FormColumns, Problem, of_simplest_shape
 from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.observation import conditions_of, stacked
@@ -37,8 +37,6 @@ from hsed_jax.study.specimens import effects_of
 _CANDIDATES = 32
 # The conditions are padded to a multiple of this, so that campaigns of similar size share a compiled program.
 _PADDING = 16
-# Effects of a program: it takes seconds to trace and compile, and each effect in it time in every simulation.
-_GROUP = 5
 
 
 def applicable(built: Built, campaign: Campaign) -> list[str]:
@@ -127,12 +125,11 @@ def problem_of(
     declared = _declared(free, catalogue)
     neutral = _neutral(free, declared)
     own = {name: _forms(large, name, order, (forms or {}).get(name)) for name in names}
-    groups = _groups(catalogue)
     columns = {n: np.asarray([k for k, one in enumerate(order) if owner_of(one) == n], dtype=int) for n in names}
-    parts = [Part(name, groups[name], k, neutral[k]) for name, k in columns.items()]
-    lanes = Lanes(large.simulator, large.observation, order, conditions, parts)
+    parts = [Part(name, k, neutral[k], _simplest(own[name])) for name, k in columns.items()]
+    batch = Batch(large.simulator, large.observation, order, conditions, parts)
     size = jax.tree.leaves(conditions)[0].shape[0]
-    predictions = lanes if apart is None else LanesApart(lanes, apart.across(order, size))
+    predictions = batch if apart is None else BatchApart(batch, apart.across(order, size))
     # A prior may reach beyond what is possible, and another effect is what lies there.
     box = Box(free, limits={name: (known.lower, known.upper) for name, known in declared.items()})
     models = NestedModels(predictions, box, neutral, watch)
@@ -177,18 +174,10 @@ def _forms(large: Built, effect: str, order: tuple[str, ...], only: str | None) 
     return found
 
 
-def _groups(catalogue: Catalogue) -> dict[str, int]:
-    """Effects that share a program: whole families, and of every group but the last one at least so many effects."""
-    families = dict.fromkeys(effect.family for effect in catalogue.values())
-    found: dict[str, int] = {}
-    number, count = 0, 0
-    for family in families:
-        members = [name for name, effect in catalogue.items() if effect.family == family]
-        found |= dict.fromkeys(members, number)
-        count += len(members)
-        if count >= _GROUP:
-            number, count = number + 1, 0
-    return found
+def _simplest(forms: Mapping[str, FormColumns]) -> frozenset[int]:
+    """Columns of an effect in its simplest shape, with any driver."""
+    alike = [forms[label] for label in of_simplest_shape(forms)]
+    return frozenset(k for form in alike for k in (*form.columns.tolist(), *form.held))
 
 
 def _declared(free: Iterable[str], effects: Catalogue) -> dict[str, Parameter]:

@@ -1,4 +1,4 @@
-"""Lanes of a large model: each runs the program of the effects that it has, and gives what the whole model gives."""
+"""Batch of a large model: each runs the program of the effects that it has, and gives what the whole model gives."""
 
 import jax
 import jax.numpy as jnp
@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hsed_jax.config.load import load_study
-from hsed_jax.diagnosis import lanes as module
-from hsed_jax.diagnosis.lanes import Lanes, Part
+from hsed_jax.diagnosis import batch as module
+from hsed_jax.diagnosis.batch import Batch, Part
 from hsed_jax.physics.effects import EFFECTS as CATALOGUE
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.simulator import Conditions
@@ -51,8 +51,8 @@ def test_lanes_give_what_the_whole_model_gives(case, monkeypatch, price):
     built, names, conditions, parts, thetas, experiments = case
     monkeypatch.setattr(module, "_PROGRAM", price)
     monkeypatch.setattr(module, "_PARAMETER", 0)
-    whole, ok = Lanes(built.simulator, built.observation, names, conditions)(thetas, experiments)
-    lanes = Lanes(built.simulator, built.observation, names, conditions, parts)
+    whole, ok = Batch(built.simulator, built.observation, names, conditions)(thetas, experiments)
+    lanes = Batch(built.simulator, built.observation, names, conditions, parts)
     kinds = lanes._by_program(thetas)
     # One of its own for each set, or one for whatever is asked, which is not every parameter.
     assert len(kinds) == (7 if price < 0 else 1)
@@ -69,7 +69,7 @@ def test_lanes_give_what_the_whole_model_gives(case, monkeypatch, price):
 
 @pytest.fixture
 def sized(case, monkeypatch):
-    """Lanes with effects of several sizes, where a program costs a thousand steps of a parameter; and the columns of effects."""
+    """Batch with effects of several sizes, where a program costs a thousand steps of a parameter; and the columns of effects."""
     sizes = {"found": (0, 5), "one": (1, 2), "other": (1, 2), "large": (2, 50)}
     ends = np.cumsum([size for _, size in sizes.values()])
     columns = {name: np.arange(end - size, end) for (name, (_, size)), end in zip(sizes.items(), ends, strict=True)}
@@ -77,7 +77,7 @@ def sized(case, monkeypatch):
     built, names, conditions, *_ = case
     monkeypatch.setattr(module, "_PROGRAM", 1000 * built.simulator.timeline.steps)
     monkeypatch.setattr(module, "_PARAMETER", 0)
-    lanes = Lanes(built.simulator, built.observation, names, conditions, parts)
+    lanes = Batch(built.simulator, built.observation, names, conditions, parts)
     return lanes, lambda *effects: frozenset(np.concatenate([columns[name] for name in effects]).tolist())
 
 

@@ -1,0 +1,216 @@
+r"""Simulations of many models in one batch: pairs of a parameter vector and an experiment.
+
+One program holds every candidate effect in its simplest shape with any driver.  It serves every set of effects, every campaign
+of its kind and every record of about its length, since masses, scales, data and parameters are operands.  An effect that is neutral
+does exactly nothing in it, but costs as much as any other, and the shapes of all effects cost ten times that.  So other programs hold
+all forms of the few effects whose forms are compared; and a choice of forms that is simulated again and again gets a program of
+its own, in which all other parameters are numbers that the compiler knows, as soon as that would have paid for itself (the rule
+of ski rental, which costs at most twice what the number of simulations would have told; Karlin et al. 1988).
+
+Chunks of simulations go to threads: XLA runs a program of this kind on one core, and several at a time on several.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from hsed_jax.backend import cores
+from hsed_jax.inference.observation import Observation, Outputs
+from hsed_jax.physics.batch import tiled_map
+from hsed_jax.physics.simulator import AbstractModel, Conditions, Simulator
+from hsed_jax.programs import program
+
+# Simulations of a chunk, and those that run together: most rounds ask for a few of each set.
+_CHUNK, _TILE = 64, 8
+# Outputs beyond this are on their way to infinity, and their squares would be no numbers.
+_FAR = 1e100
+# A program is made once it would have saved so many evaluations of a parameter in a step: about two seconds of either.
+_PRICE = 30_000_000
+
+Columns = frozenset[int]
+"""Parameters of effects that a program has, by their place in a parameter vector; all others are neutral in it."""
+
+
+class Part(NamedTuple):
+    """A candidate in the large model.
+
+    Attributes:
+        effect: its name.
+        columns: of its parameters, (q,).
+        neutral: what these are where it is absent, (q,).
+        simplest: columns of those that its simplest shape has, with any driver.
+    """
+
+    effect: str
+    columns: Int[np.ndarray, " q"]
+    neutral: Float[np.ndarray, " q"]
+    simplest: frozenset[int]
+
+
+class Apart(NamedTuple):
+    """How far the parameters of each experiment are from those of all, since its specimen has its own.
+
+    Attributes:
+        names: of the parameters.
+        factor, shift: what each is multiplied by, and what is added, (n, K).
+    """
+
+    names: tuple[str, ...]
+    factor: Float[np.ndarray, "n K"]
+    shift: Float[np.ndarray, "n K"]
+
+    def across(self, names: tuple[str, ...], rows: int) -> "Apart":
+        """The same for all parameters of a larger model and for more experiments, which have those of all."""
+        factor, shift = np.ones((rows, len(names))), np.zeros((rows, len(names)))
+        for k, name in enumerate(self.names):
+            column = names.index(name)
+            factor[: len(self.factor), column] = self.factor[:, k]
+            shift[: len(self.shift), column] = self.shift[:, k]
+        return Apart(names, factor, shift)
+
+
+class BatchApart(NamedTuple):
+    """A batch whose experiments have parameters of their own, relative to those that are asked for."""
+
+    batch: "Batch"
+    apart: Apart
+
+    def __call__(
+        self, thetas: Float[np.ndarray, "L P"], experiments: Int[np.ndarray, " L"]
+    ) -> tuple[Float[np.ndarray, "L J"], Float[np.ndarray, " L"]]:
+        """As those of `Batch`."""
+        own = thetas * self.apart.factor[experiments] + self.apart.shift[experiments]
+        return self.batch(own, experiments)
+
+
+class Batch:
+    """Outputs of a model over simulations, each a parameter vector and the number of an experiment.
+
+    Arguments:
+        model: the computational model.
+        observation: what of a response is predicted.
+        names: of the parameters, in the order of a parameter vector.
+        conditions: of the experiments, leading axis n.
+        parts: the effects of a `Simulator` that a simulation may lack.
+
+    Attributes:
+        simulations: how many were made so far.
+    """
+
+    def __init__(
+        self,
+        model: AbstractModel,
+        observation: Observation,
+        names: tuple[str, ...],
+        conditions: Conditions,
+        parts: Sequence[Part] = (),
+    ):
+        self._model, self._observation, self._names, self._conditions = model, observation, names, conditions
+        self._of_effect = {part.effect: frozenset(part.columns.tolist()) for part in parts}
+        self._columns = np.concatenate([np.zeros(0, dtype=int), *(part.columns for part in parts)]).astype(int)
+        self._neutral = np.concatenate([np.zeros(0), *(part.neutral for part in parts)])
+        self._steps = 1 if model.timeline is None else model.timeline.steps
+        self._simplest = frozenset[int]().union(*(part.simplest for part in parts))
+        self._programs = {has: self._program(has) for has in (frozenset[int](), self._simplest)}
+        self._spent: Counter[Columns] = Counter()
+        self._threads = ThreadPoolExecutor(cores())
+        self.simulations = 0
+
+    def __call__(
+        self, thetas: Float[np.ndarray, "L P"], experiments: Int[np.ndarray, " L"]
+    ) -> tuple[Float[np.ndarray, "L J"], Float[np.ndarray, " L"]]:
+        """Outputs (L, J) and whether each simulation converged (L,); outputs of one that diverged are zero."""
+        self.simulations += len(thetas)
+        served = [(*self._programs[has], places) for has, places in self._by_program(thetas).items()]
+        # The first chunk of each program before all others, so that programs are made side by side.
+        chunks = [
+            (outputs, columns, places[start : start + _CHUNK])
+            for start in range(0, len(thetas), _CHUNK)
+            for outputs, columns, places in served
+            if start < len(places)
+        ]
+
+        def run(chunk: tuple[Outputs, np.ndarray, np.ndarray]):
+            outputs, columns, places = chunk
+            padding = ((0, _CHUNK - len(places)),)
+            found, ok = _outputs(
+                outputs,
+                self._conditions,
+                jnp.asarray(np.pad(thetas[places][:, columns], (*padding, (0, 0)), mode="edge")),
+                jnp.asarray(np.pad(experiments[places], padding, mode="edge")),
+                jnp.asarray(len(places)),
+            )
+            return np.asarray(found)[: len(places)], np.asarray(ok)[: len(places)]
+
+        found = list(self._threads.map(run, chunks))
+        order = np.argsort(np.concatenate([places for _, _, places in chunks]))
+        return np.concatenate([out for out, _ in found])[order], np.concatenate([ok for _, ok in found])[order]
+
+    def _by_program(self, thetas: np.ndarray) -> dict[Columns, np.ndarray]:
+        """The places of simulations by the program that they run."""
+        is_needed = thetas[:, self._columns] != self._neutral
+        kinds, kind_of = np.unique(is_needed, axis=0, return_inverse=True)
+        needs = [frozenset(self._columns[kind].tolist()) for kind in kinds]
+        self._provide(needs)
+        by_program: dict[Columns, list[np.ndarray]] = {}
+        for number, needed in enumerate(needs):
+            places = np.flatnonzero(kind_of.ravel() == number)
+            by_program.setdefault(self._serving(needed, len(places)), []).append(places)
+        return {has: np.sort(np.concatenate(parts)) for has, parts in by_program.items()}
+
+    def _provide(self, needs: Sequence[Columns]) -> None:
+        """Make programs for what none has: all forms of the effects whose shape is not the simplest, with those that several
+        sets have beside them."""
+        missing: dict[Columns, set[Columns]] = {}
+        for needed in needs:
+            if not any(needed <= has for has in self._programs):
+                missing.setdefault(self._forms_of(needed - self._simplest), set()).add(self._forms_of(needed))
+        for shaped, wholes in missing.items():
+            has = shaped | self._simplest if len(wholes) > 1 else next(iter(wholes))
+            self._programs[has] = self._program(has)
+
+    def _forms_of(self, needed: Columns) -> Columns:
+        """All columns of the effects that have these."""
+        return frozenset[int]().union(*(own for own in self._of_effect.values() if own & needed))
+
+    def _serving(self, needed: Columns, simulations: int) -> Columns:
+        """The smallest program with these parameters, after one of their own was made if that has become worth it."""
+        there = min((has for has in self._programs if needed <= has), key=len)
+        self._spent[needed] += simulations * self._steps * (len(there) - len(needed))
+        if self._spent[needed] <= _PRICE:
+            return there
+        self._programs[needed] = self._program(needed)
+        return needed
+
+    def _program(self, has: Columns) -> tuple[Outputs, Int[np.ndarray, " p"]]:
+        """The model with these parameters of effects only, and the columns of all its parameters."""
+        lacking = set(self._columns.tolist()) - has
+        columns = [k for k in range(len(self._names)) if k not in lacking]
+        left_out = {effect for effect, own in self._of_effect.items() if not own & has}
+        model = self._model
+        if left_out:
+            assert isinstance(model, Simulator)
+            model = replace(model, effects=model.effects.only(e for e in model.effects if e not in left_out))
+        outputs = Outputs(model, self._observation, tuple(self._names[k] for k in columns))
+        return outputs, np.asarray(columns)
+
+
+@program
+def _outputs(respond, conditions, thetas, experiments, count):
+    def one(lane):
+        theta, experiment = lane
+        at_it = jax.tree.map(lambda leaf: leaf[experiment], conditions)
+        outputs, ok = respond(theta, at_it)
+        # On its way to infinity a diverging simulation passes numbers whose squares are no numbers any more.
+        ok = ok & jnp.all(jnp.abs(outputs) < _FAR)
+        return jnp.where(ok, outputs, 0.0), ok
+
+    outputs, ok = tiled_map(jax.vmap(one), (thetas, experiments), count=count, tile=_TILE)
+    return outputs, ok.astype(float)
