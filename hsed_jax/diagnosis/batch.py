@@ -32,7 +32,7 @@ _CHUNK, _TILE = 64, 8
 # Outputs beyond this are on their way to infinity, and their squares would be no numbers.
 _FAR = 1e100
 # A program is made once it would have saved so many evaluations of a parameter in a step: about two seconds of either.
-_PRICE = 30_000_000
+_PRICE = 300_000_000
 
 Columns = frozenset[int]
 """Parameters of effects that a program has, by their place in a parameter vector; all others are neutral in it."""
@@ -166,19 +166,21 @@ class Batch:
         return {has: np.sort(np.concatenate(parts)) for has, parts in by_program.items()}
 
     def _provide(self, needs: Sequence[Columns]) -> None:
-        """Make programs for what none has: all forms of the effects whose shape is not the simplest, with those that several
-        sets have beside them."""
-        missing: dict[Columns, set[Columns]] = {}
+        """Make programs for what none has: of each set of effects whose shapes are not the simplest, all that is asked of it, with
+        the simplest shapes of all others where it is asked beside several."""
+        missing: dict[frozenset[str], list[Columns]] = {}
         for needed in needs:
             if not any(needed <= has for has in self._programs):
-                missing.setdefault(self._forms_of(needed - self._simplest), set()).add(self._forms_of(needed))
-        for shaped, wholes in missing.items():
-            has = shaped | self._simplest if len(wholes) > 1 else next(iter(wholes))
+                missing.setdefault(self._effects_of(needed - self._simplest), []).append(needed)
+        for asked in missing.values():
+            has = frozenset[int]().union(*asked)
+            several = len({self._effects_of(needed) for needed in asked}) > 1
+            has |= self._simplest if several else has
             self._programs[has] = self._program(has)
 
-    def _forms_of(self, needed: Columns) -> Columns:
-        """All columns of the effects that have these."""
-        return frozenset[int]().union(*(own for own in self._of_effect.values() if own & needed))
+    def _effects_of(self, needed: Columns) -> frozenset[str]:
+        """The effects that have these columns."""
+        return frozenset(effect for effect, own in self._of_effect.items() if own & needed)
 
     def _serving(self, needed: Columns, simulations: int) -> Columns:
         """The smallest program with these parameters, after one of their own was made if that has become worth it."""

@@ -53,6 +53,7 @@ class NestedModels:
         self.batch, self.box, self._watch = batch, box, watch or Watch()
         self._neutral = neutral
         self.neutral = box.x(neutral)
+        self._asked = 0
 
     def within(self, box: Box, batch: Predictions | None = None) -> "NestedModels":
         """The same models with other priors of their parameters, and with these in another meaning."""
@@ -96,7 +97,11 @@ class NestedModels:
         Returns:
             The ends, in the order of the tasks.
         """
-        name = f"fits-{fingerprint(self._neutral, target, list(tasks))}"
+        # By their place in the search and by what is whole numbers in them: two programs of one model differ in the last bit, and
+        # a search that goes on does not make the programs that the interrupted one made.
+        self._asked += 1
+        whole = [[t.member.free, t.use, t.rivals] for t in tasks]
+        name = f"fits-{fingerprint(self._asked, self._neutral, target.values, whole)}"
         if (kept := self._watch.recall(name)) is not None:
             return self._again(target, tasks, kept)
         fits = self._descended(target, tasks)

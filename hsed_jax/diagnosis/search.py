@@ -52,7 +52,7 @@ _AGAIN = 3
 # Of so many likely forms of a set it is asked what they predict, where evidence does not rank them.
 _FORMS = 6
 # With so many drivers the shapes of a form are fitted, where these may be the most probable.
-_DRIVERS = 7
+_DRIVERS = 2
 
 
 class Search:
@@ -269,7 +269,9 @@ class Search:
             choices = []
             leading = [choice for m in near for choice in self._fits.leading(m.effects, several)]
             for own, (effect, label) in ((choice, form) for choice in leading for form in choice):
-                choices += [own - {(effect, label)} | {(effect, o)} for o in others(self.effects[effect], label)]
+                # Of what the best set has, in that set alone: beside its forms those of another effect are compared.
+                if effect not in self.best or names_of(own) == self.best:
+                    choices += [own - {(effect, label)} | {(effect, o)} for o in others(self.effects[effect], label)]
             self._fits.fit(self.target, dict.fromkeys(choices))
 
     def _judge(self) -> None:
