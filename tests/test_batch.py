@@ -14,7 +14,7 @@ from hsed_jax.physics.simulator import Conditions
 from hsed_jax.study.build import Built
 
 pytestmark = pytest.mark.optimised
-EFFECTS = {"hardening": 0, "viscous_damping": 0, "stiffness_degradation": 1, "mass_error": 2}
+EFFECTS = ("hardening", "viscous_damping", "stiffness_degradation", "mass_error")
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def case(request):
     space = built.space
     cube = space.initial_design(3)
     conditions = Conditions({n: jnp.asarray(x) for n, x in space.si(space.declared(cube)).items()})
-    parts = [Part(name, group, columns[name], neutral[columns[name]]) for name, group in EFFECTS.items()]
+    parts = [Part(name, columns[name], neutral[columns[name]], frozenset(columns[name].tolist())) for name in EFFECTS]
     sets = [(), ("hardening",), ("viscous_damping", "hardening"), ("stiffness_degradation",), ("mass_error",),
             ("hardening", "stiffness_degradation"), tuple(EFFECTS)]  # fmt: skip
     thetas = np.tile(neutral, (3 * len(sets), 1))
@@ -43,22 +43,20 @@ def case(request):
 
 
 @pytest.mark.parametrize(
-    "price",
-    [pytest.param(-1, marks=pytest.mark.whole), 10**12],
-    ids=["programs of their own", "one program"],
+    "price", [pytest.param(-1, marks=pytest.mark.whole), 10**12], ids=["programs of their own", "one program"]
 )
-def test_lanes_give_what_the_whole_model_gives(case, monkeypatch, price):
+def test_a_batch_gives_what_the_whole_model_gives(case, monkeypatch, price):
     built, names, conditions, parts, thetas, experiments = case
-    monkeypatch.setattr(module, "_PROGRAM", price)
-    monkeypatch.setattr(module, "_PARAMETER", 0)
+    monkeypatch.setattr(module, "_PRICE", price)
+    # Without parts everything is one program.
     whole, ok = Batch(built.simulator, built.observation, names, conditions)(thetas, experiments)
-    lanes = Batch(built.simulator, built.observation, names, conditions, parts)
-    kinds = lanes._by_program(thetas)
-    # One of its own for each set, or one for whatever is asked, which is not every parameter.
-    assert len(kinds) == (7 if price < 0 else 1)
-    found, converged = lanes(thetas, experiments)
+    batch = Batch(built.simulator, built.observation, names, conditions, parts)
+    kinds = batch._by_program(thetas)
+    # One of its own for each set, or one for all of them beside that of the law.
+    assert len(kinds) == (7 if price < 0 else 2)
+    found, converged = batch(thetas, experiments)
     np.testing.assert_array_equal(converged, ok)
-    assert ok.all()
+    assert ok.all() and batch.simulations == len(thetas)
     np.testing.assert_allclose(found, whole, rtol=1e-9)
     # In the order that was asked for, of the experiment that was asked for.
     theta = dict(zip(names, thetas[4], strict=True))
@@ -69,42 +67,38 @@ def test_lanes_give_what_the_whole_model_gives(case, monkeypatch, price):
 
 @pytest.fixture
 def sized(case, monkeypatch):
-    """Batch with effects of several sizes, where a program costs a thousand steps of a parameter; and the columns of effects."""
-    sizes = {"found": (0, 5), "one": (1, 2), "other": (1, 2), "large": (2, 50)}
-    ends = np.cumsum([size for _, size in sizes.values()])
-    columns = {name: np.arange(end - size, end) for (name, (_, size)), end in zip(sizes.items(), ends, strict=True)}
-    parts = [Part(name, group, columns[name], np.zeros(size)) for name, (group, size) in sizes.items()]
+    """A batch with two effects of a shape each beside the simplest one, where a program costs a thousand steps of a parameter."""
     built, names, conditions, *_ = case
-    monkeypatch.setattr(module, "_PROGRAM", 1000 * built.simulator.timeline.steps)
-    monkeypatch.setattr(module, "_PARAMETER", 0)
-    lanes = Batch(built.simulator, built.observation, names, conditions, parts)
-    return lanes, lambda *effects: frozenset(np.concatenate([columns[name] for name in effects]).tolist())
+    parts = [
+        Part("one", np.arange(0, 3), np.zeros(3), frozenset({0})),
+        Part("other", np.arange(3, 5), np.zeros(2), frozenset({3})),
+        Part("third", np.arange(5, 6), np.zeros(1), frozenset({5})),
+    ]
+    monkeypatch.setattr(module, "_PRICE", 1000 * built.simulator.timeline.steps)
+    return Batch(built.simulator, built.observation, names, conditions, parts)
 
 
-def served(lanes, *asked):
-    """Sizes of the programs that lanes with these parameters run."""
-    thetas = np.zeros((sum(count for _, count in asked), 59))
-    ends = np.cumsum([count for _, count in asked])
-    for (needed, count), end in zip(asked, ends, strict=True):
-        thetas[end - count : end, sorted(needed)] = 1.0
-    return sorted((len(columns), len(rows)) for columns, rows in lanes._by_program(thetas).items())
+def served(batch, *asked):
+    """Sizes of the programs that run, with how many simulations each runs, for sets of columns, each asked for so often."""
+    thetas = np.zeros((sum(count for _, count in asked), len(batch._names)))
+    place = 0
+    for columns, count in asked:
+        thetas[place : place + count, sorted(columns)] = 1.0
+        place += count
+    return sorted((len(has), len(rows)) for has, rows in batch._by_program(thetas).items())
 
 
-def test_programs_have_what_is_asked_of_them(sized):
-    lanes, of = sized
-    # Few lanes share a program, whatever their effects; many of one group have one of their own.
-    assert served(lanes, (of("one"), 1), (of("other"), 1), (frozenset({0}), 1)) == [(5, 3)]
-    assert served(lanes, (of("large"), 100), (frozenset({1}), 100)) == [(1, 100), (50, 100)]
-    # What is missing a second time gets what had been missing as well.
-    assert served(lanes, (of("other") | {1}, 1)) == [(6, 1)]
-    assert served(lanes, (of("one") | {4}, 1), (of("large"), 1)) == [(7, 1), (50, 1)]
+def test_effects_in_their_simplest_shapes_share_a_program_whatever_their_sets(sized):
+    assert served(sized, ({0}, 1), ({3, 5}, 2), ({0, 3, 5}, 1)) == [(3, 4)]
 
 
-def test_what_is_asked_on_and_on_gets_a_program_of_its_own(sized):
-    lanes, of = sized
-    pairs = [of("one") | {0}, of("other") | {0}]
-    assert served(lanes, (pairs[0], 1), (pairs[1], 1)) == [(5, 2)]
-    # A lane saves two steps in a program of its own, which costs a thousand.
-    assert [served(lanes, (pairs[0], 100)) for _ in range(8)] == [[(5, 100)]] * 4 + [[(3, 100)]] * 4
-    assert served(lanes, (of("other"), 1), (pairs[0], 1)) == [(3, 1), (5, 1)]
-    assert served(lanes, (frozenset(), 600)) == [(0, 600)]
+def test_forms_that_are_asked_for_together_share_a_program(sized):
+    # Of one set: what its forms have. Beside several effects: with the simplest shapes of all.
+    assert served(sized, ({0, 1}, 1), ({0, 2}, 1)) == [(3, 2)]
+    assert served(sized, ({0, 3, 4}, 1), ({4, 5, 3}, 1)) == [(4, 2)]
+
+
+def test_what_is_simulated_again_and_again_gets_a_program_of_its_own(sized):
+    # Each saves two parameters, and the program costs a thousand.
+    assert [served(sized, ({0}, 100)) for _ in range(8)] == [[(3, 100)]] * 5 + [[(1, 100)]] * 3
+    assert served(sized, ({0, 3}, 1), ({0}, 1)) == [(1, 1), (3, 1)]

@@ -165,6 +165,15 @@ class Fits:
         """Fit choices from points all over the priors of their effects: what was best with other errors need not be so now."""
         self._fit_from(target, {c: self._all_over(self._known[c].x, c) for c in choices})
 
+    def look_all_over(self, target: Target) -> None:
+        """Fit each effect alone, in its simplest shape, from points all over the priors of law and effect: beside another law it
+        may be what it cannot be beside the fitted one."""
+        starts = {}
+        for effect, forms in self.effects.items():
+            label, form = next(iter(forms.items()))
+            starts[frozenset({(effect, label)})] = self._everywhere(np.concatenate([self.law, form.columns]))
+        self._fit_from(target, starts)
+
     def member(self, choice: Choice) -> Member:
         """The nested model of a choice."""
         forms = [self._form(pair) for pair in sorted(choice)]

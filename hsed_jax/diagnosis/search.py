@@ -44,9 +44,11 @@ _TRIED = 5
 _PROMISING, _STARTS = 2, 2
 # Beside a set so many effects are fitted: those that promise most.
 _REACH = 8
+# In place of an effect so many others, the most probable ones, are tried with so many beside each that promise most.
+_OTHERS, _BESIDE = 3, 2
 # All forms are fitted of so many sets (of twice as many of one effect), if they are no more nats below the most probable one
 # than this, or gain half as much as it.
-_DEEP, _NEAR = 4, 10.0
+_DEEP, _NEAR = 2, 10.0
 # Of so many sets that rank first so many forms are fitted anew, once the errors are known.
 _AGAIN = 3
 # Of so many likely forms of a set it is asked what they predict, where evidence does not rank them.
@@ -106,6 +108,7 @@ class Search:
         self.missed = 0.0
         self.predicted: dict[Set, Gain] = {}
         self._tried: set[Set] = set()
+        self._pairs: list[Set] = []
         self._pointed: dict[Set, tuple[Descent, Target, Set]] = {}
         self._growing: tuple[Set, Target, bool] = self.best, self.target, True
 
@@ -117,8 +120,13 @@ class Search:
             self._fit(around)
             # Where nothing will be named, what is said of a candidate is how large it may be.
             if self.best or self.is_open():
-                self._deepen(around)
+                self._fit_pairs()
+                self._deepen([*around, *self._pairs])
             self._judge()
+            if not self.best and self.measured.is_far_above_noise(self.all()[0].fit.predicted):
+                self._report("every effect beside any law")
+                self._fits.look_all_over(self.target)
+                self._judge()
             before, self.best = self.best, self._next()
             if self.best == before:
                 return
@@ -237,6 +245,27 @@ class Search:
                 starts |= self._promising(base, others)
         self._fits.fit(self.target, starts, starts)
 
+    def _fit_pairs(self) -> None:
+        """Fit pairs in place of each effect of the best set, where that leaves more than the noise: another effect, with what
+        promises most beside it.  One that is like neither may have taken what two effects do."""
+        self._pairs = []
+        if not self.best or len(self.best) == MOST_EFFECTS or self._is_explained(self._fits.best(self.best)):
+            return
+        self._report(f"pairs in place of {_text(self.best)}")
+        starts: dict[Choice, list[np.ndarray]] = {}
+        for base in (self.best - {out} for out in sorted(self.best)):
+            others = [e for e in self.effects if e not in self.best]
+            singles = [self.model(base | {one}) for one in others if base | {one} in self._fits]
+            for single in sorted(singles, key=lambda m: -m.log_posterior)[:_OTHERS]:
+                further = {e: self.effects[e] for e in others if e not in single.effects}
+                promises = Around(self.models, self.target, single.fit, telling(self.target, single.fit)).of_places(further)
+                defaults = [(effect, *next(iter(forms.items()))) for effect, forms in promises.items()]
+                for effect, label, found in sorted(defaults, key=lambda one: -one[2][0].gain)[:_BESIDE]:
+                    choice = self._fits.top(single.effects) | {(effect, label)}
+                    starts.setdefault(choice, []).extend(p.start for p in found[:_STARTS])
+        self._pairs = list(dict.fromkeys(names_of(choice) for choice in starts))
+        self._fits.fit(self.target, starts, starts)
+
     def _promising(self, base: Set, others: Sequence[str]) -> dict[Choice, list[np.ndarray]]:
         """Choices of one effect beside a fitted set: the effects that promise most, by their best drivers, and starts of each."""
         top, fit = self._fits.top(base), self._fits.best(base)
@@ -263,7 +292,7 @@ class Search:
         # A formula that is not the specimen's costs many nats where the noise is small.
         top = ranked[0].log_posterior
         enough = min(top - _NEAR, 0.5 * (top + self.model(self.best).log_posterior))
-        near = [m for m in ranked[:_DEEP] if m.log_posterior >= enough]
+        near = [m for m in ranked[: _DEEP if self.best else 2 * _DEEP] if m.log_posterior >= enough]
         for others, several in ((of_other_drivers, 1), (of_other_shapes, _DRIVERS)):
             self._report(f"forms of {_text(near[0].effects)}")
             choices = []
@@ -355,7 +384,7 @@ class Search:
 
     def _around(self) -> list[Set]:
         """The fitted sets around the best; of a candidate that none of them has, the set of it alone."""
-        near = dict.fromkeys([frozenset(), *self.path, *self._neighbours()])
+        near = dict.fromkeys([frozenset(), *self.path, *self._neighbours(), *self._pairs])
         sets = [s for s in near if s in self._fits]
         alone = [frozenset({e}) for e in self.effects if not any(e in s for s in sets)]
         return [*sets, *(s for s in alone if s in self._fits)]
