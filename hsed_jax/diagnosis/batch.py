@@ -168,15 +168,16 @@ class Batch:
     def _provide(self, needs: Sequence[Columns]) -> None:
         """Make programs for what none has: of each set of effects whose shapes are not the simplest, all that is asked of it, with
         the simplest shapes of all others where it is asked beside several."""
-        missing: dict[frozenset[str], list[Columns]] = {}
+        asked: dict[frozenset[str], list[Columns]] = {}
         for needed in needs:
-            if not any(needed <= has for has in self._programs):
-                missing.setdefault(self._effects_of(needed - self._simplest), []).append(needed)
-        for asked in missing.values():
-            has = frozenset[int]().union(*asked)
-            several = len({self._effects_of(needed) for needed in asked}) > 1
-            has |= self._simplest if several else has
-            self._programs[has] = self._program(has)
+            asked.setdefault(self._effects_of(needed - self._simplest), []).append(needed)
+        # The largest first: that of a set serves its parts.
+        for _, own in sorted(asked.items(), key=lambda item: -len(item[0])):
+            missing = [needed for needed in own if not any(needed <= has for has in self._programs)]
+            if missing:
+                several = len({self._effects_of(needed) for needed in missing}) > 1
+                has = frozenset[int]().union(*missing, self._simplest if several else ())
+                self._programs[has] = self._program(has)
 
     def _effects_of(self, needed: Columns) -> frozenset[str]:
         """The effects that have these columns."""
