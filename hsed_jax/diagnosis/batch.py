@@ -129,10 +129,12 @@ class Batch:
         """Outputs (L, J) and whether each simulation converged (L,); outputs of one that diverged are zero."""
         self.simulations += len(thetas)
         served = [(*self._programs[has], places) for has, places in self._by_program(thetas).items()]
-        # The first chunk of each program before all others, so that programs are made side by side.
+        # Tiles are shared among the cores.  The first chunk of each program comes before all others, so that programs are made
+        # side by side.
+        size = min(max(-(-len(thetas) // (cores() * _TILE)), 1) * _TILE, _CHUNK)
         chunks = [
-            (outputs, columns, places[start : start + _CHUNK])
-            for start in range(0, len(thetas), _CHUNK)
+            (outputs, columns, places[start : start + size])
+            for start in range(0, len(thetas), size)
             for outputs, columns, places in served
             if start < len(places)
         ]
