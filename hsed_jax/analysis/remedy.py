@@ -52,7 +52,7 @@ def diagnose(calibration: Calibration, campaign: Campaign | None = None, watch: 
         return problem_of(built, some, watch=watch, known=calibration.map, apart=calibration.apart(some))
 
     problem = problem_with(campaign)
-    found = diagnosing.diagnose(problem, watch.report)
+    found = diagnosing.diagnose(problem, watch.report, watch.lead)
     return over_specimens(found, problem, problem_with, built, campaign, watch.report)
 
 

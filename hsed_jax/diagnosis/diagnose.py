@@ -26,6 +26,8 @@ _MOST_CLOSE = 8
 _DRAWS = 240
 # Draws that must count before a sample is believed.
 _ENOUGH = 30
+# Effects that are shown while a search goes on.
+_SHOWN = 5
 # An effect with this probability is likely: where it is not named, it is said why.
 _LIKELY = 0.1
 # Nats between two optima of the model as it is that are worth a word.
@@ -38,18 +40,24 @@ _MISSED = (
 )
 
 
-def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None) -> Diagnosis:
+def diagnose(
+    problem: Problem,
+    report: Callable[[str], None] = lambda line: None,
+    lead: Callable[[dict[str, Any]], None] = lambda content: None,
+) -> Diagnosis:
     """Look for missing effects.
 
     Arguments:
         problem: the measurements and the large model.
         report: called with what is being done, for a progress bar.
+        lead: called with what leads after each round, in the words of `summary.json`.
     """
 
     is_explained = partial(noise_explains, problem)
     search = Search(
         problem.models, problem.train, problem.law, problem.effects, is_explained, report, problem.test, problem.start
     )
+    search.on_round = lambda: lead(_leading(problem, search))
     search.start()
     p_value = _p_value(problem, search.model(()).fit)
     search.run()
@@ -101,6 +109,31 @@ def diagnose(problem: Problem, report: Callable[[str], None] = lambda line: None
         notes=[*problem.notes, *([_MISSED] if search.missed > _APART else [])],
         averaged=average,
     )
+
+
+def _leading(problem: Problem, search: Search) -> dict[str, Any]:
+    """What leads in a search that goes on: the best set, and the probabilities of the models so far."""
+    models, best = search.all(), search.model(search.best)
+    before = search.model(())
+    ranking = [
+        {
+            "effect": effect,
+            "family": problem.catalogue[effect].family,
+            "probability": float(sum(p for m, p in zip(models, shares_of(models), strict=True) if effect in m.effects)),
+        }
+        for effect in problem.effects
+    ]
+    return {
+        "is_finished": False,
+        "effects": sorted(best.effects),
+        "forms": {e: label for e, label in best.forms.items() if label},
+        "error": {
+            "before": problem.train.error(before.fit.predicted),
+            "after": problem.train.error(best.fit.predicted),
+            "noise_floor": problem.train.noise,
+        },
+        "ranking": sorted(ranking, key=lambda entry: -entry["probability"])[:_SHOWN],
+    }
 
 
 # Probabilities and sizes.

@@ -19,7 +19,7 @@ _BLOCKS = 4
 # A textbook formula is off by a third of its effect: the last that is left beside an effect, if smaller, is no other physics.
 _MATERIAL, _FORMULA = 0.05, 0.1
 # Where what is left is far above the noise, this share of it is enough: the model is wrong, and prediction decides.
-_PART = 0.2
+_PART = 0.05
 # Where what is left is so many times the noise, squared, one that leaves nothing is no accident (second: no more parameters).
 _CLEAR, _SEEN = 2.0, 1.2
 

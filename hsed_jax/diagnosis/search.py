@@ -79,6 +79,7 @@ class Search:
         path: the sets that were best, from none on.
         scores: Rao's score statistic of each candidate in the model as it is.
         predicted: what sets gained in the prediction of what was left out, where that ranked them.
+        on_round: called after each round.
         missed: by how many nats the best fit of the model as it is beats the one from `start`.
     """
 
@@ -106,6 +107,7 @@ class Search:
         self.path: list[Set] = [self.best]
         self.scores: dict[str, float] = {}
         self.missed = 0.0
+        self.on_round: Callable[[], None] = lambda: None
         self.predicted: dict[Set, Gain] = {}
         self._tried: set[Set] = set()
         self._pairs: list[Set] = []
@@ -128,6 +130,7 @@ class Search:
                 self._fits.look_all_over(self.target)
                 self._judge()
             before, self.best = self.best, self._next()
+            self.on_round()
             if self.best == before:
                 return
             if self.best in self.path:
@@ -329,10 +332,10 @@ class Search:
         than it by more than a standard error, or with an effect less no worse by that."""
         here, others = self.model(self.best), [m for m in self.all() if m.effects != self.best]
         likely = [m for m in others if m.log_posterior > here.log_posterior]
-        is_wrong = self.measured.is_far_above_noise(here.fit.predicted)
+        is_wrong = not self._evidence_decides(here.fit)
         pool = (others if is_wrong else likely)[:_POOL]
         pool = [*pool[:_TRIED], *self.fit_alike(pool[_TRIED:], pool)]
-        if not pool or (likely and self._is_explained(likely[0].fit)):
+        if not pool or (likely and self._evidence_decides(likely[0].fit)):
             return likely
         self._report("what they predict of experiments left out")
         self._choose_forms([here, *pool[:_TRIED]] if is_wrong else [])
@@ -377,6 +380,10 @@ class Search:
             may_grow = now**2 - max(1 - by_chance, 0.0) * noise**2 >= needed
             self._growing = self.best, self.target, may_grow
         return may_grow
+
+    def _evidence_decides(self, fit: Descent) -> bool:
+        """Whether a model may be the true one: its noise is known, and explains what it leaves."""
+        return not np.isnan(self.measured.declared).any() and self._is_explained(fit)
 
     def is_open(self) -> bool:
         """Whether anything is left for a further effect to explain, by size or by a score test."""

@@ -5,6 +5,7 @@ A calculation is handed a `Watch` and knows of no bars and no files.
 
 import hashlib
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -21,6 +22,9 @@ class Watch:
 
     def count(self, done: int, total: int) -> None:
         """Hear how much of it is done."""
+
+    def lead(self, content: dict[str, Any]) -> None:
+        """Hear what leads so far, in the words of `summary.json`."""
 
     def keep(self, name: str, arrays: Sequence[np.ndarray]) -> None:
         """Keep what was reached under a name, in place of what was kept before."""

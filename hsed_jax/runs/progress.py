@@ -4,6 +4,7 @@ import sys
 import threading
 from collections.abc import Sequence
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -11,8 +12,8 @@ from tqdm import tqdm
 from hsed_jax.inference.watch import Watch
 from hsed_jax.runs.folder import RunFolder
 
-_PLAIN = "{desc} [{elapsed}]"
-_COUNTED = "{desc}: {percentage:3.0f}% |{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}]"
+_PLAIN = "{desc} [{elapsed}]{postfix}"
+_COUNTED = "{desc}: {percentage:3.0f}% |{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}]{postfix}"
 
 
 class Progress(Watch):
@@ -22,10 +23,14 @@ class Progress(Watch):
         step: its name.
         show: on the standard error; where that is no terminal, now and then.
         store: the run folder; without one nothing is kept.
+
+    Attributes:
+        leading: what leads so far, in the words of `summary.json`.
     """
 
     def __init__(self, step: str, show: bool, store: RunFolder | None = None):
         self._step, self._store = step, store
+        self.leading: dict[str, Any] = {}
         is_seen = sys.stderr.isatty()
         self._bar = tqdm(desc=step, bar_format=_PLAIN, disable=not show, mininterval=0.1 if is_seen else 10.0)
         self._ended = threading.Event()
@@ -54,6 +59,14 @@ class Progress(Watch):
             self._bar.bar_format = _COUNTED
             self._bar.reset(total)
         self._bar.update(done - self._bar.n)
+
+    def lead(self, content: dict[str, Any]) -> None:
+        """Show the leading explanation with its error, for the summary of a run that is interrupted."""
+        self.leading = content
+        if not self._bar.disable:
+            before, after = content["error"]["before"], content["error"]["after"]
+            named = " + ".join(content["effects"]) or "no effect"
+            self._bar.set_postfix_str(f"so far {named}: error {before:.3f} -> {after:.3f}")
 
     def keep(self, name: str, arrays: Sequence[np.ndarray]) -> None:
         """Keep what was reached in the run folder."""

@@ -105,6 +105,7 @@ class Run:
         self._campaign = self.built.empty_campaign() if self.built.measured is None else self.built.measured
         self.stop_reason = "iterations"
         self._under_way = ""
+        self._followed: Progress | None = None
         self.calibration: Calibration | None = None
         self.comparison: Comparison | None = None
         self.location: Location | None = None
@@ -169,7 +170,10 @@ class Run:
 
     def _stopped(self) -> str:
         """Leave behind what the run has come to when it is interrupted, and say where."""
-        self.store.write_summary(summary(self.outcome("interrupted")))
+        content = summary(self.outcome("interrupted"))
+        if self._leading:
+            content["diagnosis"] = self._leading
+        self.store.write_summary(content)
         steps = self.study.steps
         if self._under_way == "design":
             where = f"after {len(self.steps)} of {self.study.design.iterations} steps of the design"
@@ -178,6 +182,11 @@ class Run:
         else:
             where = "while the results were written"
         return f"stopped {where}; nothing is lost: say --resume to go on"
+
+    @property
+    def _leading(self) -> dict[str, Any]:
+        """What leads in a diagnosis that has not ended."""
+        return {} if self.diagnosis is not None or self._followed is None else self._followed.leading
 
     def _watch(self, step: str) -> Progress:
         return Progress(step, self.progress, self.store)
@@ -298,6 +307,8 @@ class Run:
     def _diagnose(self) -> None:
         assert self.calibration is not None
         with self._watch("diagnose") as watch:
+            # The same object until the diagnosis is there.
+            self._followed = watch
             self.diagnosis = diagnose(self.calibration, watch=watch)
         if self.diagnosis.effects:
             self.remaining = locating.locate(self.diagnosis.prediction, self.campaign)
