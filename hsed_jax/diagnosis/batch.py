@@ -90,6 +90,24 @@ class BatchApart(NamedTuple):
         return self.batch(own, experiments)
 
 
+class Selected(NamedTuple):
+    """A batch of some of the experiments, known by their places among these.
+
+    Attributes:
+        batch: of all experiments.
+        rows: places of the experiments among all, (r,).
+    """
+
+    batch: "Batch | BatchApart"
+    rows: Int[np.ndarray, " r"]
+
+    def __call__(
+        self, thetas: Float[np.ndarray, "L P"], experiments: Int[np.ndarray, " L"]
+    ) -> tuple[Float[np.ndarray, "L J"], Float[np.ndarray, " L"]]:
+        """As that of `Batch`."""
+        return self.batch(thetas, self.rows[experiments])
+
+
 class Batch:
     """Outputs of a model over simulations, each a parameter vector and the number of an experiment.
 

@@ -26,6 +26,8 @@ _MOST_CLOSE = 8
 _DRAWS = 240
 # Draws that must count before a sample is believed.
 _ENOUGH = 30
+# Training experiments that a search looks at: all judge what it has found.
+_MOST_EXPERIMENTS = 6
 # Effects that are shown while a search goes on.
 _SHOWN = 5
 # An effect with this probability is likely: where it is not named, it is said why.
@@ -54,13 +56,19 @@ def diagnose(
     """
 
     is_explained = partial(noise_explains, problem)
-    search = Search(
-        problem.models, problem.train, problem.law, problem.effects, is_explained, report, problem.test, problem.start
-    )
-    search.on_round = lambda: lead(_leading(problem, search))
-    search.start()
+    search = _started(problem, report)
     p_value = _p_value(problem, search.model(()).fit)
-    search.run()
+    few = problem.of_few(_MOST_EXPERIMENTS)
+    if few is None:
+        search.on_round = lambda: lead(_leading(problem, search))
+        search.run()
+    else:
+        # A few experiments tell what to look at, and all of them what it is worth.
+        coarse = _started(few, report)
+        coarse.on_round = lambda: lead(_leading(few, coarse))
+        coarse.run()
+        report("what was found, on all experiments")
+        search.adopt(coarse)
     report("probabilities and sizes")
     models = search.all()
     best, sampled, models = _confirmed(problem, search, models)
@@ -111,6 +119,15 @@ def diagnose(
     )
 
 
+def _started(problem: Problem, report: Callable[[str], None]) -> Search:
+    is_explained = partial(noise_explains, problem)
+    search = Search(
+        problem.models, problem.train, problem.law, problem.effects, is_explained, report, problem.test, problem.start
+    )
+    search.start()
+    return search
+
+
 def _leading(problem: Problem, search: Search) -> dict[str, Any]:
     """What leads in a search that goes on: the best set, and the probabilities of the models so far."""
     models, best = search.all(), search.model(search.best)
@@ -148,8 +165,8 @@ def _confirmed(problem: Problem, search: Search, models: list[Model]) -> tuple[M
     shares = shares_of(models)
     chosen = search.model(search.best)
     close = [m for m, share in zip(models, shares, strict=True) if share >= _CLOSE][:_MOST_CLOSE]
-    if not chosen.effects and not search.is_open():
-        # Nothing is named whatever they come to.
+    if chosen.effects in search.predicted or not (chosen.effects or search.is_open()):
+        # It is not evidence that chose, or nothing is named whatever they come to.
         close = [chosen]
     if all(m.effects != chosen.effects for m in close):
         close.append(chosen)

@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
+from hsed_jax.diagnosis.batch import Selected
 from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.descent import Descent, Member, Target, Task
 from hsed_jax.inference.watch import Watch, fingerprint
@@ -58,6 +59,10 @@ class NestedModels:
     def within(self, box: Box, batch: Predictions | None = None) -> "NestedModels":
         """The same models with other priors of their parameters, and with these in another meaning."""
         return NestedModels(self.batch if batch is None else batch, box, self._neutral)
+
+    def of_experiments(self, rows: Int[np.ndarray, " r"]) -> "NestedModels":
+        """The same models of some of the experiments, which are known by their places in `rows` then."""
+        return NestedModels(Selected(self.batch, rows), self.box, self._neutral, self._watch)
 
     def member(self, free: Int[np.ndarray, " p"], held: Mapping[int, float] | None = None) -> Member:
         """A model with some coordinates free, some parameters held at given values, and the others neutral."""

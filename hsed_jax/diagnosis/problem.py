@@ -106,6 +106,21 @@ class Problem(NamedTuple):
         """How many experiments were measured."""
         return len(self.train.values) + (0 if self.test is None else len(self.test.values))
 
+    def of_few(self, most: int) -> "Problem | None":
+        """The problem with so many training experiments of histories, evenly chosen; None where there are no more."""
+        count = len(self.train.values)
+        is_history = np.bincount(self.train.groups).min() > 1
+        if count <= most or not is_history:
+            return None
+        rows = np.unique(np.round(np.linspace(0, count - 1, most)).astype(int))
+        others = np.arange(count, self.rows + len(self.candidates))
+        train = self.train
+        return self._replace(
+            models=self.models.of_experiments(np.append(rows, others)),
+            train=train._replace(values=train.values[rows], used=train.used[rows], gaps=train.gaps[rows]),
+            experiments=tuple(self.experiments[row] for row in rows),
+        )
+
     def sigma(self, errors: Float[np.ndarray, " G"], predicted: Float[np.ndarray, "r J"]) -> Float[np.ndarray, "r J"]:
         """Errors of experiments that were not made, from predictions: relative ones need a magnitude."""
         return errors[self.train.groups] * self.train.expected_scales(predicted, np.ones(predicted.shape))

@@ -138,6 +138,17 @@ class Search:
                 return
             self.path.append(self.best)
 
+    def adopt(self, coarse: "Search") -> None:
+        """Judge what a search over some of the experiments has found: its best set, those on its way, and those that lead."""
+        best = coarse.best
+        leading = [m.effects for m in coarse.all()[:_TRIED]]
+        sets = dict.fromkeys([best, *(best - {e} for e in best), *coarse.path, *leading])
+        known = coarse._fits
+        choices = [choice for s in sets if s for choice in known.likeliest(s, _AGAIN)]
+        self._fits.fit(self.target, choices, {choice: [known[choice].x] for choice in choices})
+        self.best, self.path, self.predicted = best, coarse.path, coarse.predicted
+        self._judge()
+
     def model(self, effects: Iterable[str]) -> Model:
         """A model that was fitted."""
         chosen = frozenset(effects)
@@ -275,13 +286,15 @@ class Search:
         around = Around(self.models, self.target, fit, telling(self.target, fit))
         promises = around.of_places({e: self.effects[e] for e in others})
         ranked = sorted(promises.items(), key=lambda item: -max(found[0].gain for found in item[1].values()))
+        # Beside a part of the best set, what stands in place of the rest: that is looked at closely once it leads.
+        reach, starts = (_REACH, _STARTS) if base == self.best else (_REACH // 2, 1)
         chosen: dict[Choice, list[np.ndarray]] = {}
-        for effect, forms in ranked[:_REACH]:
+        for effect, forms in ranked[:reach]:
             default, *further = forms
             # A trial tells what there is to gain, and not what there is not: they need not promise more than the default one.
             further.sort(key=lambda f: -forms[f][0].gain)
-            for label in (default, *further[:_PROMISING]):
-                chosen[top | {(effect, label)}] = [p.start for p in forms[label][:_STARTS]]
+            for label in (default, *further[: starts * _PROMISING // 2]):
+                chosen[top | {(effect, label)}] = [p.start for p in forms[label][:starts]]
         return chosen
 
     def _in_forms(self, effects: Set) -> Choice:
