@@ -10,11 +10,11 @@ from scipy import stats
 
 import hsed_jax as hx
 from hsed_jax.diagnosis.averaging import averaged, stacking
+from hsed_jax.diagnosis.batch import Batch
 from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.diagnose import diagnose
 from hsed_jax.diagnosis.fits import shares_of
 from hsed_jax.diagnosis.held_out import Gain, folds_of
-from hsed_jax.diagnosis.batch import Batch
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import FormColumns, Problem

@@ -217,9 +217,7 @@ class Fits:
         effect, label = pair
         return self.effects[effect][label]
 
-    def _go_on(
-        self, target: Target, starts: Mapping[Choice, np.ndarray], stay: bool = False
-    ) -> dict[Choice, Descent]:
+    def _go_on(self, target: Target, starts: Mapping[Choice, np.ndarray], stay: bool = False) -> dict[Choice, Descent]:
         # Each is a start of its own, and ends where it cannot catch up with the others.
         tasks = [
             Task(self.member(choice), start, rivals=number, known=self._known[choice], stays=stay)

@@ -141,11 +141,10 @@ class Search:
     def adopt(self, coarse: "Search") -> None:
         """Judge what a search over some of the experiments has found: its best set, those on its way, and those that lead."""
         best = coarse.best
-        leading = [m.effects for m in coarse.all()[:_TRIED]]
+        leading = [m.effects for m in coarse.all()[:_AGAIN]]
         sets = dict.fromkeys([best, *(best - {e} for e in best), *coarse.path, *leading])
-        known = coarse._fits
-        choices = [choice for s in sets if s for choice in known.likeliest(s, _AGAIN)]
-        self._fits.fit(self.target, choices, {choice: [known[choice].x] for choice in choices})
+        choices = {coarse._fits.top(s): [coarse._fits.best(s).x] for s in sets if s}
+        self._fits.fit(self.target, choices, choices)
         self.best, self.path, self.predicted = best, coarse.path, coarse.predicted
         self._judge()
 
@@ -260,23 +259,22 @@ class Search:
         self._fits.fit(self.target, starts, starts)
 
     def _fit_pairs(self) -> None:
-        """Fit pairs in place of each effect of the best set, where that leaves more than the noise: another effect, with what
+        """Fit pairs in place of the one effect of the best set, where that leaves more than the noise: another effect, with what
         promises most beside it.  One that is like neither may have taken what two effects do."""
         self._pairs = []
-        if not self.best or len(self.best) == MOST_EFFECTS or self._is_explained(self._fits.best(self.best)):
+        if len(self.best) != 1 or self._is_explained(self._fits.best(self.best)):
             return
         self._report(f"pairs in place of {_text(self.best)}")
         starts: dict[Choice, list[np.ndarray]] = {}
-        for base in (self.best - {out} for out in sorted(self.best)):
-            others = [e for e in self.effects if e not in self.best]
-            singles = [self.model(base | {one}) for one in others if base | {one} in self._fits]
-            for single in sorted(singles, key=lambda m: -m.log_posterior)[:_OTHERS]:
-                further = {e: self.effects[e] for e in others if e not in single.effects}
-                promises = Around(self.models, self.target, single.fit, telling(self.target, single.fit)).of_places(further)
-                defaults = [(effect, *next(iter(forms.items()))) for effect, forms in promises.items()]
-                for effect, label, found in sorted(defaults, key=lambda one: -one[2][0].gain)[:_BESIDE]:
-                    choice = self._fits.top(single.effects) | {(effect, label)}
-                    starts.setdefault(choice, []).extend(p.start for p in found[:_STARTS])
+        others = [e for e in self.effects if e not in self.best]
+        singles = [self.model({one}) for one in others if frozenset({one}) in self._fits]
+        for single in sorted(singles, key=lambda m: -m.log_posterior)[:_OTHERS]:
+            further = {e: self.effects[e] for e in others if e not in single.effects}
+            promises = Around(self.models, self.target, single.fit, telling(self.target, single.fit)).of_places(further)
+            defaults = [(effect, *next(iter(forms.items()))) for effect, forms in promises.items()]
+            for effect, label, found in sorted(defaults, key=lambda one: -one[2][0].gain)[:_BESIDE]:
+                choice = self._fits.top(single.effects) | {(effect, label)}
+                starts.setdefault(choice, []).extend(p.start for p in found[:_STARTS])
         self._pairs = list(dict.fromkeys(names_of(choice) for choice in starts))
         self._fits.fit(self.target, starts, starts)
 

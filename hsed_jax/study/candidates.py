@@ -10,8 +10,8 @@ from hsed_jax.config.mechanics import DRIVER, FORM
 from hsed_jax.config.schema import ImproveEntry, ScalesEntry, Study
 from hsed_jax.criticism.compare import compare
 from hsed_jax.criticism.prediction import Prediction
-from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.batch import Apart, Batch, BatchApart, Part
+from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import FormColumns, Problem, of_simplest_shape
