@@ -46,7 +46,7 @@ _PROMISING, _STARTS = 2, 2
 _REACH = 8
 # In place of an effect so many others, the most probable ones, are tried with so many beside each that promise most.
 _OTHERS, _BESIDE = 3, 2
-# All forms are fitted of so many sets (of twice as many of one effect), if they are no more nats below the most probable one
+# All forms are fitted of so many sets (of three times as many of one effect), if they are no more nats below the most probable one
 # than this, or gain half as much as it.
 _DEEP, _NEAR = 2, 10.0
 # Of so many sets that rank first so many forms are fitted anew, once the errors are known.
@@ -306,7 +306,7 @@ class Search:
         # A formula that is not the specimen's costs many nats where the noise is small.
         top = ranked[0].log_posterior
         enough = min(top - _NEAR, 0.5 * (top + self.model(self.best).log_posterior))
-        near = [m for m in ranked[: _DEEP if self.best else 2 * _DEEP] if m.log_posterior >= enough]
+        near = [m for m in ranked[: _DEEP if self.best else 3 * _DEEP] if m.log_posterior >= enough]
         for others, several in ((of_other_drivers, 1), (of_other_shapes, _DRIVERS)):
             self._report(f"forms of {_text(near[0].effects)}")
             choices = []
