@@ -358,6 +358,7 @@ def _said(done: "Run", step: str) -> Iterator[Any]:
 
 
 def _init(options: Any) -> int:
+    from hsed_jax.drafts import write_whole
     from hsed_jax.measurements import check_campaign, read_campaign
     from hsed_jax.study.initial import initial_study
 
@@ -373,7 +374,7 @@ def _init(options: Any) -> int:
         raise UserError(f"{output} exists already; say --force to replace it or choose another --output")
     text = initial_study(campaign, folder, output)
     try:
-        output.write_text(text, encoding="utf-8")
+        write_whole(output, text)
     except OSError as error:
         raise UserError(f"{output}: cannot be written ({error.strerror}); choose another --output") from None
     print(f"wrote {output}; run it with: hsed run {quote(str(output))}")

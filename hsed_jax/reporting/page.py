@@ -51,15 +51,17 @@ def _library() -> str:
 
     It takes a second to make, and is kept for the next page where a file can be written.
     """
-    kept = cache_folder() / f"vega-{version('altair')}-{version('vl-convert-python')}.js"
+    folder = cache_folder()
+    kept = None if folder is None else folder / f"vega-{version('altair')}-{version('vl-convert-python')}.js"
     with suppress(OSError):
-        return kept.read_text(encoding="utf-8")
+        if kept is not None:
+            return kept.read_text(encoding="utf-8")
     from altair import SCHEMA_VERSION
     from vl_convert import javascript_bundle
 
     spoken = SCHEMA_VERSION.rpartition(".")[0]  # "v6.4": what the charts are written in
     script = javascript_bundle("window.vegaEmbed = vegaEmbed;", spoken).replace("</script", "<\\/script")
     with suppress(OSError):
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(kept, script, draft=f".{os.getpid()}")
+        if kept is not None:
+            write_whole(kept, script, draft=f".{os.getpid()}")
     return script
