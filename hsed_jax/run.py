@@ -252,6 +252,8 @@ def _run(options: Any) -> int:
     if done.improvement is not None:
         improved = output / "improved.yaml"
         print(f"the improved study is {improved}; run it with: hsed run {quote(str(improved))}")
+    for sentence in done.left_out:
+        print(f"warning: {sentence}", file=sys.stderr)
     print(f"results in {output}; open {output / 'report.html'} in a browser")
     return 0
 
@@ -310,23 +312,31 @@ def _numbers(option: str, given: Sequence[str] | None) -> dict[str, float] | Non
 
 
 def _report(options: Any) -> int:
+    from hsed_jax.left_out import LeftOut
     from hsed_jax.reporting.report import report_page
     from hsed_jax.reporting.side_by_side import comparison_page
     from hsed_jax.runs.folder import read_run, write_page
 
     folders = [Path(run) for run in options.runs]
-    runs = [read_run(folder) for folder in folders]
+    runs, left_out = [read_run(folder) for folder in folders], LeftOut()
     alone = len(runs) == 1
     output = Path(options.output) if options.output else folders[0] / "report.html" if alone else Path("runs.html")
-    write_page(report_page(runs[0]) if alone else comparison_page(runs), output)
+    write_page(report_page(runs[0], left_out) if alone else comparison_page(runs), output)
+    for sentence in left_out.sentences:
+        print(f"warning: {sentence}", file=sys.stderr)
     print(f"wrote {output}")
     return 0
 
 
 def _tell(done: "Run", step: str) -> None:
     """What a user sees of a step; at once, also where the output goes into a file."""
-    for said in _said(done, step):
+    from hsed_jax.left_out import LeftOut
+
+    left_out = LeftOut()
+    for said in left_out.attempt(f"tables of the step {step}", lambda: [*map(str, _said(done, step))], []):
         print(f"\n{said}", flush=True)
+    for sentence in left_out.sentences:
+        print(f"warning: {sentence}", file=sys.stderr, flush=True)
 
 
 def _said(done: "Run", step: str) -> Iterator[Any]:

@@ -18,7 +18,7 @@ from hsed_jax.physics.scales import Scales
 from hsed_jax.reporting import diagnosis_figures, style
 from hsed_jax.reporting.diagnosis_figures import before_after, error_fall, parameters_before_after, ranking
 from hsed_jax.reporting.inline_svg import inline
-from hsed_jax.runs.figures import diagnosis_pictures
+from hsed_jax.runs.figures import diagnosis_drawings
 from hsed_jax.runs.outcome import Outcome
 from hsed_jax.runs.results import _ranking
 
@@ -227,7 +227,7 @@ def test_what_there_is_material_for(monkeypatch):
     for given, expected in cases:
         outcome = object.__new__(Outcome)
         vars(outcome).update({**nothing, **given})
-        assert [name for name, _ in diagnosis_pictures(outcome)] == expected
+        assert [name for name, _ in diagnosis_drawings(outcome)] == expected
 
 
 def test_the_table_of_the_ranking():

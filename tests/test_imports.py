@@ -11,7 +11,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "hsed_jax"
 LEVELS = (
     ("drafts", "errors", "backend", "interruptions", "tables"),
-    ("exit_status", "memory", "plain", "programs"),
+    ("exit_status", "left_out", "memory", "plain", "programs"),
     ("python_files",),
     ("physics",),
     ("measurements",),

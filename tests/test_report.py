@@ -11,6 +11,7 @@ import xarray as xr
 import yaml
 
 from hsed_jax.errors import UserError
+from hsed_jax.left_out import LeftOut
 from hsed_jax.measurements import Campaign, Experiment, Record, write_campaign
 from hsed_jax.measurements.experiment import Channel
 from hsed_jax.reporting import style
@@ -19,7 +20,9 @@ from hsed_jax.reporting.inline_svg import inline
 from hsed_jax.reporting.page_tables import error_of, residual_table, samples_table, thinned, unit_words
 from hsed_jax.reporting.report import report_page
 from hsed_jax.run import main
+from hsed_jax.runs import figures
 from hsed_jax.runs.folder import read_run
+from hsed_jax.runs.outcome import Outcome
 
 HOSTILE = "</script><script>alert('x')</script>"
 IDS = ("E01", "E02", "T01")
@@ -580,3 +583,64 @@ def test_an_error_is_told_as_it_is_written(error, said):
         Campaign("measured", "displacement", channels=declared, experiments=(Experiment("E01", record=component),)),
     )
     assert said in " ".join(sentences)
+
+
+# What fails.
+
+
+def fail(*_, **__):
+    raise ValueError("shapes (2,) (3,)")
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "gone", "kept"),
+    [
+        ("tables.residual_table", "chart residual", '"residual":', '"histories":'),
+        ("tables.samples_table", "chart histories", '"samples":', '"residual":'),
+        ("_ranking", "table of effects", "812.5", '"residual":'),
+        ("_experiments", "table of experiments", "<td>E02</td>", "812.5"),
+        ("inline", "figure error_fall", "A fall &amp;", "812.5"),
+    ],
+)
+def test_a_chart_or_table_that_fails_is_left_out_and_said(folder, monkeypatch, capsys, part, name, gone, kept):
+    whole = report_page(read_run(folder))
+    assert gone in whole and kept in whole
+    monkeypatch.setattr(f"hsed_jax.reporting.report.{part}", fail)
+    assert main(["report", str(folder)]) == 0
+    page = (folder / "report.html").read_text()
+    assert gone not in page and kept in page
+    said = f"he {name} could not be made and is left out (ValueError: shapes (2,) (3,))"
+    assert page.index(said) < page.index("What was asked") and f"warning: t{said}" in capsys.readouterr().err
+
+
+def test_a_figure_that_fails_leaves_the_others_and_is_said(tmp_path, monkeypatch):
+    def drawings(*_):
+        figure = style.new_figure(2.0)
+        figure.subplots()
+        yield "broken", fail
+        yield "whole", lambda: style.Picture(figure, "A caption.", "Words.")
+        yield "without_material", lambda: None
+
+    monkeypatch.setattr(figures, "_misfit_drawings", drawings)
+    monkeypatch.setattr(figures, "_design_drawings", fail)
+    for name in ("diagnosis_drawings", "_posterior_drawings"):
+        monkeypatch.setattr(figures, name, lambda *_: iter(()))
+    left_out = LeftOut()
+    figures.draw(object.__new__(Outcome), {}, tmp_path, left_out)
+    assert {path.name for path in tmp_path.iterdir()} == {"whole.png", "whole.svg"}
+    assert left_out.reasons.keys() == {"set of figures of the design", "figure broken"}
+
+
+def test_what_was_left_out_of_a_run_is_said_first_in_its_report(tmp_path):
+    said = "the figure cycles could not be made and is left out (ValueError: it is empty)"
+    page = page_of(tmp_path, lambda found: found.update(left_out=[said]))
+    assert page.index(said[1:]) < page.index("What was asked")
+
+
+@pytest.mark.parametrize("error", [OSError(28, "full"), KeyboardInterrupt(), RuntimeError("KeyboardInterrupt: ")])
+def test_a_full_disk_and_an_interruption_are_no_faults_of_a_figure(error):
+    def stop():
+        raise error
+
+    with pytest.raises(type(error)):
+        LeftOut().attempt("figure", stop, None)

@@ -79,6 +79,7 @@ def warnings(run: FinishedRun) -> Iterator[str]:
             yield f"The draws of the posterior of {model} have not converged: {text}."
         if doubt := found.get("doubt"):
             yield sentence(doubt.replace("the model", model, 1))
+    yield from map(sentence, run.summary.get("left_out", []))
     for finding in run.findings[:_QUOTED]:
         yield sentence(f"the data check has {'an' if finding.level == 'error' else 'a'} {finding}")
     if rest := len(run.findings[_QUOTED:]):

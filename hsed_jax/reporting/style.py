@@ -100,6 +100,10 @@ class Picture:
         return buffer.getvalue()
 
 
+Drawing = tuple[str, Callable[[], Picture | None]]
+"""The name of a picture's files, and what draws it; None where there is nothing to show."""
+
+
 def _set_powers_of_ten(axis: Axis) -> None:
     """Write a power of ten that an axis has as ×10⁴; where there is none, no number needs to be set as mathematics."""
     formatter = axis.get_major_formatter()
