@@ -29,6 +29,7 @@ from hsed_jax.physics.simulator import AbstractModel, Conditions
 from hsed_jax.programs import program
 from hsed_jax.study.build import Built
 from hsed_jax.study.discrepancies import support_of
+from hsed_jax.study.possible import possible_of
 from hsed_jax.study.records import thinning_notes
 from hsed_jax.tables import Table, Tabular
 
@@ -144,6 +145,7 @@ def calibrate_built(
         watch=watch,
         seconds=study.calibration.seconds,
         support=support_of(built),
+        possible=possible_of(built),
     )
     return Calibration(built, campaign, found)
 
