@@ -117,6 +117,7 @@ def test_a_calibration_says_first_which_estimates_lean(campaign):
     # With the bound open nothing leans, and the data are explained.
     opened = hx.calibrate(Study.model_validate(content(beta={"uniform": [0.0, 200.0]})), campaign)
     assert opened.fit.leaning == () and opened.fit.doubt is None
+    assert repr(calibration).splitlines()[1].startswith("calibrated on 1 experiment")
     assert repr(opened).startswith("calibrated on 1 experiment") and opened.map["beta"] == pytest.approx(5.0, rel=0.2)
 
 

@@ -200,7 +200,7 @@ class Fit(Tabular):
         notes = [] if self.doubt is None else [self.doubt]
         heads = ("parameter", "MAP", "mean", "sd", "5 %", "95 %", "ESS", "R-hat")
         count = int(self.data.count)
-        first = "" if self.caution is None else f"{self.caution}; "
+        first = "" if self.caution is None else f"{self.caution};\n"
         return Table(f"{first}calibrated on {count} experiment{'s' if count > 1 else ''}; {state}", heads, rows, notes)
 
 
