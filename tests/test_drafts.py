@@ -170,10 +170,14 @@ def test_every_file_is_written_by_drafts(path):
         assert opened_for_writing(path.read_text(encoding="utf-8")) == []
 
 
-@pytest.mark.parametrize("source", ["p.write_text(x)", "p.open('w')", "open(p, 'wb')", "t.to_csv(p)", "f.savefig(p / 'x')"])
+@pytest.mark.parametrize(
+    "source", ["p.write_text(x)", "p.open('w')", "open(p, 'wb')", "t.to_csv(p)", "f.savefig(p / 'x')"]
+)
 def test_the_checker_catches_what_writes_where_a_link_leads(source):
     assert opened_for_writing(source) == [1]
 
 
 def test_the_checker_passes_what_only_reads():
-    assert opened_for_writing("p.open('rb')\nopen(p)\nt.to_csv(index=False)\nf.savefig(buffer)\nwrite_whole(p, t)") == []
+    assert (
+        opened_for_writing("p.open('rb')\nopen(p)\nt.to_csv(index=False)\nf.savefig(buffer)\nwrite_whole(p, t)") == []
+    )
