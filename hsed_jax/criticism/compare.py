@@ -14,11 +14,10 @@ import numpy as np
 from scipy.special import chdtrc
 
 from hsed_jax.criticism.cycles import cycle_numbers, energy_per_cycle, returned
-from hsed_jax.criticism.prediction import Prediction, error_cell
+from hsed_jax.criticism.prediction import HISTORY, Prediction, error_cell, noise_sizes
 from hsed_jax.errors import UserError
 from hsed_jax.inference.correlation import SIGNIFICANT, judge, size_p_value
 from hsed_jax.inference.likelihood import whitened
-from hsed_jax.measurements import noise_estimate
 from hsed_jax.physics.outputs import named, own_name, owner_of
 from hsed_jax.tables import Table, Tabular, cell
 
@@ -26,8 +25,6 @@ from hsed_jax.tables import Table, Tabular, cell
 _MATERIAL = 1.05
 # A noise so many times what its record shows of it would have a memory of more than 0.93 from sample to sample.
 _MEMORY = 5.0
-HISTORY = 30
-"""Values that an output has at least of which the noise is estimated where nobody declares it."""
 _CYCLES = 6  # that are named
 WITHOUT = "coverage_90_without"
 """Coverage of the band without the discrepancy, where one is learned."""
@@ -206,7 +203,7 @@ def discrepancy_p_value(prediction: Prediction, declared: np.ndarray, parameters
         statistic, lags = 0.0, 0
         for row, used in zip(new[:, columns], prediction.used[:, columns], strict=True):
             residual = row[used]
-            if residual.size >= 30 and np.ptp(residual) > 0:
+            if residual.size >= HISTORY and np.ptp(residual) > 0:
                 statistic += _ljung_box(residual)
                 lags += 10
         if lags:
@@ -306,21 +303,6 @@ def normalised_error(measured: np.ndarray, predicted: np.ndarray, used: np.ndarr
         if own.any():
             squares.append(np.mean((predicted[own] - measured[own]) ** 2) / _scale(measured[own]) ** 2)
     return float(np.sqrt(np.mean(squares))) if squares else float("nan")
-
-
-def noise_sizes(prediction: Prediction, output: str, declared: bool) -> np.ndarray:
-    """Sd of the noise of an output, (n, J): declared, or for histories estimated from what no smooth signal explains."""
-    columns = prediction.columns(output)
-    sigma = prediction.sigma[:, columns].copy()
-    if declared or columns.sum() < HISTORY:
-        return sigma
-    for row, experiment in enumerate(prediction.experiments):
-        used = prediction.used[row, columns]
-        if experiment.record is not None and used.sum() >= 8:
-            length = len(experiment.record)
-            time = experiment.record.time[used[:length]]
-            sigma[row] = noise_estimate(time, prediction.measured[row, columns][used])
-    return sigma
 
 
 def _add_energy_errors(prediction: Prediction, per_experiment: dict[str, dict[str, dict[str, float]]]) -> None:
