@@ -202,6 +202,7 @@ def _check(options: Any) -> int:
     from hsed_jax.measurements import check_campaign, overview, stop_at_errors
     from hsed_jax.study.build import Built
     from hsed_jax.study.excitations import sentence_of
+    from hsed_jax.study.plausible import frequency_doubts
     from hsed_jax.study.records import forecast, thinning_notes
 
     built = Built(study)
@@ -213,7 +214,7 @@ def _check(options: Any) -> int:
         if any(finding.level == "error" for finding in findings):
             raise UserError(f"{options.study}: the data have errors, listed above; nothing is repaired silently")
         print(overview(built.measured))
-        for note in thinning_notes(built, built.measured):
+        for note in (*thinning_notes(built, built.measured), *frequency_doubts(built, built.measured)):
             print(note)
         print(forecast(built, built.measured))
         stop_at_errors(built.measured, accepted)

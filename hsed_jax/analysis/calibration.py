@@ -29,6 +29,7 @@ from hsed_jax.physics.simulator import AbstractModel, Conditions
 from hsed_jax.programs import program
 from hsed_jax.study.build import Built
 from hsed_jax.study.discrepancies import support_of
+from hsed_jax.study.plausible import frequency_doubts
 from hsed_jax.study.possible import possible_of
 from hsed_jax.study.records import thinning_notes
 from hsed_jax.tables import Table, Tabular
@@ -91,7 +92,8 @@ class Calibration(Tabular):
         return self.predict(self.campaign.test) if len(self.campaign.test) else None
 
     def _table(self) -> Table:
-        return self.fit._table()
+        table = self.fit._table()
+        return replace(table, notes=[*table.notes, *frequency_doubts(self.built, self.campaign)])
 
 
 def campaign_of(study: Study) -> Campaign:
@@ -163,6 +165,7 @@ def compare(calibration: Calibration, campaign: Campaign | None = None) -> Compa
     declared = calibration.fit.posterior.is_declared
     parameters = calibration.fit.posterior.fitted
     notes = [*calibration.fit.correlation_notes(), *thinning_notes(calibration.built, campaign)]
+    notes += frequency_doubts(calibration.built, campaign)
     if calibration.built.component_test and calibration.built.grid is not None and not campaign.has_time:
         notes.append(
             "the records have no time: the row number stands for it, which a rate-independent law does not notice"
