@@ -105,6 +105,16 @@ def test_a_gain_that_is_no_number_is_left_out():
     assert [tick.get_text() for tick in panel.get_yticklabels()] == ["slip"]
 
 
+def test_a_spring_that_softens_is_called_so_in_every_figure():
+    steps = [Step([], 0.3, 0.4, {}), Step(["hardening"], 0.1, 0.2, {"hardening.delta": -0.25})]
+    estimate = {"delta": {"mean": -0.25, "sd": 0.01, "q05": -0.27, "q95": -0.23, "unit": "1"}}
+    softer = replace(candidate("hardening", 9.0, 0.9), estimate=estimate)
+    for picture in (error_fall(Trail(steps, 0.04)), ranking(diagnosis([softer], ["hardening"]))):
+        (panel,) = picture.figure.axes
+        labels = [*panel.get_xticklabels(), *panel.get_yticklabels()]
+        assert any("softening, as by P-Delta" in " ".join(label.get_text().split()) for label in labels)
+
+
 def test_the_staircase_is_the_trail():
     steps = [Step([], 0.3, 0.4, {}), Step(["gap"], 0.1, None, {}), Step(["gap", "mass_error"], 0.05, 0.06, {})]
     picture = error_fall(Trail(steps, 0.04))

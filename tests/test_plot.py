@@ -63,9 +63,9 @@ def fitted(names=("A", "beta"), at=(4e5, 1.0), count=3):
 def calibration(case, observe="histories", fit=None):
     """A calibration whose predictions are those of a synthetic comparison."""
     campaign, comparison, _ = case
-    study = SimpleNamespace(observe=observe)
+    study = SimpleNamespace(observe=observe, model=None)
     built = SimpleNamespace(
-        study=study, component_test=not campaign.has_time, grid=None, taken=lambda e: e, catalogue={}
+        study=study, structure=None, component_test=not campaign.has_time, grid=None, taken=lambda e: e, catalogue={}
     )
     fit = fit or fitted()
     fit.posterior.is_declared = np.ones(len(comparison.train_prediction.outputs), dtype=bool)

@@ -23,7 +23,8 @@ from hsed_jax.inference.fit import Fit, fit
 from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Campaign, stop_at_errors
 from hsed_jax.physics.batch import tiled_map
-from hsed_jax.physics.outputs import further, of_each
+from hsed_jax.physics.effects import called
+from hsed_jax.physics.outputs import further, of_each, owner_of
 from hsed_jax.physics.response import Response
 from hsed_jax.physics.simulator import AbstractModel, Conditions
 from hsed_jax.programs import program
@@ -93,7 +94,9 @@ class Calibration(Tabular):
 
     def _table(self) -> Table:
         table = self.fit._table()
-        return replace(table, notes=[*table.notes, *frequency_doubts(self.built, self.campaign)])
+        said = [called(name, self.map, self.built.catalogue) for name in dict.fromkeys(map(owner_of, self.map))]
+        signs = [f"with a negative amplitude: {words}" for words in said if words.endswith(")")]
+        return replace(table, notes=[*table.notes, *signs, *frequency_doubts(self.built, self.campaign)])
 
 
 def campaign_of(study: Study) -> Campaign:

@@ -9,6 +9,7 @@ import numpy as np
 
 from hsed_jax.criticism.prediction import error_cell
 from hsed_jax.left_out import LeftOut
+from hsed_jax.physics.effects import called
 from hsed_jax.physics.outputs import loops, named
 from hsed_jax.plain import dump_yaml
 from hsed_jax.reporting import page_tables as tables
@@ -213,7 +214,8 @@ def _ranking(run: FinishedRun) -> dict[str, Any]:
         forms = {"probability": "{:.3f}", "log_evidence_gain": "{:.1f}"}
         numbers = [form.format(candidate[key]) if key in candidate else "–" for key, form in forms.items()]
         numbers += [error_cell(candidate.get(key)) for key in ("error_train", "error_test")]
-        rows.append([style.words(candidate["effect"]), candidate["family"], "; ".join(sizes), *numbers])
+        means = {name: e["mean"] for name, e in candidate["estimate"].items() if "mean" in e}
+        rows.append([style.words(called(candidate["effect"], means)), candidate["family"], "; ".join(sizes), *numbers])
     return {"heads": heads, "rows": rows, "named": named, "rest": len(diagnosis["ranking"]) - len(rows)}
 
 
@@ -237,7 +239,7 @@ def _falls(run: FinishedRun) -> list[tuple[str, str, str]]:
     steps, has_test = run.summary.get("improvement", {}).get("steps", []), "test" in run.comparisons.get("before", {})
     return [
         (
-            "+ " + style.words(step["effects"][-1]) if step["effects"] else "as it was",
+            "+ " + style.words(called(step["effects"][-1], step["parameters"])) if step["effects"] else "as it was",
             error_text(step, "error_train", ".4f"),
             error_text(step, "error_test", ".4f") if has_test else "–",
         )
