@@ -19,7 +19,7 @@ from hsed_jax.physics.effects import EFFECTS, AbstractSetupEffect
 from hsed_jax.physics.effects.forms import forms_of
 from hsed_jax.physics.laws import BoucWen
 from hsed_jax.physics.laws.base import Turn
-from hsed_jax.physics.simulator import Conditions
+from hsed_jax.physics.simulator import Conditions, Simulator
 from hsed_jax.physics.specimen import unserved
 from hsed_jax.study.build import Built
 from hsed_jax.study.candidates import with_effects
@@ -72,6 +72,7 @@ def middle(built: Built) -> dict[str, float]:
 def simulated(built: Built) -> set[str]:
     """Names of what a simulation computes: traced, so that what is missing is found and nothing is compiled."""
     model, at = built.planned_simulator, jax.tree.map(jnp.asarray, middle(built))
+    assert isinstance(model, Simulator)
     if any(issubclass(effect, AbstractSetupEffect) for effect in model.effects.values()):
         channels = ("elongation", "force", "energy")
         return set(jax.eval_shape(lambda at: model.respond(at, Conditions({}), channels), at).channels)
