@@ -239,7 +239,9 @@ def _falls(run: FinishedRun) -> list[tuple[str, str, str]]:
     steps, has_test = run.summary.get("improvement", {}).get("steps", []), "test" in run.comparisons.get("before", {})
     return [
         (
-            "+ " + style.words(called(step["effects"][-1], step["parameters"])) if step["effects"] else "as it was",
+            "+ " + style.words(called(step["effects"][-1], step.get("parameters", {})))
+            if step["effects"]
+            else "as it was",
             error_text(step, "error_train", ".4f"),
             error_text(step, "error_test", ".4f") if has_test else "–",
         )
