@@ -2,6 +2,7 @@
 
 import logging
 import os
+import stat
 import sys
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -38,12 +39,12 @@ def prepare() -> None:
     if "JAX_ENABLE_X64" not in os.environ:
         jax.config.update("jax_enable_x64", True)
     if not jax.config.jax_compilation_cache_dir:
-        if _can_be_written(folder := cache_folder()):
+        if (folder := cache_folder()) is not None:
             jax.config.update("jax_compilation_cache_dir", str(folder))
         else:
             print(
-                f"{folder} cannot be written, so that every command compiles its programs anew; XDG_CACHE_HOME names another "
-                "folder for what is kept",
+                f"{_cache_place()} cannot be written or is open to other users, so that every command compiles its programs anew; "
+                "delete it, or name another folder for what is kept by XDG_CACHE_HOME",
                 file=sys.stderr,
             )
             # It has a folder of its own in the same place, and says the same of it at length.
@@ -75,14 +76,32 @@ def _flags_are_known() -> bool:
     return _TRIED_FROM <= release < _TRIED_TO
 
 
-def _can_be_written(folder: Path) -> bool:
+def cache_folder() -> Path | None:
+    """Where the package keeps what takes long to make and can be made again; None where there is no such folder."""
+    return private(_cache_place())
+
+
+def private(folder: Path) -> Path | None:
+    """A folder of which what lies in it may be executed: nobody but this user writes there.
+
+    A kept program, and a table of pint, is executed when it is read.
+
+    Returns:
+        The folder, made with mode 0700 where it is missing; None where it cannot be written, belongs to another user, or other
+        users may write in it.
+    """
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=stat.S_IRWXU, parents=True, exist_ok=True)
+        # Who owns a link can lead it elsewhere.
+        known = [folder.lstat(), folder.stat()]
+        if any(about.st_uid != os.geteuid() for about in known) or known[1].st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+            return None
+        if stat.S_IMODE(known[1].st_mode) & (stat.S_IRWXG | stat.S_IRWXO):
+            folder.chmod(stat.S_IRWXU)
     except OSError:
-        return False
-    return os.access(folder, os.W_OK | os.X_OK)
+        return None
+    return folder if os.access(folder, os.W_OK | os.X_OK) else None
 
 
-def cache_folder() -> Path:
-    """Where the package keeps what takes long to make and can be made again."""
+def _cache_place() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "hsed_jax"

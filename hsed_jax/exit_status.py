@@ -9,11 +9,11 @@ import errno
 import gc
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from io import TextIOWrapper
 
 from hsed_jax.errors import UserError
-from hsed_jax.interruptions import answer
+from hsed_jax.interruptions import answer, is_interruption
 
 # What a disk may say that cannot take any more.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
@@ -48,18 +48,9 @@ def ended(parser: Callable[[], argparse.ArgumentParser], arguments: Sequence[str
         return _told(f"error: {error.filename or 'what was made'} cannot be written ({error.strerror}); make room, and go on "
                      "with a run by --resume", 3)  # fmt: skip
     except BaseException as error:
-        # An extension that is being loaded when Ctrl-C comes makes an error of its own of it, and one in Rust no Exception.
-        if not any(
-            isinstance(cause, KeyboardInterrupt) or "KeyboardInterrupt" in str(cause) for cause in _causes(error)
-        ):
+        if not is_interruption(error):
             raise
         return _interrupted()
-
-
-def _causes(error: BaseException | None) -> Iterator[BaseException]:
-    while error is not None:
-        yield error
-        error = error.__cause__ or error.__context__
 
 
 def _parsed(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argparse.Namespace:

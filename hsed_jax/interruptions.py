@@ -28,6 +28,16 @@ class Interrupted(Exception):
     """A command stopped part-way and can be resumed; the message says where."""
 
 
+def is_interruption(error: BaseException | None) -> bool:
+    """Whether an error comes from Ctrl-C: an extension that is being loaded when that comes makes an error of its own of it,
+    and one in Rust no Exception."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt) or "KeyboardInterrupt" in str(error):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
 def heed_interruptions() -> None:
     """Let a termination interrupt like Ctrl-C, and neither be lost.
 

@@ -27,6 +27,8 @@ import jax.core
 import jax.numpy as jnp
 import numpy as np
 
+from hsed_jax.backend import private
+
 # What a trace depends on besides the sources here.
 _PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpyro", "tinygp", "numpy", "scipy")
 _SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_dtype_promotion", "jax_debug_nans")
@@ -127,7 +129,9 @@ class Program[**P, R]:
             return None
         from jax import export  # which a check of a study has no need to load
 
-        file = _folder() / f"{self._function.__qualname__}-{name}"
+        if (folder := _folder()) is None:
+            return None
+        file = folder / f"{self._function.__qualname__}-{name}"
         kept = _read(file)
         if kept is None:
             kept = self._lowered(structure, is_operand, static, operands)
@@ -245,8 +249,10 @@ def _state() -> str:
     return digest.hexdigest()
 
 
-def _folder() -> Path:
-    return Path(jax.config.jax_compilation_cache_dir or "") / "programs" / _state()
+def _folder() -> Path | None:
+    """Where the programs of this state of the sources lie; None where other users may write."""
+    folder = private(Path(jax.config.jax_compilation_cache_dir or "") / "programs")
+    return None if folder is None else folder / _state()
 
 
 def _read(file: Path) -> tuple[Any, bytearray] | None:

@@ -202,6 +202,7 @@ def _check(options: Any) -> int:
     from hsed_jax.measurements import check_campaign, overview, stop_at_errors
     from hsed_jax.study.build import Built
     from hsed_jax.study.excitations import sentence_of
+    from hsed_jax.study.plausible import frequency_doubts
     from hsed_jax.study.records import forecast, thinning_notes
 
     built = Built(study)
@@ -213,7 +214,7 @@ def _check(options: Any) -> int:
         if any(finding.level == "error" for finding in findings):
             raise UserError(f"{options.study}: the data have errors, listed above; nothing is repaired silently")
         print(overview(built.measured))
-        for note in thinning_notes(built, built.measured):
+        for note in (*thinning_notes(built, built.measured), *frequency_doubts(built, built.measured)):
             print(note)
         print(forecast(built, built.measured))
         stop_at_errors(built.measured, accepted)
@@ -252,6 +253,8 @@ def _run(options: Any) -> int:
     if done.improvement is not None:
         improved = output / "improved.yaml"
         print(f"the improved study is {improved}; run it with: hsed run {quote(str(improved))}")
+    for sentence in done.left_out:
+        print(f"warning: {sentence}", file=sys.stderr)
     print(f"results in {output}; open {output / 'report.html'} in a browser")
     return 0
 
@@ -310,23 +313,31 @@ def _numbers(option: str, given: Sequence[str] | None) -> dict[str, float] | Non
 
 
 def _report(options: Any) -> int:
+    from hsed_jax.left_out import LeftOut
     from hsed_jax.reporting.report import report_page
     from hsed_jax.reporting.side_by_side import comparison_page
     from hsed_jax.runs.folder import read_run, write_page
 
     folders = [Path(run) for run in options.runs]
-    runs = [read_run(folder) for folder in folders]
+    runs, left_out = [read_run(folder) for folder in folders], LeftOut()
     alone = len(runs) == 1
     output = Path(options.output) if options.output else folders[0] / "report.html" if alone else Path("runs.html")
-    write_page(report_page(runs[0]) if alone else comparison_page(runs), output)
+    write_page(report_page(runs[0], left_out) if alone else comparison_page(runs), output)
+    for sentence in left_out.sentences:
+        print(f"warning: {sentence}", file=sys.stderr)
     print(f"wrote {output}")
     return 0
 
 
 def _tell(done: "Run", step: str) -> None:
     """What a user sees of a step; at once, also where the output goes into a file."""
-    for said in _said(done, step):
+    from hsed_jax.left_out import LeftOut
+
+    left_out = LeftOut()
+    for said in left_out.attempt(f"tables of the step {step}", lambda: [*map(str, _said(done, step))], []):
         print(f"\n{said}", flush=True)
+    for sentence in left_out.sentences:
+        print(f"warning: {sentence}", file=sys.stderr, flush=True)
 
 
 def _said(done: "Run", step: str) -> Iterator[Any]:
@@ -358,6 +369,7 @@ def _said(done: "Run", step: str) -> Iterator[Any]:
 
 
 def _init(options: Any) -> int:
+    from hsed_jax.drafts import write_whole
     from hsed_jax.measurements import check_campaign, read_campaign
     from hsed_jax.study.initial import initial_study
 
@@ -373,7 +385,7 @@ def _init(options: Any) -> int:
         raise UserError(f"{output} exists already; say --force to replace it or choose another --output")
     text = initial_study(campaign, folder, output)
     try:
-        output.write_text(text, encoding="utf-8")
+        write_whole(output, text)
     except OSError as error:
         raise UserError(f"{output}: cannot be written ({error.strerror}); choose another --output") from None
     print(f"wrote {output}; run it with: hsed run {quote(str(output))}")

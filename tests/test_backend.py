@@ -1,13 +1,18 @@
 """What the package changes in a user's process, and when: nothing by an import, what is said where work starts."""
 
+import pickle
+import stat
 import subprocess
 import sys
 from importlib.metadata import version
 from pathlib import Path
 
+import jax
+import numpy as np
 import pytest
 
-from hsed_jax.backend import _TRIED_FROM, _TRIED_TO
+from hsed_jax.backend import _TRIED_FROM, _TRIED_TO, cache_folder
+from hsed_jax.programs import program
 
 ROOT = Path(__file__).parents[1]
 STATE = """
@@ -107,3 +112,60 @@ def test_a_process_that_has_used_jax_keeps_the_cache_it_chose_and_simulates_in_d
     code += "print(state()['jax_compilation_cache_dir'])\n"
     code += "print(hx.simulate(built.study, {'V_P': 2.25, 'T_P': 1.0}).quantities['peak_force'].dtype)"
     assert ran(code).splitlines() == [str(tmp_path), "float64"]
+
+
+def test_what_is_kept_is_this_users_alone(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    folder = tmp_path / "hsed_jax"
+    assert cache_folder() == folder and stat.S_IMODE(folder.stat().st_mode) == 0o700
+    folder.chmod(0o755)  # as earlier versions made it: others could read and not write
+    assert cache_folder() == folder and stat.S_IMODE(folder.stat().st_mode) == 0o700
+    for mode in (0o770, 0o707):  # what lies in it may be somebody else's
+        folder.chmod(mode)
+        assert cache_folder() is None
+    folder.chmod(0o700)
+    monkeypatch.setattr("os.geteuid", lambda: folder.stat().st_uid + 1)
+    assert cache_folder() is None
+
+
+class Planted:
+    """Done when it is read from a pickle."""
+
+    done = False
+
+    def __reduce__(self):
+        return setattr, (Planted, "done", True)
+
+
+def test_a_planted_table_of_units_is_not_executed(tmp_path, monkeypatch):
+    from hsed_jax.measurements import units
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    units._registry.cache_clear()
+    units._registry()
+    kept = list(tmp_path.rglob("*.pickle"))
+    assert kept
+    for file in kept:
+        file.write_bytes(pickle.dumps(Planted()))
+    (tmp_path / "hsed_jax").chmod(0o777)
+    units._registry.cache_clear()
+    assert units.parse_unit("kip*inch") and not Planted.done
+
+
+def test_a_planted_program_is_not_executed(tmp_path, monkeypatch):
+    monkeypatch.setattr("hsed_jax.programs._KNOWN", {"builtins", "jax", __name__})
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
+    try:
+        assert program(twice)(np.arange(3.0))[2] == 4
+        (file,) = [path for path in (tmp_path / "programs").rglob("*") if path.is_file()]
+        file.write_bytes(pickle.dumps(Planted()))
+        (tmp_path / "programs").chmod(0o777)
+        assert program(twice)(np.arange(3.0))[2] == 4 and not Planted.done
+        assert file.read_bytes() == pickle.dumps(Planted())
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)
+
+
+def twice(x):
+    return 2 * x

@@ -1,13 +1,21 @@
 """The figures of a comparison by hand on small arrays, and its p-value on noise that is what it is declared to be."""
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from scipy import stats
 
 from hsed_jax.criticism.compare import compare, discrepancy_p_value
-from hsed_jax.criticism.cycles import absorbed_energy, backbone, cycle_numbers, energy_per_cycle, secant_stiffness
+from hsed_jax.criticism.cycles import (
+    absorbed_energy,
+    backbone,
+    cycle_numbers,
+    energy_per_cycle,
+    returned,
+    secant_stiffness,
+)
 from hsed_jax.criticism.prediction import Prediction, error_cell
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Experiment, Record
@@ -208,10 +216,11 @@ def test_energy_stiffness_and_backbone_of_a_viscous_loop_are_those_of_its_ellips
     force = k * u + h * a * np.cos(2 * np.pi * t)
     cycles = np.minimum(t.astype(int), 3)
     np.testing.assert_allclose(energy_per_cycle(force, u, cycles), np.pi * h * amplitudes**2, rtol=1e-3)
-    np.testing.assert_allclose(secant_stiffness(force, u, cycles), k, rtol=1e-3)
+    # The largest force is within 0.5 % of the range of the peak.
+    np.testing.assert_allclose(secant_stiffness(force, u, cycles), np.hypot(k, h), rtol=1e-3)
     elongation, peaks = backbone(force, u, cycles)  # the second cycle of 20 mm goes nowhere new
     np.testing.assert_allclose(elongation, [-0.03, -0.02, -0.01, 0.01, 0.02, 0.03], rtol=1e-3)
-    np.testing.assert_allclose(peaks, k * elongation, rtol=1e-3)
+    np.testing.assert_allclose(peaks, np.hypot(k, h) * elongation, rtol=1e-3)
 
 
 def test_a_cycle_that_is_not_on_both_sides_has_no_stiffness_from_peak_to_peak():
@@ -221,6 +230,57 @@ def test_a_cycle_that_is_not_on_both_sides_has_no_stiffness_from_peak_to_peak():
     one_sided = 1 + np.sin(np.linspace(0, 4 * np.pi, 401))
     elongation, _ = backbone(one_sided, one_sided, cycle_numbers(one_sided))
     np.testing.assert_allclose(elongation, [2.0])
+
+
+def steep_loop(samples=25):
+    """Cycles of a friction element of 6 kN whose force has fallen to 2 kN at the very sample of each reversal."""
+    corners = np.asarray([0.0, 1, -1, 2, -2, 3, -3, 0]) * 1e-2
+    u = np.concatenate([np.linspace(a, b, samples, endpoint=False) for a, b in pairwise(corners)] + [[0.0]])
+    force = 6e3 * np.sign(np.diff(u, prepend=-1e-9))
+    turns = samples * np.arange(1, corners.size - 1)
+    force[turns] /= 3
+    return u, force, turns
+
+
+def test_the_force_at_a_peak_is_the_one_before_a_steep_unloading():
+    u, force, turns = steep_loop()
+    assert np.abs(force[turns]).tolist() == [2e3] * 6
+    cycles = cycle_numbers(u)
+    elongation, peaks = backbone(force, u, cycles)
+    np.testing.assert_allclose(elongation, [-0.03, -0.02, -0.01, 0.01, 0.02, 0.03])
+    np.testing.assert_allclose(peaks, 6e3 * np.sign(elongation))
+    stiffness = secant_stiffness(force, u, cycles)
+    np.testing.assert_allclose(stiffness, 6e3 / np.asarray([0.01, 0.02, 0.03]))
+    assert (np.diff(stiffness) < 0).all()
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_a_record_that_begins_on_the_way_back_has_no_peak_at_its_first_sample(noise):
+    u, force, turns = steep_loop()
+    begin = turns[3] + 3  # beyond 17 mm, on the way back from -20 mm
+    u, force = u[begin:] + noise * np.random.default_rng(0).normal(size=u.size - begin), force[begin:]
+    assert u[0] == u[: turns[4] - begin].min() or noise
+    cycles = cycle_numbers(u)
+    elongation, peaks = backbone(force, u, cycles)
+    np.testing.assert_allclose(elongation, [-0.03, 0.03], rtol=0.02)
+    np.testing.assert_allclose(peaks, [-6e3, 6e3])
+    first, *_ = secant_stiffness(force, u, cycles)
+    assert np.isnan(first)
+
+
+def test_a_cycle_that_returns_more_energy_than_it_was_given_is_said():
+    u, force, _ = steep_loop()
+    cycles = cycle_numbers(u)
+    assert returned(force, u, cycles) == []
+    turned = np.where(cycles == 1, -force, force)
+    assert energy_per_cycle(turned, u, cycles)[1] < 0 and returned(turned, u, cycles) == [2]
+    # An elastic loop with noise returns what it was given, and the last cycle may end where it likes.
+    noisy = 1e5 * u + 20.0 * np.random.default_rng(0).normal(size=u.size)
+    assert returned(noisy, u, cycles) == []
+    experiment = recorded("E01", np.arange(u.size), elongation=u, force=turned)
+    for force, said in ((turned, ["E01: the measured force does negative work over cycle 2"]), (steep_loop()[1], [])):
+        notes = compare(prediction_of(force, force, experiments=[experiment]), None, DECLARED, 0, []).notes
+        assert [note.partition(";")[0] for note in notes] == said
 
 
 def test_energy_error_is_the_rms_error_of_the_energy_per_cycle_over_its_rms():

@@ -18,7 +18,7 @@ from hsed_jax.physics.scales import Scales
 from hsed_jax.reporting import diagnosis_figures, style
 from hsed_jax.reporting.diagnosis_figures import before_after, error_fall, parameters_before_after, ranking
 from hsed_jax.reporting.inline_svg import inline
-from hsed_jax.runs.figures import diagnosis_pictures
+from hsed_jax.runs.figures import diagnosis_drawings
 from hsed_jax.runs.outcome import Outcome
 from hsed_jax.runs.results import _ranking
 
@@ -103,6 +103,16 @@ def test_the_best_candidates_are_shown_the_named_ones_first():
 def test_a_gain_that_is_no_number_is_left_out():
     (panel,) = ranking(diagnosis([candidate("gap", -np.inf), candidate("slip", 1.0)])).figure.axes
     assert [tick.get_text() for tick in panel.get_yticklabels()] == ["slip"]
+
+
+def test_a_spring_that_softens_is_called_so_in_every_figure():
+    steps = [Step([], 0.3, 0.4, {}), Step(["hardening"], 0.1, 0.2, {"hardening.delta": -0.25})]
+    estimate = {"delta": {"mean": -0.25, "sd": 0.01, "q05": -0.27, "q95": -0.23, "unit": "1"}}
+    softer = replace(candidate("hardening", 9.0, 0.9), estimate=estimate)
+    for picture in (error_fall(Trail(steps, 0.04)), ranking(diagnosis([softer], ["hardening"]))):
+        (panel,) = picture.figure.axes
+        labels = [*panel.get_xticklabels(), *panel.get_yticklabels()]
+        assert any("softening, as by P-Delta" in " ".join(label.get_text().split()) for label in labels)
 
 
 def test_the_staircase_is_the_trail():
@@ -227,7 +237,7 @@ def test_what_there_is_material_for(monkeypatch):
     for given, expected in cases:
         outcome = object.__new__(Outcome)
         vars(outcome).update({**nothing, **given})
-        assert [name for name, _ in diagnosis_pictures(outcome)] == expected
+        assert [name for name, _ in diagnosis_drawings(outcome)] == expected
 
 
 def test_the_table_of_the_ranking():

@@ -18,6 +18,7 @@ from test_plot import STUDY, bare, calibration, fitted, improvement
 
 import hsed_jax as hx
 from hsed_jax.analysis.calibration import Calibration
+from hsed_jax.criticism.improve import Step, Trail
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.nuts import Convergence
 from hsed_jax.measurements import Record
@@ -102,6 +103,11 @@ def test_the_sentence_of_what_is_wrong_comes_first():
     vars(fit)["convergence"] = fit.convergence._replace(divergences=7)
     assert re.match("calibrated on 3 experiments; warning: .*7 .*diverg", repr(fit))
     assert "warning" in fit._repr_html_().split("<table>")[0]
+
+
+def test_a_spring_that_softens_is_called_so():
+    steps = [Step([], 0.3, 0.4, {}), Step(["hardening"], 0.1, 0.2, {"hardening.delta": -0.25})]
+    assert "+ hardening (softening, as by P-Delta)" in repr(Trail(steps, 0.05))
 
 
 def test_a_response_shows_its_peaks_and_what_diverged():

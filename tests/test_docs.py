@@ -14,6 +14,7 @@ import hsed_jax
 from hsed_jax.config.schema import Study
 from hsed_jax.discovery.grammar import SHAPES
 from hsed_jax.discovery.places import places
+from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.effects.coordinates import COORDINATES
 from hsed_jax.physics.effects.free_function import SLOTS
 
@@ -117,6 +118,14 @@ def test_the_grammar_of_a_discovery_is_that_of_the_code():
     (block,) = re.findall(r"```text\n(.*?)```", text_of("discovery.md"), re.DOTALL)
     shapes = [s.text.format(x="x", **{number.symbol: number.symbol for number in s.numbers}) for s in SHAPES]
     assert re.split(r" {2,}|\n", block.strip()) == shapes
+
+
+def test_how_many_effects_there_are_is_said_once_and_is_what_the_catalogue_has():
+    pages = [page for page in PAGES if page.name != "CHANGELOG.md"]  # what there were of them
+    said = [(page.name, number) for page in pages for number in re.findall(r"(\d+) physical effects", page.read_text())]
+    assert said == [("README.md", str(len(EFFECTS)))]
+    # Candidates of a diagnosis are another number: springs of a structure are some, and so is only what the law can have.
+    assert not [page.name for page in pages if re.search(rf"\b{len(EFFECTS)} (effects|candidates)", page.read_text())]
 
 
 def test_every_public_name_is_in_the_reference():

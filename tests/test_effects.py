@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from hsed_jax.physics.effects import EFFECTS, AbstractSetupEffect, AbstractSpringEffect
+from hsed_jax.physics.effects import EFFECTS, AbstractSetupEffect, AbstractSpringEffect, called
 from hsed_jax.physics.effects.base import ADDED, MULTIPLIED, Setup, SpringPoint, combine
 from hsed_jax.physics.effects.forms import default_form, forms_of
 from hsed_jax.physics.excitations import Imposed, NearFaultPulse, Tabulated
@@ -206,6 +206,15 @@ def test_an_unknown_slot_is_refused():
 def test_contributions_to_one_slot_multiply_and_forces_add():
     slot = combine([{"eta": 2.0, "force": 1.0}, {"eta": 3.0, "force": 5.0}])
     assert (slot("eta"), slot("force"), slot("nu"), slot("a"), slot("h")) == (6.0, 6.0, 1.0, 1.0, 1.0)
+
+
+def test_hardening_with_a_negative_amplitude_is_called_softening():
+    assert called("hardening", {"delta": -0.25}) == "hardening (softening, as by P-Delta)"
+    assert called("hardening", {"k": -1e5}) == called("hardening", {"hardening.delta": -0.25, "A": 1.0})
+    assert called("storey2.hardening", {"storey2.hardening.delta": -0.1}).endswith("(softening, as by P-Delta)")
+    assert called("hardening", {"delta": 0.25}) == called("hardening", {"storey2.hardening.delta": -0.1}) == "hardening"
+    assert called("cubic_stiffness", {"delta": -1.0}) == "cubic_stiffness (a spring that softens)"
+    assert called("viscous_damping", {"delta": -1.0}) == "viscous_damping" and called("own", {"delta": -1.0}) == "own"
 
 
 # --- neutrality and commutation ----------------------------------------------------------------------------------

@@ -506,6 +506,61 @@ def test_a_form_is_its_equation(name, label):
             assert np.ptp(expected) > 1e-3 * np.abs(expected).max() or (name, form.name) in CONSTANT
 
 
+@pytest.mark.parametrize("label", forms_of(EFFECTS["support_flexibility"]))
+def test_a_support_is_told_by_its_elongation_only_where_its_compliance_is_one_number(label):
+    # What loosens has no elongation that follows from the force alone: the code has its tangent.
+    form = forms_of(EFFECTS["support_flexibility"])[label]
+    made = EFFECTS["support_flexibility"](**form.held, **drawn("support_flexibility", label, 0.8))
+    compliance = np.asarray(jax.vmap(made.contribute)(point(state()))["compliance"])
+    assert form.equation.startswith(r"\frac{du}{dF}" if np.ptp(compliance) > 0 else "u = ")
+
+
+def test_friction_falls_no_sooner_than_its_forms_say():
+    at = point({key: values[1:2] for key, values in state().items()})
+    for label in ("of any speed", "bristle"):
+        form = forms_of(EFFECTS["stribeck_friction"])[label]
+        values = drawn("stribeck_friction", label, 0.5)
+
+        def force(falling, form=form, values=values):
+            made = EFFECTS["stribeck_friction"](**form.held, **{**values, "falling": falling})
+            return float(jax.vmap(made.contribute)(at)["force"][0])
+
+        assert force(0.02) == force(0.06) != force(0.07)
+        assert r"\max(r, 0.06)" in form.equation
+
+
+SMALL = np.geomspace(1e-5, 1.0, 400)
+
+
+def plain_up_to(values: np.ndarray) -> float | None:
+    """Up to where, of arguments `SMALL`, values are exactly constant or linear, while beyond they are not."""
+    for shown in (values, values / SMALL):
+        is_same = np.abs(shown - shown[0]) <= 1e-12 * max(abs(shown[0]), 1e-300)
+        if not is_same.all() and (count := int(np.argmin(is_same))) > 20:
+            return float(f"{SMALL[count]:.0e}")
+    return None
+
+
+@pytest.mark.parametrize(("name", "label"), FORMS)
+def test_where_a_form_leaves_its_formula_the_documentation_says_so(name, label):
+    effect, form = EFFECTS[name], forms_of(EFFECTS[name])[label]
+    said = f"{form.equation} {effect.__doc__}"
+    still = {key: np.repeat(values[7], SMALL.size) for key, values in state().items()}
+    # Force over strength and over characteristic force is one grid.
+    scales = Scales(*(np.full(SMALL.size, scale) for scale in (STRENGTH, U, V, E)))
+    for variable, scale in (("z", STRENGTH), ("v", V)):
+        at = point({**still, variable: SMALL * scale})._replace(scales=scales)
+        found: dict[str, set] = {}
+        for quantile in (0.35, 0.8):
+            made = effect(**form.held, **drawn(name, label, quantile))
+            for slot, values in jax.vmap(made.contribute)(at).items():
+                found.setdefault(slot, set()).add(plain_up_to(np.asarray(values)))
+        # What parameters move is theirs, and what stays where it is a number of the code.
+        for (limit,) in (limits for limits in found.values() if len(limits) == 1):
+            exponent = "" if limit is None else f"10^{{{round(np.log10(limit))}}}"
+            assert limit is None or f"{limit:g}" in said or exponent in said, (variable, limit)
+
+
 @pytest.mark.parametrize(
     ("name", "least", "most"),
     [("viscous_damping", 0.5, 1.0), ("quadratic_damping", 1.0, 6.0), ("power_damping", 0.0, 1.0)],

@@ -10,8 +10,8 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "hsed_jax"
 LEVELS = (
-    ("drafts", "errors", "backend", "interruptions", "programs", "tables"),
-    ("exit_status", "memory", "plain"),
+    ("drafts", "errors", "backend", "interruptions", "tables"),
+    ("exit_status", "left_out", "memory", "plain", "programs"),
     ("python_files",),
     ("physics",),
     ("measurements",),

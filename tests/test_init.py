@@ -1,11 +1,13 @@
 """`hsed init`: a ready study for a campaign, which loads, passes its check, and whose priors hold the truth."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+import hsed_jax as hx
 from hsed_jax.config.load import load_study, parse_yaml
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, Channel, Noise, characteristics, read_campaign, write_campaign
@@ -158,6 +160,38 @@ def test_study_of_floor_sensors_has_priors_that_hold_the_truth_per_mass(tmp_path
         assert 0.25 < mass / MASS < 4
     else:
         assert "a mere placeholder, since no force was measured" in text
+
+
+@pytest.mark.parametrize("factor", [0.05, 1.0, 1.5, 4.5, 20.0])
+def test_masses_that_are_changed_without_the_stiffness_are_doubted_with_what_to_write(tmp_path, capsys, factor):
+    study, text = init(tmp_path / "floors", floors_campaign(displacement_1="elongation"), capsys)
+    path = tmp_path / "floors" / "study.yaml"
+    (line,) = (line for line in text.splitlines() if "masses:" in line)
+    changed = text.replace(line, f"  masses: [{factor * study.structure.masses[0]}]")
+    path.write_text(changed, encoding="utf-8")
+    assert main(["check", str(path)]) == 0
+    said = capsys.readouterr().out
+    if factor in (1.0, 1.5):  # what the prior allows is no doubt
+        assert "first frequency" not in said
+        return
+    assert f"stiffnesses change with them, here by a factor of about {factor:.2g}" in said
+    prior = re.search(r"A: \{lognormal: \[([\d.]+), 0.7\]\}", said)
+    assert prior is not None
+    first = next(line for line in changed.splitlines() if "    A: " in line)
+    path.write_text(changed.replace(first, f"    {prior[0]}"), encoding="utf-8")
+    assert main(["check", str(path)]) == 0
+    assert "first frequency" not in capsys.readouterr().out
+    built = Built(load_study(path))
+    assert holds(built, A=STIFFNESS / MASS * factor * study.structure.masses[0])
+
+
+def test_a_calibration_and_its_comparison_say_that_masses_do_not_go_with_the_stiffness(tmp_path, capsys):
+    study, _ = init(tmp_path / "floors", floors_campaign(displacement_1="elongation"), capsys)
+    structure = study.structure.model_copy(update={"masses": [MASS]})
+    quick = study.calibration.model_copy(update={"sampler": "laplace", "starts": 1})
+    fit = hx.calibrate(study.model_copy(update={"structure": structure, "calibration": quick}))
+    for told in (fit, hx.compare(fit)):
+        assert "where masses are changed, stiffnesses change with them" in repr(told)
 
 
 def test_study_of_several_floors_has_a_storey_for_each(tmp_path, capsys):

@@ -18,7 +18,7 @@ from hsed_jax.measurements import Campaign, Channel, Experiment, Record
 from hsed_jax.reporting import misfit_figures
 from hsed_jax.reporting.cycle_figures import cycles
 from hsed_jax.reporting.diagnosis_figures import before_after
-from hsed_jax.reporting.misfit_figures import misfit_pictures
+from hsed_jax.reporting.misfit_figures import misfit_drawings
 from hsed_jax.reporting.misfit_maps import residual_coordinates
 
 INPUTS = {"V_P": "cm/s", "T_P": "s", "scale": "-"}
@@ -141,7 +141,12 @@ def case(name):
 @functools.cache
 def drawn(name):
     campaign, comparison, location = case(name)
-    return dict(misfit_pictures(comparison, location, error_map(comparison, campaign), campaign))
+    return pictures_of(misfit_drawings(comparison, location, error_map(comparison, campaign), campaign))
+
+
+def pictures_of(drawings):
+    drawn = {name: draw() for name, draw in drawings}
+    return {name: picture for name, picture in drawn.items() if picture is not None}
 
 
 def texts(picture):
@@ -183,7 +188,7 @@ def test_of_many_experiments_the_worst_are_shown(monkeypatch):
     campaign, comparison, _ = histories(8, 7, 40)
     for name in ("overlay", "error_map"):
         monkeypatch.setattr(misfit_figures, name, lambda *_: "drawn")
-    pictures = dict(misfit_pictures(comparison, None, None, campaign))
+    pictures = pictures_of(misfit_drawings(comparison, None, None, campaign))
     overlays = {name.removeprefix("overlay_") for name in pictures if name.startswith("overlay_")}
     assert len(overlays) == 12
     for split in (comparison.train, comparison.test):
@@ -273,7 +278,8 @@ def test_what_diverged_is_kept_off_the_axes():
     train = comparison.train_prediction
     wild = replace(train, predicted=1e155 * train.predicted)
     broken = compare(wild, comparison.test_prediction, np.ones(2, dtype=bool), 2, [])
-    for name, picture in misfit_pictures(broken, locate(wild, campaign), error_map(broken, campaign), campaign):
+    drawings = misfit_drawings(broken, locate(wild, campaign), error_map(broken, campaign), campaign)
+    for name, picture in pictures_of(drawings).items():
         for panel in picture.figure.axes:
             assert np.abs([*panel.get_xlim(), *panel.get_ylim()]).max() < 1e3, name
     assert "diverged" in texts(misfit_figures.error_table(broken, campaign))

@@ -24,6 +24,7 @@ from hsed_jax.discovery.places import Place
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.nuts import Chains, Convergence
 from hsed_jax.inference.population import Population
+from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Channel, Experiment, Record, write_campaign
 from hsed_jax.runs.ask_tell import AskTell
 from hsed_jax.runs.outcome import Outcome
@@ -50,20 +51,21 @@ def fitted(names=("A", "beta"), at=(4e5, 1.0), count=3):
     chains = Chains(jnp.asarray(theta), zeros, zeros > 1, zeros.astype(int), jnp.full(2, 0.5))
     good = Convergence(np.full(len(names), 1.0), np.full(len(names), 900.0), 0)
     of_model = tuple(n for n in names if "error." not in n)
-    posterior = SimpleNamespace(names=names, reported=names, model_names=of_model, fitted=len(of_model),
-                                outputs=(), groups=None, population=Population())  # fmt: skip
-    data = SimpleNamespace(count=np.asarray(count), weights=None, memory=None)
+    priors = {name: Prior("lognormal", [float(np.log(value)), 1.0]) for name, value in zip(names, at, strict=True)}
+    posterior = SimpleNamespace(names=names, reported=names, model_names=of_model, fitted=len(of_model), priors=priors,
+                                outputs=(), groups=np.zeros(0, int), population=Population())  # fmt: skip
+    data = SimpleNamespace(count=np.asarray(count), weights=np.zeros((0, 0)), memory=np.zeros((0, 0)))
     one_mode = SimpleNamespace(warning=lambda names: None)
-    return bare(Fit, posterior=posterior, units=UNITS, chains=chains, convergence=good, maximum=one_mode, data=data,
+    return bare(Fit, posterior=posterior, possible={}, units=UNITS, chains=chains, convergence=good, maximum=one_mode, data=data,
                 map=dict(zip(names, at, strict=True)))  # fmt: skip
 
 
 def calibration(case, observe="histories", fit=None):
     """A calibration whose predictions are those of a synthetic comparison."""
     campaign, comparison, _ = case
-    study = SimpleNamespace(observe=observe)
+    study = SimpleNamespace(observe=observe, model=None)
     built = SimpleNamespace(
-        study=study, component_test=not campaign.has_time, grid=None, taken=lambda e: e, catalogue={}
+        study=study, structure=None, component_test=not campaign.has_time, grid=None, taken=lambda e: e, catalogue={}
     )
     fit = fit or fitted()
     fit.posterior.is_declared = np.ones(len(comparison.train_prediction.outputs), dtype=bool)

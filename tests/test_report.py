@@ -11,6 +11,7 @@ import xarray as xr
 import yaml
 
 from hsed_jax.errors import UserError
+from hsed_jax.left_out import LeftOut
 from hsed_jax.measurements import Campaign, Experiment, Record, write_campaign
 from hsed_jax.measurements.experiment import Channel
 from hsed_jax.reporting import style
@@ -19,7 +20,9 @@ from hsed_jax.reporting.inline_svg import inline
 from hsed_jax.reporting.page_tables import error_of, residual_table, samples_table, thinned, unit_words
 from hsed_jax.reporting.report import report_page
 from hsed_jax.run import main
+from hsed_jax.runs import figures
 from hsed_jax.runs.folder import read_run
+from hsed_jax.runs.outcome import Outcome
 
 HOSTILE = "</script><script>alert('x')</script>"
 IDS = ("E01", "E02", "T01")
@@ -369,17 +372,61 @@ def test_the_error_of_an_experiment_is_averaged_in_the_square():
         "<script>alert(1)</script>",
         '<script xmlns="http://www.w3.org/1999/xhtml">alert(1)</script>',
         '<g onload="alert(1)"/>',
+        '<g ONLOAD="alert(1)"/>',
+        '<g class="warnings"/>',
         '<image href="https://elsewhere/x.png"/>',
+        '<image xmlns:l="http://www.w3.org/1999/xlink" l:href="https://elsewhere/x.png"/>',
+        '<image xmlns:l="http://www.w3.org/1999/xlink" l:href="data:image/svg+xml;base64,PHN2Zz4="/>',
+        '<use xmlns:l="http://www.w3.org/1999/xlink" l:href="https://elsewhere/x.svg#a"/>',
+        "<style>@import url(http://elsewhere/x.css);</style>",
+        "<style>*{stroke-linejoin: round; stroke-linecap: butt} body{display: none}</style>",
+        "<style>*{background: url(http://elsewhere)}</style>",
+        '<g style="background: url(http://elsewhere/x.png)"/>',
+        '<g style="fill: url(http://elsewhere/x.svg#a)"/>',
+        r'<g style="fill: u\72l(http://elsewhere/x.svg#a)"/>',
+        "<g style=\"background-image: image-set('http:elsewhere' 1x)\"/>",
+        "<g style=\"fill: image-set('http:elsewhere' 1x)\"/>",
+        '<g style="position: fixed"/>',
+        '<g clip-path="url(http://elsewhere/x.svg#a)"/>',
+        '<rect fill="url(http://elsewhere/x.svg#a)"/>',
+        '<animate attributeName="href" values="javascript:alert(1)"/>',
         "<foreignObject/>",
-        "<title><![CDATA[>]]</title>",
+        "<title><![CDATA[>]]></title><a/>",
     ],
 )
-def test_a_page_takes_no_script_from_somebodys_figure(inside):
+def test_a_page_takes_no_script_and_no_address_from_somebodys_figure(inside):
     drawing = '<svg xmlns="http://www.w3.org/2000/svg">{}<path d="M 0 0"/></svg>'
     assert "<path" in inline("fine", drawing.format("<?x > <script>alert(1)</script> ?><!-- <script> -->")).svg
     assert "script" not in inline("fine", drawing.format("<?x > <script>alert(1)</script> ?><!-- <script> -->")).svg
     with pytest.raises(UserError, match=r"figures/worst\.svg: (it holds more than|this is no) "):
         inline("worst", drawing.format(inside))
+
+
+NAME = 'posterior_x" onload="document.title=1337" y="1'
+
+
+def hostile(folder):
+    """A run folder of somebody else, who wrote figures of his own."""
+    drawing = '<svg xmlns="http://www.w3.org/2000/svg">{}<path d="M 0 0 L 9 9" id="a" style="stroke: #000000"/></svg>'
+    (folder / "figures" / f"{NAME}.svg").write_text(drawing.format(""))
+    (folder / "figures" / "posterior.svg").write_text(
+        drawing.format("<style>@import url(http://127.0.0.1:9/x);</style>")
+    )
+    return folder
+
+
+def test_the_name_of_a_figure_is_no_markup(folder):
+    page = report_page(read_run(hostile(folder)))
+    (element,) = re.findall(r'<svg [^>]*data-figure="posterior[^>]*>', page)
+    assert "onload" in element  # within the mark, with no quote to end it
+    assert re.sub(r'"[^"]*"', '""', element) == '<svg xmlns="" data-figure="" aria-hidden="">'
+    assert "127.0.0.1" not in page and "figure posterior could not be made and is left out" in page
+
+
+def test_an_inlined_figure_has_the_colours_of_the_page_in_its_lines_and_not_in_its_words():
+    drawing = '<svg xmlns="http://www.w3.org/2000/svg"><text id="t" style="fill: #000000">id="#000000"</text></svg>'
+    drawn = inline("one", drawing).svg
+    assert 'id="one-t"' in drawn and "fill: var(--ink)" in drawn and '>id="#000000"<' in drawn
 
 
 def test_an_inlined_figure_keeps_its_words_and_its_identifiers_to_itself(folder):
@@ -413,6 +460,24 @@ def opened(browser, page_file):
     yield open
     for page in pages:
         page.close()
+
+
+def test_somebodys_run_folder_runs_nothing_and_asks_nobody(opened, tmp_path):
+    folder = hostile(write(tmp_path / "run"))
+    assert main(["report", str(folder)]) == 0
+    page, heard, asked = opened(folder / "report.html")
+    assert page.title() == "shown: report" and heard == []
+    assert [url for url in asked if not url.startswith(("data:", "blob:"))] == [(folder / "report.html").as_uri()]
+
+
+def test_the_policy_of_the_page_lets_no_other_script_run(opened, page_file, tmp_path):
+    added = "<script>document.title = 1337</script><p id='p' onclick='document.title = 1337'>x</p><img src='http://127.0.0.1:9/x'>"
+    file = tmp_path / "added.html"
+    file.write_text(page_file.read_text(encoding="utf-8").replace("</main>", f"{added}</main>"), encoding="utf-8")
+    page, heard, _ = opened(file)
+    page.click("#p")
+    assert page.title() == "shown: report"
+    assert len([text for text in heard if "Content Security Policy" in text]) == 3
 
 
 def paths(page, chart):
@@ -580,3 +645,64 @@ def test_an_error_is_told_as_it_is_written(error, said):
         Campaign("measured", "displacement", channels=declared, experiments=(Experiment("E01", record=component),)),
     )
     assert said in " ".join(sentences)
+
+
+# What fails.
+
+
+def fail(*_, **__):
+    raise ValueError("shapes (2,) (3,)")
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "gone", "kept"),
+    [
+        ("tables.residual_table", "chart residual", '"residual":', '"histories":'),
+        ("tables.samples_table", "chart histories", '"samples":', '"residual":'),
+        ("_ranking", "table of effects", "812.5", '"residual":'),
+        ("_experiments", "table of experiments", "<td>E02</td>", "812.5"),
+        ("inline", "figure error_fall", "A fall &amp;", "812.5"),
+    ],
+)
+def test_a_chart_or_table_that_fails_is_left_out_and_said(folder, monkeypatch, capsys, part, name, gone, kept):
+    whole = report_page(read_run(folder))
+    assert gone in whole and kept in whole
+    monkeypatch.setattr(f"hsed_jax.reporting.report.{part}", fail)
+    assert main(["report", str(folder)]) == 0
+    page = (folder / "report.html").read_text()
+    assert gone not in page and kept in page
+    said = f"he {name} could not be made and is left out (ValueError: shapes (2,) (3,))"
+    assert page.index(said) < page.index("What was asked") and f"warning: t{said}" in capsys.readouterr().err
+
+
+def test_a_figure_that_fails_leaves_the_others_and_is_said(tmp_path, monkeypatch):
+    def drawings(*_):
+        figure = style.new_figure(2.0)
+        figure.subplots()
+        yield "broken", fail
+        yield "whole", lambda: style.Picture(figure, "A caption.", "Words.")
+        yield "without_material", lambda: None
+
+    monkeypatch.setattr(figures, "_misfit_drawings", drawings)
+    monkeypatch.setattr(figures, "_design_drawings", fail)
+    for name in ("diagnosis_drawings", "_posterior_drawings"):
+        monkeypatch.setattr(figures, name, lambda *_: iter(()))
+    left_out = LeftOut()
+    figures.draw(object.__new__(Outcome), {}, tmp_path, left_out)
+    assert {path.name for path in tmp_path.iterdir()} == {"whole.png", "whole.svg"}
+    assert left_out.reasons.keys() == {"set of figures of the design", "figure broken"}
+
+
+def test_what_was_left_out_of_a_run_is_said_first_in_its_report(tmp_path):
+    said = "the figure cycles could not be made and is left out (ValueError: it is empty)"
+    page = page_of(tmp_path, lambda found: found.update(left_out=[said]))
+    assert page.index(said[1:]) < page.index("What was asked")
+
+
+@pytest.mark.parametrize("error", [OSError(28, "full"), KeyboardInterrupt(), RuntimeError("KeyboardInterrupt: ")])
+def test_a_full_disk_and_an_interruption_are_no_faults_of_a_figure(error):
+    def stop():
+        raise error
+
+    with pytest.raises(type(error)):
+        LeftOut().attempt("figure", stop, None)

@@ -29,7 +29,7 @@ def measure(quick: bool) -> list[dict[str, Any]]:
     lines = []
     for state, found in (("compilation cache empty", cold), ("new process, cache filled", filled),
                          ("another campaign in the same process", again)):  # fmt: skip
-        what = f"diagnosis of {found['experiments']} experiments, {found['effects']} effects, {state}"
+        what = f"diagnosis of {found['experiments']} experiments, {found['candidates']} candidates, {state}"
         peers = {} if each is None else {"its simulations in C on one core": found["simulations"] * each}
         figures = {"effect not named": found["missed"], "simulations": found["simulations"]}
         lines.append(line("diagnosis", what, "s", found["seconds"], peers, {"ours": figures}, note))
@@ -61,7 +61,7 @@ def diagnosed(seeds: tuple[int, ...], settings: tuple[str, ...]) -> list[dict[st
                 "seconds": taken,
                 "simulations": simulated[0],
                 "experiments": len(calibration.campaign.train),
-                "effects": len(diagnosis.ranking),
+                "candidates": len(diagnosis.ranking),
                 "missed": int(_HIDDEN not in diagnosis.effects),
             }
         )

@@ -23,12 +23,15 @@ from hsed_jax.inference.fit import Fit, fit
 from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Campaign, stop_at_errors
 from hsed_jax.physics.batch import tiled_map
-from hsed_jax.physics.outputs import further, of_each
+from hsed_jax.physics.effects import called
+from hsed_jax.physics.outputs import further, of_each, owner_of
 from hsed_jax.physics.response import Response
 from hsed_jax.physics.simulator import AbstractModel, Conditions
 from hsed_jax.programs import program
 from hsed_jax.study.build import Built
 from hsed_jax.study.discrepancies import support_of
+from hsed_jax.study.plausible import frequency_doubts
+from hsed_jax.study.possible import possible_of
 from hsed_jax.study.records import thinning_notes
 from hsed_jax.tables import Table, Tabular
 
@@ -90,7 +93,10 @@ class Calibration(Tabular):
         return self.predict(self.campaign.test) if len(self.campaign.test) else None
 
     def _table(self) -> Table:
-        return self.fit._table()
+        table = self.fit._table()
+        said = [called(name, self.map, self.built.catalogue) for name in dict.fromkeys(map(owner_of, self.map))]
+        signs = [f"with a negative amplitude: {words}" for words in said if words.endswith(")")]
+        return replace(table, notes=[*table.notes, *signs, *frequency_doubts(self.built, self.campaign)])
 
 
 def campaign_of(study: Study) -> Campaign:
@@ -144,6 +150,7 @@ def calibrate_built(
         watch=watch,
         seconds=study.calibration.seconds,
         support=support_of(built),
+        possible=possible_of(built),
     )
     return Calibration(built, campaign, found)
 
@@ -161,6 +168,7 @@ def compare(calibration: Calibration, campaign: Campaign | None = None) -> Compa
     declared = calibration.fit.posterior.is_declared
     parameters = calibration.fit.posterior.fitted
     notes = [*calibration.fit.correlation_notes(), *thinning_notes(calibration.built, campaign)]
+    notes += frequency_doubts(calibration.built, campaign)
     if calibration.built.component_test and calibration.built.grid is not None and not campaign.has_time:
         notes.append(
             "the records have no time: the row number stands for it, which a rate-independent law does not notice"

@@ -11,6 +11,7 @@ from scipy.stats import qmc, sobol_indices
 
 from hsed_jax.analysis.calibration import simulate
 from hsed_jax.config.schema import Study
+from hsed_jax.drafts import write_netcdf
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
 from hsed_jax.memory import check_memory
@@ -50,7 +51,7 @@ class Sensitivity(Tabular):
         """
         try:
             save(self.figure(), folder, "sensitivity")
-            self.indices.to_netcdf(Path(folder) / "indices.nc", engine="h5netcdf")
+            write_netcdf(Path(folder) / "indices.nc", self.indices)
         except OSError as error:
             raise UserError(f"{folder} cannot be written to ({error.strerror}); choose another folder") from None
 

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from hsed_jax.app.folder import Folder, checked_name, stem_of
+from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, numeric_columns, read_campaign
 from hsed_jax.measurements.tables import read_experiment_table
@@ -44,7 +45,7 @@ def landed(folder: Folder, files: Mapping[str, bytes], where: Path | None = None
     try:
         place.mkdir(parents=True, exist_ok=True)
         for name, content in files.items():
-            folder.inside(place, name).write_bytes(content)
+            write_whole(folder.inside(place, name), content)
     except OSError as error:
         raise UserError(f"{folder.name(where)}: cannot be written ({error.strerror})") from None
     return where

@@ -11,6 +11,7 @@ import panel as pn
 from hsed_jax.app.jobs import Job
 from hsed_jax.app.pieces import attempt, error, html, note, widget
 from hsed_jax.app.session import Session
+from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import read_campaign
 from hsed_jax.study.initial import initial_study
@@ -116,7 +117,7 @@ class Fitting:
             number += 1
             study = folder.inside(where, f"study-{number}.yaml")
         try:
-            study.write_text(text, encoding="utf-8")
+            write_whole(study, text)
         except OSError as fault:
             raise UserError(f"{folder.name(study)}: cannot be written ({fault.strerror})") from None
         return folder.name(study), folder.name(folder.fresh("runs", where.name))

@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
-from hsed_jax.criticism.cycles import cycle_numbers, energy_per_cycle
-from hsed_jax.criticism.prediction import Prediction, error_cell
+from hsed_jax.criticism.cycles import cycle_numbers, energy_per_cycle, returned
+from hsed_jax.criticism.prediction import HISTORY, Prediction, error_cell, noise_sizes
 from hsed_jax.errors import UserError
 from hsed_jax.inference.correlation import SIGNIFICANT, judge, size_p_value
 from hsed_jax.inference.likelihood import whitened
-from hsed_jax.measurements import noise_estimate
 from hsed_jax.physics.outputs import named, own_name, owner_of
 from hsed_jax.tables import Table, Tabular, cell
 
@@ -26,8 +25,7 @@ from hsed_jax.tables import Table, Tabular, cell
 _MATERIAL = 1.05
 # A noise so many times what its record shows of it would have a memory of more than 0.93 from sample to sample.
 _MEMORY = 5.0
-HISTORY = 30
-"""Values that an output has at least of which the noise is estimated where nobody declares it."""
+_CYCLES = 6  # that are named
 WITHOUT = "coverage_90_without"
 """Coverage of the band without the discrepancy, where one is learned."""
 
@@ -164,6 +162,7 @@ def compare(
         ),
         key=lambda entry: -entry["error"],
     )[:5]
+    notes = [*notes, *(text for p in (train, test) if p is not None for text in _of_cycles(p))]
     p_value = discrepancy_p_value(train, declared, parameters)
     adequate = p_value is not None and (
         p_value >= SIGNIFICANT or (bool(declared.all()) and not is_material(splits[0].error, splits[0].noise_floor))
@@ -204,7 +203,7 @@ def discrepancy_p_value(prediction: Prediction, declared: np.ndarray, parameters
         statistic, lags = 0.0, 0
         for row, used in zip(new[:, columns], prediction.used[:, columns], strict=True):
             residual = row[used]
-            if residual.size >= 30 and np.ptp(residual) > 0:
+            if residual.size >= HISTORY and np.ptp(residual) > 0:
                 statistic += _ljung_box(residual)
                 lags += 10
         if lags:
@@ -306,26 +305,26 @@ def normalised_error(measured: np.ndarray, predicted: np.ndarray, used: np.ndarr
     return float(np.sqrt(np.mean(squares))) if squares else float("nan")
 
 
-def noise_sizes(prediction: Prediction, output: str, declared: bool) -> np.ndarray:
-    """Sd of the noise of an output, (n, J): declared, or for histories estimated from what no smooth signal explains."""
-    columns = prediction.columns(output)
-    sigma = prediction.sigma[:, columns].copy()
-    if declared or columns.sum() < HISTORY:
-        return sigma
-    for row, experiment in enumerate(prediction.experiments):
-        used = prediction.used[row, columns]
-        if experiment.record is not None and used.sum() >= 8:
-            length = len(experiment.record)
-            time = experiment.record.time[used[:length]]
-            sigma[row] = noise_estimate(time, prediction.measured[row, columns][used])
-    return sigma
-
-
 def _add_energy_errors(prediction: Prediction, per_experiment: dict[str, dict[str, dict[str, float]]]) -> None:
     """RMS error of the energy absorbed per cycle over its RMS, where force and elongation are both known."""
+    for id, name, cycles, (force, elongation), (predicted, stretched) in _loops(prediction):
+        if id not in per_experiment:
+            continue
+        there = energy_per_cycle(force, elongation, cycles)
+        ours = energy_per_cycle(predicted, stretched, cycles)
+        rms = float(np.sqrt(np.mean(there**2)))
+        if rms > 0:
+            per_experiment[id][name]["energy_error"] = float(np.sqrt(np.mean((ours - there) ** 2))) / rms
+
+
+def _loops(
+    prediction: Prediction,
+) -> Iterator[tuple[str, str, np.ndarray, tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]]:
+    """Every loop that is known: experiment, name of the force, cycle of each sample; force and elongation, measured and
+    predicted, (m,) each."""
     forces = [name for name in prediction.outputs if own_name(name) == "force"]
     for (row, experiment), name in product(enumerate(prediction.experiments), forces):
-        if experiment.record is None or experiment.id not in per_experiment:
+        if experiment.record is None:
             continue
         force, predicted, _, _ = prediction.histories(row, name)
         along = named(owner_of(name), "elongation")
@@ -338,12 +337,21 @@ def _add_energy_errors(prediction: Prediction, per_experiment: dict[str, dict[st
         used = prediction.used[row, prediction.columns(name)][: len(force)]
         if used.sum() < 3 or not np.ptp(elongation[used]) > 0:
             continue
-        cycles = cycle_numbers(elongation[used])
-        there = energy_per_cycle(force[used], elongation[used], cycles)
-        ours = energy_per_cycle(predicted[used], stretched[used], cycles)
-        rms = float(np.sqrt(np.mean(there**2)))
-        if rms > 0:
-            per_experiment[experiment.id][name]["energy_error"] = float(np.sqrt(np.mean((ours - there) ** 2))) / rms
+        force, elongation, predicted, stretched = (c[used] for c in (force, elongation, predicted, stretched))
+        yield experiment.id, name, cycle_numbers(elongation), (force, elongation), (predicted, stretched)
+
+
+def _of_cycles(prediction: Prediction) -> list[str]:
+    """Sentences on cycles whose measured energy is negative."""
+    found = []
+    for id, name, cycles, (force, elongation), _ in _loops(prediction):
+        if numbers := returned(force, elongation, cycles):
+            which = ", ".join(map(str, numbers[:_CYCLES])) + (" and more" if len(numbers) > _CYCLES else "")
+            found.append(
+                f"{id}: the measured {name} does negative work over cycle {which}; no specimen returns more energy than it was "
+                "given: check the sign and the zero of the channels and whether they are simultaneous"
+            )
+    return found
 
 
 def _plain(split: Split) -> dict[str, Any]:

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hsed_jax.criticism.compare import noise_sizes
 from hsed_jax.criticism.cycles import absorbed_energy, branches, cycle_numbers, frequencies, half_cycles
-from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.criticism.prediction import Prediction, noise_sizes
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, Experiment, Record
 from hsed_jax.physics.outputs import channel, named, owner_of
@@ -124,7 +123,7 @@ def _beyond_noise(prediction: Prediction, output: str) -> tuple[float, float]:
     residual = prediction.residual[:, columns][used]
     scale = float(np.std(prediction.measured[:, columns][used])) or float(np.sqrt(np.mean(residual**2))) or 1.0
     # The inferred error holds the misfit too; what no smooth signal explains is noise.
-    noise = np.fmin(noise_sizes(prediction, output, False), prediction.sigma[:, columns])[used]
+    noise = noise_sizes(prediction, output, False)[used]
     size, floor = float(np.mean(residual**2)), float(np.mean(noise**2))
     return (np.sqrt(1 - floor / size) / scale, floor / size) if size > _NOISE_FACTOR * floor else (0.0, 1.0)
 

@@ -1,20 +1,34 @@
 r"""Cycles and branches of a measured loop, and what engineers read from it.
 
-Of cycle i with the largest elongation $u_i^+$ and the smallest $u_i^-$, and the forces $F_i^\pm$ at them:
+Of cycle i with the largest elongation $u_i^+$ and the smallest $u_i^-$, and the forces $F_i^\pm$ there:
 
 * the energy it absorbs, $E_i = \oint F\,\mathrm du$;
 * its secant stiffness from peak to peak, $k_i = (F_i^+ - F_i^-)/(u_i^+ - u_i^-)$ (the effective stiffness of ASCE/SEI 41);
 * the backbone, the line through the peaks $(u_i^\pm, F_i^\pm)$ at which the elongation exceeds that of all cycles before
   (FEMA 461).
 
+Where a specimen unloads steeply, the force at the very sample of a reversal has fallen already.  So $F_i^\pm$ is the largest
+force towards that side of the samples that lie within 0.5 % of the cycle's range of the peak, and of the two before the peak.  A
+peak is a reversal: a record that begins beyond all that follows in its cycle has no peak there.
+
 Cycles are those of the measured elongation; a prediction is read over the same samples.
 """
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from hsed_jax.measurements import half_cycles
+
+# Samples that count as a peak: within this share of the range of the cycle, and so many before it.
+_NEAR, _BEFORE = 0.005, 2
+# A peak is reached from further away than this share of its size.
+_REACHED = 0.05
+# A further peak of the backbone exceeds those before by this share.
+_FURTHER = 0.02
+# A cycle that absorbs less than this share of the rectangle around it, below zero, returns more than it was given.
+_RETURNED = 0.02
 
 
 def cycle_numbers(elongation: np.ndarray) -> np.ndarray:
@@ -64,11 +78,27 @@ def secant_stiffness(force: np.ndarray, elongation: np.ndarray, cycles: np.ndarr
 
     Arguments: as of `energy_per_cycle`.
     """
-    at = _peaks(elongation, cycles)
-    low, high = _sides(elongation)[at]
-    is_whole = (low < 0) & (high > 0)
-    (swing,), (rise,) = (np.diff(channel[at], axis=0) for channel in (elongation, force))
+    peaks = _peaks(force, elongation, cycles)
+    low, high = _sides(elongation)[peaks.at]
+    is_whole = (low < 0) & (high > 0) & peaks.is_reversal.all(axis=0)
+    (swing,), (rise,) = np.diff(peaks.elongation, axis=0), np.diff(peaks.force, axis=0)
     return np.where(is_whole, rise, np.nan) / np.where(is_whole, swing, 1.0)
+
+
+def returned(force: np.ndarray, elongation: np.ndarray, cycles: np.ndarray) -> list[int]:
+    """Numbers, from 1, of the cycles that return more energy than they were given, which no specimen does.
+
+    Only cycles that are whole count: the last one, and one that is not on both sides, may end before it has taken up anything.
+
+    Arguments: as of `energy_per_cycle`.
+    """
+    energy, peaks = energy_per_cycle(force, elongation, cycles), _peaks(force, elongation, cycles)
+    low, high = _sides(elongation)[peaks.at]
+    (swing,) = np.diff(peaks.elongation, axis=0)
+    ranges = np.asarray([np.ptp(force[cycles == number]) for number in range(energy.size)])
+    is_whole = (low < 0) & (high > 0) & peaks.is_reversal.all(axis=0)
+    is_whole[-1] = False
+    return [int(i) + 1 for i in np.flatnonzero(is_whole & (energy < -_RETURNED * swing * ranges))]
 
 
 def backbone(force: np.ndarray, elongation: np.ndarray, cycles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -78,21 +108,45 @@ def backbone(force: np.ndarray, elongation: np.ndarray, cycles: np.ndarray) -> t
 
     Arguments: as of `energy_per_cycle`.
     """
-    at = _peaks(elongation, cycles)
+    peaks = _peaks(force, elongation, cycles)
     found = []
-    for side, u, f in zip((-1.0, 1.0), elongation[at], force[at], strict=True):
+    for side, u, f, is_reversal in zip((-1.0, 1.0), peaks.elongation, peaks.force, peaks.is_reversal, strict=True):
         size = side * u
         before = np.concatenate([[0.0], np.maximum.accumulate(np.maximum(size, 0.0))[:-1]])
-        found += zip(u[size > before], f[size > before], strict=True)
+        further = is_reversal & (size > (1 + _FURTHER) * before)
+        found += zip(u[further], f[further], strict=True)
     points = np.asarray(sorted(found)).reshape(-1, 2)
     return points[:, 0], points[:, 1]
 
 
-def _peaks(elongation: np.ndarray, cycles: np.ndarray) -> np.ndarray:
-    """Samples of the smallest and of the largest elongation of each cycle, (2, c)."""
+class _Peaks(NamedTuple):
+    """The smallest and the largest elongation of each cycle, (2, c) each: sample, elongation, force, and whether it is reached
+    from elsewhere."""
+
+    at: np.ndarray
+    elongation: np.ndarray
+    force: np.ndarray
+    is_reversal: np.ndarray
+
+
+def _peaks(force: np.ndarray, elongation: np.ndarray, cycles: np.ndarray) -> _Peaks:
     starts = np.flatnonzero(np.diff(cycles, prepend=-1))
     parts = [slice(a, b) for a, b in pairwise([*starts, cycles.size])]
-    return np.asarray([[s.start + pick(elongation[s]) for s in parts] for pick in (np.argmin, np.argmax)])
+    at, forces = np.zeros((2, len(parts)), dtype=int), np.zeros((2, len(parts)))
+    for number, part in enumerate(parts):
+        near = _NEAR * np.ptp(elongation[part])
+        for row, side in enumerate((-1.0, 1.0)):
+            size = side * elongation[part]
+            top = int(np.argmax(size))
+            is_peak = size >= size[top] - near
+            is_peak[max(top - _BEFORE, 0) : top] = True
+            at[row, number] = part.start + top
+            forces[row, number] = side * np.max(side * force[part][is_peak])
+    reached = elongation[at]
+    furthest = np.maximum(
+        reached - np.minimum.accumulate(elongation)[at], np.maximum.accumulate(elongation)[at] - reached
+    )
+    return _Peaks(at, reached, forces, furthest > _REACHED * np.abs(reached))
 
 
 def branches(force: np.ndarray, elongation: np.ndarray) -> np.ndarray:

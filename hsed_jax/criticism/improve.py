@@ -6,6 +6,7 @@ from typing import Any
 
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.prediction import error_cell
+from hsed_jax.physics.effects import called
 from hsed_jax.tables import Table, Tabular, cell
 
 
@@ -58,7 +59,7 @@ class Trail(Tabular):
         names = list(dict.fromkeys(name for step in self.steps for name in step.parameters if "error." not in name))
         rows: list[Sequence[str]] = [
             (
-                f"+ {step.effects[-1]}" if step.effects else "model as it was",
+                f"+ {called(step.effects[-1], step.parameters)}" if step.effects else "model as it was",
                 error_cell(step.error_train),
                 error_cell(step.error_test),
                 *(cell(step.parameters.get(name), ".4g") for name in names),

@@ -1,6 +1,6 @@
 """What a calibrated model predicts for measured experiments, with bands, beside what was measured."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hsed_jax.inference.likelihood import Data, data_of
-from hsed_jax.measurements import Experiment
+from hsed_jax.measurements import Experiment, noise_estimate
 from hsed_jax.programs import program
 from hsed_jax.tables import cell
 
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from hsed_jax.inference.fit import Fit
     from hsed_jax.inference.posterior import Posterior
 
+HISTORY = 30
+"""Values that an output has at least of which the noise is estimated where nobody declares it."""
+_SEEN = 8  # samples at least that show a noise
 _DRAWS = 64
 _NAMED = 6
 ABSURD = 100.0
@@ -67,7 +70,8 @@ class Prediction:
         draws_lost: share of the posterior's draws whose simulation diverged, (n,); mean and sd are those of the others.
         parts: what the band is made of, sd by part, each (n, J): their squares add up to that of `sd`.  `noise`, as declared;
             `parameters`, by the posterior; where the study says how wrong the model is, `model`, by what its discrepancy may
-            still be or by how much the error was inflated.
+            still be or by how much the error was inflated.  An inferred error holds noise and model: of a history, noise is what
+            the record shows of it (`noise_sizes`).
         without: the band without the discrepancy, where one is learned.
     """
 
@@ -178,9 +182,11 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
     parts = dict(corrected.parts)
     if fit.inflation is not None:
         # What the model leaves widens the band, and is no noise.
-        factors = fit.inflation[posterior.groups]
-        sigma, inflated = sigma / factors, parts["noise"]
-        parts |= {"noise": inflated / factors, "model": inflated * np.sqrt(1 - 1 / factors**2)}
+        factors, whole = fit.inflation[posterior.groups], parts["noise"]
+        sigma, noise = sigma / factors, whole / factors
+        shown = _shown(experiments, measured, used, posterior.groups)
+        noise = np.where(posterior.is_declared[posterior.groups], noise, np.fmin(noise, shown))
+        parts |= {"noise": noise, "model": np.sqrt(np.maximum(whole**2 - noise**2, 0.0))}
     return Prediction(
         posterior.outputs,
         posterior.groups,
@@ -196,6 +202,33 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
         parts,
         None if fit.discrepancy is None else plain,
     )
+
+
+def noise_sizes(prediction: Prediction, output: str, declared: bool) -> np.ndarray:
+    """Sd of the noise of an output, (n, J): declared; or for histories estimated from what no smooth signal explains, and no more
+    than the inferred error, which holds it."""
+    columns = prediction.columns(output)
+    sigma = prediction.sigma[:, columns]
+    if declared:
+        return sigma
+    measured, used = prediction.measured[:, columns], prediction.used[:, columns]
+    one = np.zeros(int(columns.sum()), dtype=int)
+    return np.fmin(_shown(prediction.experiments, measured, used, one), sigma)
+
+
+def _shown(experiments: Sequence[Experiment], measured: np.ndarray, used: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    """Sd of the noise that each history shows, (n, J); NaN where it shows none."""
+    found = np.full(measured.shape, np.nan)
+    for row, experiment in enumerate(experiments):
+        for group in np.unique(groups):
+            (columns,) = np.nonzero(groups == group)
+            if experiment.record is None or columns.size < HISTORY:
+                continue
+            own = used[row, columns]
+            if own.sum() >= _SEEN:
+                time = experiment.record.time[own[: len(experiment.record)]]
+                found[row, columns] = noise_estimate(time, measured[row, columns][own])
+    return found
 
 
 def learned_misfit(fit: "Fit", fitted: Prediction) -> Prediction:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from hsed_jax.criticism.prediction import error_cell
 from hsed_jax.discovery.formulas import Formula
 from hsed_jax.discovery.places import Place
+from hsed_jax.drafts import write_whole
 from hsed_jax.physics.effects.coordinates import COORDINATES
 from hsed_jax.physics.effects.free_function import DEGREES
 from hsed_jax.physics.scales import Scales
@@ -190,7 +191,7 @@ class Discovery(Tabular):
         """
         if not self.found:
             raise ValueError(f"nothing was found: {self.reason}")
-        Path(path).write_text(self.source, encoding="utf-8")
+        write_whole(Path(path), self.source)
 
     @property
     def sentence(self) -> str:

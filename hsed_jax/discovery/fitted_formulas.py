@@ -16,6 +16,7 @@ from hsed_jax.discovery.effect_file import source_of
 from hsed_jax.discovery.formulas import Formula
 from hsed_jax.discovery.places import Place
 from hsed_jax.discovery.search import Judged, flat, judged
+from hsed_jax.drafts import write_whole
 from hsed_jax.physics.effects import AbstractEffect, registered
 from hsed_jax.python_files import executed
 
@@ -117,6 +118,6 @@ def _effects(tried: Sequence[Formula], reaches: Sequence[tuple[float, float]]) -
         found = []
         for number, formula in enumerate(tried):
             path = Path(folder) / f"formula_{number}.py"
-            path.write_text(source_of(formula, reaches, path.stem), encoding="utf-8")
+            write_whole(path, source_of(formula, reaches, path.stem))
             found += registered(executed(path))
         return found

@@ -52,15 +52,8 @@ class Calibrated:
         return self.built.parameters[0]
 
     def known(self, name: str) -> Parameter | None:
-        """What is known of a parameter of a law or an effect; None of another one."""
-        if name in self.built.naming.of_laws:
-            return self.built.naming.of_laws[name]
-        effect = self.built.catalogue.get(owner_of(name))
-        if effect is None:
-            return None
-        own = name.removeprefix(f"{owner_of(name)}.")
-        every = parameters_of(effect).values()
-        return next((p for p in every if own in (p.name, p.physical.name if p.physical else "")), None)
+        """What is known of a parameter of a law, an effect or the structure; None of another one."""
+        return self.built.naming.known(name)
 
     def of(self, element: Element) -> tuple[AbstractSpringLaw, dict[str, AbstractSpringEffect], list[str]]:
         """The law of a specimen at θ_MAP, the effects in it, and the names of effects outside it.

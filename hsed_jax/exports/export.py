@@ -59,6 +59,8 @@ def export(
     else:
         table = rows(model)
         files = {"parameters.md": markdown(table), "parameters.tex": latex(table)}
+    if output is None and folder.is_symlink():
+        raise UserError(f"{folder} is a symbolic link, and the files would go elsewhere; say where to (--out)")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in files.items():

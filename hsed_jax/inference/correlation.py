@@ -82,6 +82,31 @@ def judge(
     return Judged(memory, np.where([said is False for said in correlated], 1.0, worth), tuple(noises))
 
 
+def correlation_notes(outputs: Sequence[str], groups: np.ndarray, weights: np.ndarray, memory: np.ndarray) -> list[str]:
+    """Sentences on outputs whose noise has a memory, or whose residual is correlated beyond it.
+
+    Arguments:
+        outputs: their names.
+        groups: the output that each column of the data belongs to, (J,).
+        weights: what each sample is worth, zero where nothing is used, (n, J).
+        memory: share of its noise that it has in common with the one before, (n, J).
+    """
+    notes = []
+    for output, name in enumerate(outputs):
+        own = (weights > 0) & (groups == output)
+        if not own.any():
+            continue
+        if (rho := float(np.median(memory[own]))) > 0:
+            notes.append(f"the noise of {name} has a memory: neighbouring samples share {rho:.0%} of it")
+        if (worth := float(weights[own].min())) < 1:
+            samples = int(own.sum())
+            notes.append(
+                f"the residual of {name} is correlated over {1 / worth:.2g} samples{' beyond that' if rho > 0 else ''}: "
+                f"its {samples} samples count as {max(1, round(samples * worth))}"
+            )
+    return notes
+
+
 def noise_of(standardised: np.ndarray, gaps: np.ndarray, used: np.ndarray, correlated: bool | None) -> Noise:
     """Memory and kurtosis of the noise of one output.
 

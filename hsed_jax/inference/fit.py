@@ -1,7 +1,7 @@
 """A calibrated model: MAP, posterior draws and whether to believe them, as one object that shows itself."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -11,8 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from hsed_jax.inference.correlation import SIGNIFICANT, Judged, judge, size_p_value
+from hsed_jax.inference.correlation import SIGNIFICANT, Judged, correlation_notes, judge, size_p_value
 from hsed_jax.inference.expansion import centred, expand
+from hsed_jax.inference.leaning import Leaning, Range, caution, leaning
 from hsed_jax.inference.likelihood import Data, Error
 from hsed_jax.inference.maximum import Maximum, maximise
 from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence
@@ -49,6 +50,7 @@ class Fit(Tabular):
         inflation: by how much that made the error of each output larger than what is declared, (G,); None: not at all.
         discrepancy: of the model, where it was learned with the parameters.
         support: what that is a function of.
+        possible: what is physically possible of each parameter of the model, SI, by name (`hsed_jax.inference.leaning`).
     """
 
     posterior: Posterior
@@ -63,6 +65,7 @@ class Fit(Tabular):
     inflation: np.ndarray | None = None
     discrepancy: "Discrepancy | None" = None
     support: "Support | None" = None
+    possible: Mapping[str, Range] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -83,6 +86,17 @@ class Fit(Tabular):
             self.convergence.warning(self.posterior.names),
         )
         return "; ".join(filter(None, found)) or None
+
+    @cached_property
+    def leaning(self) -> tuple[Leaning, ...]:
+        """The estimates that lean on a bound of their prior which is no physical limit."""
+        return leaning(self.posterior.priors, self.possible, self.map, self.summary())
+
+    @cached_property
+    def caution(self) -> str | None:
+        """What to know before any estimate is believed (`hsed_jax.inference.leaning.caution`), or None."""
+        own = {name: self.map[name] for name in self.posterior.model_names}
+        return caution(self.leaning, self.posterior.priors, own, self.summary(), self.units)
 
     @property
     def doubt(self) -> str | None:
@@ -115,21 +129,8 @@ class Fit(Tabular):
 
     def correlation_notes(self) -> list[str]:
         """Sentences on outputs whose noise has a memory, or whose residual is correlated beyond it."""
-        notes, groups = [], self.posterior.groups
         weights, memory = np.asarray(self.data.weights), np.asarray(self.data.memory)
-        for output, name in enumerate(self.posterior.outputs):
-            own = (weights > 0) & (groups == output)
-            if not own.any():
-                continue
-            if (rho := float(np.median(memory[own]))) > 0:
-                notes.append(f"the noise of {name} has a memory: neighbouring samples share {rho:.0%} of it")
-            if (worth := float(weights[own].min())) < 1:
-                samples = int(own.sum())
-                notes.append(
-                    f"the residual of {name} is correlated over {1 / worth:.2g} samples{' beyond that' if rho > 0 else ''}: "
-                    f"its {samples} samples count as {max(1, round(samples * worth))}"
-                )
-        return notes
+        return correlation_notes(self.posterior.outputs, self.posterior.groups, weights, memory)
 
     def summary(self) -> dict[str, dict[str, float]]:
         """Mean, sd, 5 % and 95 % quantile, bulk ESS and R-hat of each parameter, SI."""
@@ -199,7 +200,8 @@ class Fit(Tabular):
         notes = [] if self.doubt is None else [self.doubt]
         heads = ("parameter", "MAP", "mean", "sd", "5 %", "95 %", "ESS", "R-hat")
         count = int(self.data.count)
-        return Table(f"calibrated on {count} experiment{'s' if count > 1 else ''}; {state}", heads, rows, notes)
+        first = "" if self.caution is None else f"{self.caution};\n"
+        return Table(f"{first}calibrated on {count} experiment{'s' if count > 1 else ''}; {state}", heads, rows, notes)
 
 
 def fit(
@@ -215,6 +217,7 @@ def fit(
     watch: Watch | None = None,
     seconds: float | None = None,
     support: "Support | None" = None,
+    possible: Mapping[str, Range] | None = None,
 ) -> Fit:
     """Calibrate: MAP from several starts, then draws of the posterior around it.
 
@@ -231,6 +234,7 @@ def fit(
         watch: follows the calibration.
         seconds: budget of NUTS.
         support: what a discrepancy of quantities is a function of.
+        possible: what is physically possible of each parameter of the model, SI, by name.
     """
     watch = watch or Watch()
     points = posterior.starts(starts)
@@ -250,12 +254,12 @@ def fit(
     standardised = _standardised(declared, posterior, data, maximum)
     chi2, p_value = _left_unexplained(standardised, data, declared, _judged(standardised, data, declared, errors))
     is_inflated = any(error.inflate for error in errors)
-    told = {"chi2_per_datum": chi2, "p_value": p_value, "is_inflated": is_inflated}
+    told: dict[str, Any] = {"chi2_per_datum": chi2, "p_value": p_value, "is_inflated": is_inflated}
     if is_inflated:
         told["inflation"] = np.asarray(posterior.declared) / np.asarray(declared.declared)
     if process is not None:
         told |= {"discrepancy": process, "support": support}
-    return Fit(posterior, data, maximum, chains, convergence(chains), units, **told)
+    return Fit(posterior, data, maximum, chains, convergence(chains), units, possible=possible or {}, **told)
 
 
 def _read_back(

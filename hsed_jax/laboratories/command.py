@@ -11,6 +11,7 @@ from pathlib import Path
 from shutil import rmtree, which
 from typing import Any
 
+from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
 from hsed_jax.laboratories.answer import read_answer
 from hsed_jax.laboratories.base import Measured
@@ -64,7 +65,7 @@ class CommandLaboratory:
         folder = self._new_folder(request.id)
         request.write(folder, self.sensors.channels, self.sensors.quantities)
         for name, text in self.files.items():
-            (folder / name).write_text(text, encoding="utf-8")
+            write_whole(folder / name, text)
         run_program(filled(self.template, folder, {"id": request.id, **request.inputs}), folder, self.timeout)
         return read_answer(folder, request, self.sensors)
 

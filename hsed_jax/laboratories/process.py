@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from hsed_jax.drafts import create
 from hsed_jax.laboratories import lifeline
 from hsed_jax.laboratories.base import ExperimentFailed
 
@@ -30,7 +31,7 @@ def run_program(words: Sequence[str], folder: Path, timeout: float) -> None:
         ExperimentFailed: it could not be started, ended with another status than 0, or was killed.
     """
     command = [sys.executable, "-I", "-S", str(Path(lifeline.__file__).resolve()), *words]
-    with (folder / STDOUT).open("wb") as out, (folder / STDERR).open("wb") as err:
+    with create(folder / STDOUT) as out, create(folder / STDERR) as err:
         # A session of its own: Ctrl-C at the terminal is ours to handle.
         process = subprocess.Popen(
             command, cwd=folder, stdin=subprocess.PIPE, stdout=out, stderr=err, start_new_session=True

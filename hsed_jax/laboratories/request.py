@@ -14,6 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
+from hsed_jax.drafts import write_whole
 from hsed_jax.laboratories.base import experiment_id
 from hsed_jax.measurements import Channel, parse_unit, write_at2
 from hsed_jax.physics.declared import Kind
@@ -93,10 +94,10 @@ class Request:
         }
         rows = zip(self.time.tolist(), values.tolist(), strict=True)
         lines = [f"t [s],{self.kind.column} [{output(channel).unit}]", *(f"{t!r},{value!r}" for t, value in rows)]
-        (folder / f"{self.kind.file}.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        write_whole(folder / f"{self.kind.file}.csv", "\n".join(lines) + "\n")
         for name in self.kind.files[1:]:
             write_at2(folder / name, float(self.time[1]), values, f"experiment {self.id}")
-        (folder / "request.json").write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        write_whole(folder / "request.json", json.dumps(content, indent=2, ensure_ascii=False) + "\n")
 
 
 @dataclass(frozen=True)

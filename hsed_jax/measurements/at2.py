@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
 from hsed_jax.measurements.tables import read_text
 from hsed_jax.measurements.units import parse_unit
@@ -67,7 +68,7 @@ def write_at2(path: str | Path, dt: float, acceleration, title: str = "ground mo
     lines = ["PEER STRONG MOTION DATABASE RECORD", " ".join(title.split()), "ACCELERATION TIME SERIES IN UNITS OF G"]
     lines.append(f"NPTS= {len(values)}, DT= {float(dt)!r} SEC")
     lines += ["".join(f"{v:16.7E}" for v in values[i : i + 5]) for i in range(0, len(values), 5)]
-    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+    write_whole(Path(path), "\n".join(lines) + "\n")
 
 
 def _header(path: Path, lines: list[str]) -> tuple[int, int, float]:

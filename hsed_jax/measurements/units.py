@@ -179,7 +179,9 @@ def _registry():
     exact: Any = Fraction  # pint says float and takes any type of number
     try:
         # Reading pint's table of units takes a quarter of a second, so what was read is kept.
-        return pint.UnitRegistry(non_int_type=exact, cache_folder=cache_folder() / "pint")
+        folder = cache_folder()
+        kept = None if folder is None else folder / "pint"
+        return pint.UnitRegistry(non_int_type=exact, cache_folder=kept)
     except Exception:  # the folder cannot be written to, or a file in it is damaged, which may raise anything
         return pint.UnitRegistry(non_int_type=exact)
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from hsed_jax.drafts import write_whole
 from hsed_jax.laboratories.answer import QUANTITIES, RECORD, columns_of, left
 from hsed_jax.laboratories.command import filled
 from hsed_jax.laboratories.process import run_program
@@ -55,9 +56,9 @@ class Program:
         found: dict[str, Any] = {}
         with tempfile.TemporaryDirectory(prefix="model-") as name:
             folder = Path(name)
-            (folder / REQUEST).write_text(json.dumps(request, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+            write_whole(folder / REQUEST, json.dumps(request, indent=2, ensure_ascii=False) + "\n")
             if histories:
-                pd.DataFrame(histories).to_csv(folder / EXCITATION, index=False)
+                write_whole(folder / EXCITATION, pd.DataFrame(histories).to_csv(index=False))
             run_program(filled(self.template, folder, {**numbers, **parameters}), folder, self.timeout)
             for names, files in ((quantities, QUANTITIES), (channels, RECORD)):
                 if names:

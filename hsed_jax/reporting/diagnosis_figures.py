@@ -11,7 +11,7 @@ from hsed_jax.criticism.improve import Step, Trail
 from hsed_jax.criticism.prediction import Prediction, error_cell, has_diverged
 from hsed_jax.diagnosis.findings import Candidate, Diagnosis
 from hsed_jax.measurements import Campaign
-from hsed_jax.physics.effects import EFFECTS
+from hsed_jax.physics.effects import EFFECTS, called
 from hsed_jax.physics.outputs import named, owner_of
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
@@ -52,7 +52,7 @@ def ranking(diagnosis: Diagnosis) -> Picture:
             panel.barh(places[own], [shown[i].log_evidence_gain for i in own], height=0.68, label=text, **look)
     panel.set_xscale("symlog", linthresh=1.0, linscale=0.5)
     panel.axvline(0.0, color=style.BLACK, linewidth=0.8)
-    panel.set_yticks(places, [style.words(candidate.effect) for candidate in shown])
+    panel.set_yticks(places, [style.words(called(c.effect, _means(c))) for c in shown])
     panel.tick_params(axis="y", length=0)
     for tick, kind in zip(panel.get_yticklabels(), kinds, strict=True):
         tick.set_fontweight("bold" if kind == 0 else "normal")
@@ -94,6 +94,10 @@ def _best(diagnosis: Diagnosis) -> list[Candidate]:
     return [*named, *others][: max(_SHOWN, len(named))]
 
 
+def _means(candidate: Candidate) -> dict[str, float]:
+    return {name: known["mean"] for name, known in candidate.estimate.items() if "mean" in known}
+
+
 def _kind(candidate: Candidate, diagnosis: Diagnosis, alike: set[str]) -> int:
     return 0 if candidate.effect in diagnosis.effects else 1 if candidate.effect in alike else 2
 
@@ -122,7 +126,7 @@ def error_fall(trail: Trail) -> Picture:
             height = np.nanmax([*both, trail.noise_floor])  # what diverged has no height of its own
             panel.annotate("\n".join(texts), (place, height), xytext=(0, 4), textcoords="offset points", ha="center",
                            va="bottom", fontsize=8, linespacing=1.1)  # fmt: skip
-    words = ["model as it was", *("+ " + style.words(step.effects[-1]) for step in steps[1:])]
+    words = ["model as it was", *("+ " + style.words(called(s.effects[-1], s.parameters)) for s in steps[1:])]
     panel.set_xticks(range(len(steps)), ["\n".join(textwrap.wrap(word, 16)) for word in words])
     panel.tick_params(axis="x", length=0)
     panel.grid(False, axis="x")

@@ -11,7 +11,18 @@ _QUOTED = 5  # doubts of the data
 
 
 def verdict(run: FinishedRun) -> str:
-    """What the run found, in one sentence."""
+    """What the run found, in one sentence; before it, what its estimates lean on."""
+    return " ".join([*_cautions(run), _found(run)])
+
+
+def _cautions(run: FinishedRun) -> Iterator[str]:
+    """What to know before any estimate is believed, of the model as it was and of the improved one."""
+    for model, part in (("", "calibration"), ("of the improved model, ", "improvement")):
+        if caution := run.summary.get(part, {}).get("caution"):
+            yield sentence(f"{model}{caution}")
+
+
+def _found(run: FinishedRun) -> str:
     summary = run.summary
     if "diagnosis" in summary:
         return sentence(summary["diagnosis"]["sentence"])
@@ -79,6 +90,7 @@ def warnings(run: FinishedRun) -> Iterator[str]:
             yield f"The draws of the posterior of {model} have not converged: {text}."
         if doubt := found.get("doubt"):
             yield sentence(doubt.replace("the model", model, 1))
+    yield from map(sentence, run.summary.get("left_out", []))
     for finding in run.findings[:_QUOTED]:
         yield sentence(f"the data check has {'an' if finding.level == 'error' else 'a'} {finding}")
     if rest := len(run.findings[_QUOTED:]):

@@ -1,4 +1,8 @@
-"""A figure's SVG as part of a page: in the page's colours, its identifiers its own, its caption and alternative text known."""
+"""A figure's SVG as part of a page: in the page's colours, its identifiers its own, its caption and alternative text known.
+
+A run folder may be somebody else's.  So nothing stands in the page but what matplotlib writes: listed elements, attributes and
+properties, whose values name nothing outside the drawing.
+"""
 
 import re
 import xml.etree.ElementTree as ElementTree
@@ -10,13 +14,29 @@ from hsed_jax.reporting import style
 _COLOURS = {style.BLACK: "ink", "#ffffff": "paper", "#e4e4e4": "grid", style.BLUE: "blue", style.RED: "red",
             style.DARK_GREY: "faint", style.GREY: "faint", "#c8c8c8": "pale", "#d0d0d0": "grid"}  # fmt: skip
 _SVG = "{http://www.w3.org/2000/svg}"
-_DRAWN = [
-    _SVG + tag
-    for tag in ("svg", "defs", "style", "g", "path", "use", "clipPath", "pattern", "rect", "image", "text", "tspan")
-]
+_LINK = "{http://www.w3.org/1999/xlink}href"
 ElementTree.register_namespace("", _SVG[1:-1])
 ElementTree.register_namespace("xlink", "http://www.w3.org/1999/xlink")
 _DUBLIN_CORE = "{http://purl.org/dc/elements/1.1/}"
+
+_ELEMENTS = {
+    _SVG + tag
+    for tag in ("svg", "defs", "style", "g", "path", "use", "clipPath", "pattern", "rect", "image", "text", "tspan")
+}
+_ATTRIBUTES = {
+    "id", "style", "d", "x", "y", "width", "height", "transform", "clip-path", "viewBox", "version", "type", "patternUnits",
+    _LINK,
+}  # fmt: skip
+_PROPERTIES = {
+    "fill", "fill-opacity", "fill-rule", "stroke", "stroke-width", "stroke-opacity", "stroke-linecap", "stroke-linejoin",
+    "stroke-miterlimit", "stroke-dasharray", "stroke-dashoffset", "opacity", "font", "font-family", "font-size", "font-style",
+    "font-weight", "font-stretch", "font-variant", "text-anchor", "image-rendering",
+}  # fmt: skip
+_OWN = re.compile(r"url\(#([\w-]+)\)")
+_PLAIN = re.compile(r"[\w\s.,#%'+-]*")  # no parenthesis, colon or slash: no address
+_NUMBERS = re.compile(r"[\w\s.,/()+-]*")
+_LINKED = re.compile(r"#[\w-]+|data:image/png;base64,[\w+/=\s]+")
+_SHEET = "*{stroke-linejoin:round;stroke-linecap:butt}"
 
 
 @dataclass(frozen=True)
@@ -43,42 +63,76 @@ def inline(name: str, text: str) -> InlineFigure:
         text: content of the file.
 
     Raises:
-        UserError: it is no drawing, or more than one: a script in it would run in the browser of who reads the page.
+        UserError: it is no drawing, or holds what matplotlib does not write: a script in it would run in the browser of who
+            reads the page, and an address in it would tell that the page is read.
     """
-    drawing = _drawing(name, text)
-    caption, alt = (_about(text, what) for what in ("title", "description"))
-    # Style rules of an inline drawing would reach the whole page.
-    drawing = drawing.replace('<style type="text/css">*{', f'<style type="text/css">[data-figure="{name}"] *{{')
-    drawing = re.sub(r'(\bid="|xlink:href="#|url\(#)', rf"\g<1>{name}-", drawing)
-    drawing = re.sub("|".join(map(re.escape, _COLOURS)), lambda match: f"var(--{_COLOURS[match[0]]})", drawing)
-    head, rest = drawing.split(">", 1)
-    head = re.sub(r'\s(width|height)="[^"]*"', "", head)
-    return InlineFigure(name, f'{head} data-figure="{name}" aria-hidden="true">{rest}', caption, alt)
-
-
-def _drawing(name: str, text: str) -> str:
-    """The element without its metadata, written anew, so that nothing is in it but what was looked at."""
     try:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise UserError(f"figures/{name}.svg: this is no drawing ({error})") from None
+    caption, alt = (root.findtext(f"{_SVG}metadata//{_DUBLIN_CORE}{what}") or "" for what in ("title", "description"))
     for about in ("metadata", "title"):
         for element in root.findall(f"{_SVG}{about}"):
             root.remove(element)
+    # A name of a file may hold anything, quotes of an attribute, say.
+    mark = re.sub(r"[^A-Za-z0-9_]", lambda match: f"-{ord(match[0]):x}-", name)
     for element in root.iter():
-        links = [value for key, value in element.attrib.items() if key.rpartition("}")[2] == "href"]
-        leads_out = any(not link.startswith(("#", "data:image/png")) for link in links)
-        acts = any(key.startswith("on") for key in element.attrib)
-        if element.tag not in _DRAWN or leads_out or acts:
-            what = element.tag.rpartition("}")[2]
-            raise UserError(f"figures/{name}.svg: it holds more than a drawing ({what}), which a page does not take")
-    return ElementTree.tostring(root, encoding="unicode")
+        _make_own(element, name, mark)
+    for size in ("width", "height"):
+        root.attrib.pop(size, None)
+    root.attrib |= {"data-figure": mark, "aria-hidden": "true"}
+    return InlineFigure(name, ElementTree.tostring(root, encoding="unicode"), caption, alt)
 
 
-def _about(text: str, what: str) -> str:
-    """A Dublin Core entry of the drawing's metadata."""
-    metadata = re.search(r"<metadata>(.*?)</metadata>", text, flags=re.DOTALL)
-    if metadata is None:
-        return ""
-    entry = ElementTree.fromstring(metadata[1]).find(f".//{_DUBLIN_CORE}{what}")
-    return "" if entry is None or entry.text is None else entry.text
+def _make_own(element: ElementTree.Element, name: str, mark: str) -> None:
+    """Look at an element, and give it the page's colours and identifiers of its own.
+
+    Raises:
+        UserError: it is none that matplotlib writes.
+    """
+    if element.tag not in _ELEMENTS:
+        raise _refused(name, element.tag.rpartition("}")[2])
+    if element.tag == f"{_SVG}style":
+        if re.sub(r"\s", "", element.text or "") != _SHEET:
+            raise _refused(name, "style")
+        # Style rules of an inline drawing reach the whole page.
+        element.text = f'[data-figure="{mark}"] {_SHEET}'
+    for key, value in element.attrib.items():
+        if key not in _ATTRIBUTES | _PROPERTIES:
+            raise _refused(name, key.rpartition("}")[2])
+        element.set(key, _looked_at(key, value, name, mark))
+
+
+def _looked_at(key: str, value: str, name: str, mark: str) -> str:
+    """The value of an attribute, as it stands in the page."""
+    if key == "style":
+        declared = (one.partition(":") for one in value.split(";") if one.strip())
+        return "; ".join(
+            f"{about.strip()}: {_set(about.strip(), text.strip(), name, mark)}" for about, _, text in declared
+        )
+    if key in _PROPERTIES:
+        return _set(key, value, name, mark)
+    if key == "id" and _PLAIN.fullmatch(value):
+        return f"{mark}-{value}"
+    if key == _LINK and _LINKED.fullmatch(value):
+        return f"#{mark}-{value[1:]}" if value.startswith("#") else value
+    if own := _OWN.fullmatch(value):
+        return f"url(#{mark}-{own[1]})"
+    if key in ("id", _LINK) or not _NUMBERS.fullmatch(value):
+        raise _refused(name, key.rpartition("}")[2])
+    return value
+
+
+def _set(about: str, value: str, name: str, mark: str) -> str:
+    """The value of a property, as it stands in the page."""
+    if about not in _PROPERTIES:
+        raise _refused(name, about)
+    if own := _OWN.fullmatch(value):
+        return f"url(#{mark}-{own[1]})"
+    if not _PLAIN.fullmatch(value):
+        raise _refused(name, about)
+    return f"var(--{_COLOURS[value]})" if value in _COLOURS else value
+
+
+def _refused(name: str, what: str) -> UserError:
+    return UserError(f"figures/{name}.svg: it holds more than a drawing ({what}), which a page does not take")

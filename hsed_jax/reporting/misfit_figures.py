@@ -1,6 +1,7 @@
 """The figures of the misfit between measured and predicted: each experiment, all quantities, and a table."""
 
 from collections.abc import Iterator, Mapping
+from functools import partial
 
 import numpy as np
 import xarray as xr
@@ -16,7 +17,7 @@ from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
 from hsed_jax.reporting.band_figures import band_parts
 from hsed_jax.reporting.misfit_maps import error_map, residual_coordinates
-from hsed_jax.reporting.style import Picture
+from hsed_jax.reporting.style import Drawing, Picture
 
 _OVERLAYS = 6
 _LOOPS = 9
@@ -33,10 +34,10 @@ _COLUMNS: dict[str, tuple[str, float, str]] = {
 }
 
 
-def misfit_pictures(
+def misfit_drawings(
     comparison: Comparison, location: Location | None, errors_over_inputs: xr.Dataset | None, campaign: Campaign
-) -> Iterator[tuple[str, Picture]]:
-    """Every figure of the misfit that there is material for, with the name of its file.
+) -> Iterator[Drawing]:
+    """Every figure of the misfit that there is material for.
 
     Arguments:
         comparison: a calibrated model against its measurements.
@@ -51,16 +52,15 @@ def misfit_pictures(
         worst = sorted(errors, key=lambda id: -max(badness(values) for values in errors[id].values()))[:_OVERLAYS]
         for row, experiment in enumerate(prediction.experiments):
             if experiment.id in worst and experiment.record is not None:
-                yield f"overlay_{experiment.id}", overlay(prediction, row, errors[experiment.id], campaign)
+                yield f"overlay_{experiment.id}", partial(overlay, prediction, row, errors[experiment.id], campaign)
     if comparison.train_prediction.groups.size == len(comparison.train_prediction.outputs):
-        yield "measured_against_predicted", measured_against_predicted(comparison, campaign)
-    others = {
-        "band_parts": band_parts(comparison, campaign),
-        "residual_coordinates": None if location is None else residual_coordinates(location, campaign),
-        "error_map": None if errors_over_inputs is None else error_map(errors_over_inputs),
-        "error_table": error_table(comparison, campaign),
-    }
-    yield from ((name, picture) for name, picture in others.items() if picture is not None)
+        yield "measured_against_predicted", partial(measured_against_predicted, comparison, campaign)
+    yield "band_parts", partial(band_parts, comparison, campaign)
+    if location is not None:
+        yield "residual_coordinates", partial(residual_coordinates, location, campaign)
+    if errors_over_inputs is not None:
+        yield "error_map", partial(error_map, errors_over_inputs)
+    yield "error_table", partial(error_table, comparison, campaign)
 
 
 @style.in_house_style

@@ -1,6 +1,7 @@
 """The numbers behind the charts of a report: plain columns, thinned to what a screen can show."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -8,7 +9,7 @@ import numpy as np
 
 from hsed_jax.criticism.coordinates import UNITS, coordinates_of
 from hsed_jax.criticism.prediction import has_diverged
-from hsed_jax.measurements import Record
+from hsed_jax.measurements import Experiment, Record
 from hsed_jax.physics.outputs import own_name
 from hsed_jax.reporting import style
 from hsed_jax.reporting.finished import SPLITS, FinishedRun
@@ -97,8 +98,9 @@ def samples_table(run: FinishedRun) -> Table:
     """Histories: a row per sample kept, measured and predicted by either model with its band, in the units of `axes_of`."""
     axes, parts = axes_of(run), []
     histories = list(_histories(run))
-    for id, split, models in histories:
-        record = _predicted_part(run.campaign[id].record, models)
+    for experiment, split, models in histories:
+        id, record = experiment.id, experiment.record
+        assert record is not None
         kept = thinned(
             [values for name, values in record.channels.items() if own_name(name) in ("force", "elongation")]
             or [*record.channels.values()],
@@ -159,12 +161,11 @@ def residual_table(run: FinishedRun) -> Table:
         name: values["scale"]
         for name, values in run.comparisons.get("before", {}).get("train", {}).get("per_output", {}).items()
     }
-    for id, _, models in _histories(run):
-        experiment = run.campaign[id]
+    for experiment, _, models in _histories(run):
         coordinates = coordinates_of(experiment, list(scales))
         for name, scale in scales.items():
             along = {key: values for key, values in coordinates[name].items() if key in UNITS}
-            along |= {key: np.full(len(along["time"]), value) for key, value in _declared(run, id).items()}
+            along |= {key: np.full(len(along["time"]), value) for key, value in _declared(run, experiment.id).items()}
             for model, dataset in models.items():
                 if f"{name}_measured" not in dataset:
                     continue
@@ -208,20 +209,20 @@ def thinned(channels: list[np.ndarray], most: int) -> np.ndarray:
     return np.sort(np.fromiter(kept, dtype=int))
 
 
-def _predicted_part(record: Record | None, models: dict[str, Any]) -> Record:
-    """The samples of a record that were predicted: of a long one not all were."""
-    assert record is not None
+def _predicted_part(record: Record, models: dict[str, Any]) -> Record:
+    """The samples of a record that were predicted: a long record is thinned."""
     rows = np.searchsorted(record.time, np.asarray(next(iter(models.values()))["time"]))
     return Record(record.time[rows], {name: values[rows] for name, values in record.channels.items()})
 
 
-def _histories(run: FinishedRun) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    """Every experiment with predicted histories: its id, split, and predictions by model."""
+def _histories(run: FinishedRun) -> Iterator[tuple[Experiment, str, dict[str, Any]]]:
+    """Every experiment with predicted histories: with the samples that were predicted, its split, and predictions by model."""
     for split in SPLITS:
         trees = run.predictions(split)
         for id in trees["before"].children if "before" in trees else ():
-            if id in run.campaign and run.campaign[id].record is not None:
-                yield id, split, {model: tree[id].dataset for model, tree in trees.items() if id in tree.children}
+            if id in run.campaign and (record := run.campaign[id].record) is not None:
+                models = {model: tree[id].dataset for model, tree in trees.items() if id in tree.children}
+                yield replace(run.campaign[id], record=_predicted_part(record, models)), split, models
 
 
 def _declared(run: FinishedRun, id: str) -> dict[str, float]:

@@ -1,12 +1,15 @@
 """`report.html`: a run on one page, for who was not there."""
 
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from hsed_jax.criticism.prediction import error_cell
+from hsed_jax.left_out import LeftOut
+from hsed_jax.physics.effects import called
 from hsed_jax.physics.outputs import loops, named
 from hsed_jax.plain import dump_yaml
 from hsed_jax.reporting import page_tables as tables
@@ -32,81 +35,123 @@ _STILL = {
 """Figures of the run folder that stand in the page as they are, by section."""
 
 
-def report_page(run: FinishedRun) -> str:
-    """The page of one run."""
-    drawn, data = _charts(run)
-    stills = {section: list(_stills(run, names)) for section, names in _STILL.items()}
+def report_page(run: FinishedRun, left_out: LeftOut | None = None) -> str:
+    """The page of one run.
+
+    Arguments:
+        run: what its folder holds.
+        left_out: notes the charts and tables that cannot be made; the page says them among its warnings.
+    """
+    left_out = left_out or LeftOut()
+
+    def made[T](name: str, make: Callable[[FinishedRun], T], otherwise: T) -> T:
+        return left_out.attempt(name, partial(make, run), otherwise)
+
+    drawn: dict[str, Any] = {}
+    data: dict[str, tables.Table] = {"experiments": made("table of errors", tables.experiments_table, {})}
+    for name, make in _CHARTS.items():
+        specification, columns = made(f"chart {name}", make, (None, {}))
+        if specification is not None:
+            drawn[name] = specification
+        data |= columns
+    no_table: dict[str, Any] = {"heads": [], "rows": []}
+    content = {
+        "asked": made("list of what was asked", lambda run: asked(run.study, run.campaign), []),
+        "notes": [sentence(note) for note in run.summary.get("comparison", {}).get("notes", [])],
+        "verdict": made("verdict", verdict, ""),
+        "doubtful": bool(diverged(run)),
+        "scales": made("list of scales", _scales, ""),
+        "falls": made("table of the fall of the error", _falls, []),
+        "figures": made("list of key figures", key_figures, []),
+        "stills": {section: list(_stills(run, names, left_out)) for section, names in _STILL.items()},
+        "ranking": made("table of effects", _ranking, no_table | {"named": [], "rest": 0}),
+        "learned": sentence(run.summary.get("discovery", {}).get("sentence", "")),
+        "places": made("table of places", _places, no_table),
+        "experiments": made("table of experiments", _experiments, no_table | {"words": 3}),
+        "references": made("list of references", _references, []),
+        "repeat": _repeat(run),
+        "written": dump_yaml(run.study),
+    }
+    known = made("list of warnings", lambda run: [*warnings(run)], [])
     return render(
         "report.html.j2",
         run=run,
         summary=run.summary,
-        asked=asked(run.study, run.campaign),
-        notes=[sentence(note) for note in run.summary.get("comparison", {}).get("notes", [])],
-        verdict=verdict(run),
-        doubtful=bool(diverged(run)),
-        scales=_scales(run),
-        falls=_falls(run),
-        figures=key_figures(run),
-        warnings=list(warnings(run)),
-        stills=stills,
-        ranking=_ranking(run),
-        learned=sentence(run.summary.get("discovery", {}).get("sentence", "")),
-        places=_places(run),
-        experiments=_experiments(run),
-        references=_references(run),
-        repeat=_repeat(run),
-        written=dump_yaml(run.study),
+        warnings=[*known, *map(sentence, left_out.sentences)],
         title=f"{run.name}: report",
         data={"charts": drawn, "tables": data},
+        **content,
     )
 
 
-def _charts(run: FinishedRun) -> tuple[dict[str, Any], dict[str, tables.Table]]:
-    """Specifications and tables of the interactive charts that there is material for."""
+Chart = tuple[dict[str, Any] | None, dict[str, tables.Table]]
+"""A specification, and the tables that it draws; None where there is no material for it."""
+
+
+def _where_chart(run: FinishedRun) -> Chart:
+    """The error of every experiment over what varies."""
     from hsed_jax.reporting import charts  # Altair takes seconds to load: only who writes a page waits for it
 
-    drawn: dict[str, Any] = {}
-    data = {"experiments": tables.experiments_table(run)}
-    if data["experiments"]:
-        campaign, shown = run.campaign, data["experiments"]
-        inputs = [name for name in campaign.inputs if len({*shown[name]}) > 1]
-        units = [tables.unit_words(campaign.unit(name).text) for name in inputs]
-        largest = max((error for error in shown["error"] if error is not None), default=1.0)
-        drawn["where"] = charts.errors_over_inputs(
-            list(zip(inputs, units, strict=True)), largest, list(run.comparisons)
-        )
-    if run.results is None or "before" not in run.comparisons:
-        return drawn, data
-    axes, models = tables.axes_of(run), list(run.predictions("train"))
-    outputs = tables.outputs_of(run)
-    if run.observes_histories:
-        data |= {"samples": tables.samples_table(run), "residual": tables.residual_table(run)}
-        time = "Time [s]" if run.campaign.has_time else "Row"
-        known = [name.removesuffix("_measured") for name in data["samples"] if name.endswith("_measured")]
-        found = [named(owner, "") for owner in loops(known) if named(owner, "force") in outputs]
-        # In the language of the charts a dot would lead into a value.
-        data["samples"] = {_column(name): values for name, values in data["samples"].items()}
-        drawable = {_column(name): axis for name, axis in axes.items()}
-        pairs = [_column(prefix) for prefix in found]
-        if windows := tables.windows_table(run):
-            data["windows"] = windows
-        drawn["histories"] = charts.histories(
-            drawable, [_column(name) for name in outputs], models, time, pairs, bool(windows)
-        )
-        if data["residual"]:
-            noise = {
-                campaign.pair.called(name): v["noise_floor"]
-                for name, v in run.comparisons["before"]["train"]["per_output"].items()
-            }
-            said = [*map(campaign.pair.called, outputs)]
-            drawn["residual"] = charts.residual_along(
-                list(dict.fromkeys(data["residual"]["coordinate"])), said, noise, models
-            )
-    else:
-        data["quantities"] = tables.quantities_table(run)
-        if data["quantities"]:
-            drawn["histories"] = charts.quantities(axes, outputs, models)
+    shown = tables.experiments_table(run)
+    if not shown:
+        return None, {}
+    inputs = [name for name in run.campaign.inputs if len({*shown[name]}) > 1]
+    units = [tables.unit_words(run.campaign.unit(name).text) for name in inputs]
+    largest = max((error for error in shown["error"] if error is not None), default=1.0)
+    return charts.errors_over_inputs(list(zip(inputs, units, strict=True)), largest, list(run.comparisons)), {}
+
+
+def _residual_chart(run: FinishedRun) -> Chart:
+    """The residual of histories along each coordinate."""
+    from hsed_jax.reporting import charts
+
+    if not (_has_predictions(run) and run.observes_histories) or not (found := tables.residual_table(run)):
+        return None, {}
+    called = run.campaign.pair.called
+    per_output = run.comparisons["before"]["train"]["per_output"]
+    noise = {called(name): errors["noise_floor"] for name, errors in per_output.items()}
+    coordinates, outputs = list(dict.fromkeys(found["coordinate"])), [*map(called, tables.outputs_of(run))]
+    return charts.residual_along(coordinates, outputs, noise, list(run.predictions("train"))), {"residual": found}
+
+
+def _histories_chart(run: FinishedRun) -> Chart:
+    """What was measured and predicted: histories of one experiment, or quantities of all."""
+    from hsed_jax.reporting import charts
+
+    if not _has_predictions(run):
+        return None, {}
+    axes, outputs, models = tables.axes_of(run), tables.outputs_of(run), list(run.predictions("train"))
+    if not run.observes_histories:
+        found = tables.quantities_table(run)
+        return (charts.quantities(axes, outputs, models) if found else None), {"quantities": found}
+    samples = tables.samples_table(run)
+    known = [name.removesuffix("_measured") for name in samples if name.endswith("_measured")]
+    prefixes = [named(owner, "") for owner in loops(known) if named(owner, "force") in outputs]
+    # In the language of the charts a dot would lead into a value.
+    data = {"samples": {_column(name): values for name, values in samples.items()}}
+    if windows := tables.windows_table(run):
+        data["windows"] = windows
+    drawn = charts.histories(
+        {_column(name): axis for name, axis in axes.items()},
+        [_column(name) for name in outputs],
+        models,
+        "Time [s]" if run.campaign.has_time else "Row",
+        [_column(prefix) for prefix in prefixes],
+        bool(windows),
+    )
     return drawn, data
+
+
+_CHARTS: dict[str, Callable[[FinishedRun], Chart]] = {
+    "where": _where_chart,
+    "histories": _histories_chart,
+    "residual": _residual_chart,
+}
+"""The interactive charts, by the name of their place in the page."""
+
+
+def _has_predictions(run: FinishedRun) -> bool:
+    return run.results is not None and "before" in run.comparisons
 
 
 def _column(name: str) -> str:
@@ -114,10 +159,14 @@ def _column(name: str) -> str:
     return name.replace(".", "·")
 
 
-def _stills(run: FinishedRun, names: Sequence[str]) -> Iterator[InlineFigure]:
-    # Of several specimens there is one for each, with its name behind.
+def _stills(run: FinishedRun, names: Sequence[str], left_out: LeftOut) -> Iterator[InlineFigure]:
     for name in names:
-        yield from (inline(key, f) for key, f in run.figures.items() if key == name or key.startswith(f"{name}_"))
+        for key, text in run.figures.items():
+            # Of several specimens there is one for each, with its name behind.
+            if key == name or key.startswith(f"{name}_"):
+                figure = left_out.attempt(f"figure {key}", partial(inline, key, text), None)
+                if figure is not None:
+                    yield figure
 
 
 def _experiments(run: FinishedRun) -> dict[str, Any]:
@@ -165,7 +214,8 @@ def _ranking(run: FinishedRun) -> dict[str, Any]:
         forms = {"probability": "{:.3f}", "log_evidence_gain": "{:.1f}"}
         numbers = [form.format(candidate[key]) if key in candidate else "–" for key, form in forms.items()]
         numbers += [error_cell(candidate.get(key)) for key in ("error_train", "error_test")]
-        rows.append([style.words(candidate["effect"]), candidate["family"], "; ".join(sizes), *numbers])
+        means = {name: e["mean"] for name, e in candidate["estimate"].items() if "mean" in e}
+        rows.append([style.words(called(candidate["effect"], means)), candidate["family"], "; ".join(sizes), *numbers])
     return {"heads": heads, "rows": rows, "named": named, "rest": len(diagnosis["ranking"]) - len(rows)}
 
 
@@ -189,7 +239,9 @@ def _falls(run: FinishedRun) -> list[tuple[str, str, str]]:
     steps, has_test = run.summary.get("improvement", {}).get("steps", []), "test" in run.comparisons.get("before", {})
     return [
         (
-            "+ " + style.words(step["effects"][-1]) if step["effects"] else "as it was",
+            "+ " + style.words(called(step["effects"][-1], step.get("parameters", {})))
+            if step["effects"]
+            else "as it was",
             error_text(step, "error_train", ".4f"),
             error_text(step, "error_test", ".4f") if has_test else "–",
         )

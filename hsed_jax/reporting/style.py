@@ -23,6 +23,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.drafts import create
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.laws import LAWS
 from hsed_jax.physics.outputs import own_name, owner_of
@@ -99,6 +100,10 @@ class Picture:
         return buffer.getvalue()
 
 
+Drawing = tuple[str, Callable[[], Picture | None]]
+"""The name of a picture's files, and what draws it; None where there is nothing to show."""
+
+
 def _set_powers_of_ten(axis: Axis) -> None:
     """Write a power of ten that an axis has as ×10⁴; where there is none, no number needs to be set as mathematics."""
     formatter = axis.get_major_formatter()
@@ -118,8 +123,9 @@ def save(picture: Picture, folder: str | Path, name: str) -> tuple[Path, Path]:
     folder.mkdir(parents=True, exist_ok=True)
     about = {"Title": picture.caption, "Description": picture.alt}
     png, svg = folder / f"{name}.png", folder / f"{name}.svg"
-    picture.figure.savefig(png, dpi=200, metadata=about)
-    picture.figure.savefig(svg, dpi=200, metadata={**about, "Date": None})
+    for path, metadata in ((png, about), (svg, {**about, "Date": None})):
+        with create(path) as file:
+            picture.figure.savefig(file, format=path.suffix[1:], dpi=200, metadata=metadata)
     return png, svg
 
 

@@ -1,20 +1,22 @@
 """The figures of a run, drawn from its outcome and its illustrations into its folder."""
 
 from collections.abc import Callable, Iterator, Mapping
-from itertools import chain
+from functools import partial
 from pathlib import Path
 
 import xarray as xr
 
 from hsed_jax.design.sequential import DesignState
+from hsed_jax.inference.fit import Fit
+from hsed_jax.left_out import LeftOut
 from hsed_jax.physics.outputs import of_each
 from hsed_jax.reporting import design_figures, diagnosis_figures, figures
 from hsed_jax.reporting.cycle_figures import cycles
 from hsed_jax.reporting.discovery_figures import learned
-from hsed_jax.reporting.misfit_figures import misfit_pictures
+from hsed_jax.reporting.misfit_figures import misfit_drawings
 from hsed_jax.reporting.population_figures import population
 from hsed_jax.reporting.posterior_figures import posterior
-from hsed_jax.reporting.style import Picture
+from hsed_jax.reporting.style import Drawing, Picture
 from hsed_jax.runs.illustrations import (
     ERROR_MAP,
     ESTIMATES_ALONE,
@@ -29,38 +31,55 @@ Tables = Mapping[str, xr.Dataset]
 """What `hsed_jax.runs.illustrations` made, by group."""
 
 
-def draw(outcome: Outcome, tables: Tables, folder: Path, report: Callable[[str], None] = lambda name: None) -> None:
-    """Write every figure that there is material for, as PNG and SVG; `report` hears the name of each."""
-    for name, picture in chain(
-        _design_pictures(outcome, tables),
-        _misfit_pictures(outcome, tables),
-        diagnosis_pictures(outcome),
-        _posterior_pictures(outcome),
-    ):
-        report(name)
+def draw(
+    outcome: Outcome, tables: Tables, folder: Path, left_out: LeftOut, report: Callable[[str], None] = lambda name: None
+) -> None:
+    """Write every figure that there is material for, as PNG and SVG.
+
+    Arguments:
+        outcome: what the run has come to.
+        tables: what was computed for the figures alone.
+        folder: where to.
+        left_out: notes what cannot be drawn.
+        report: hears the name of each.
+    """
+    groups: dict[str, Callable[[], Iterator[Drawing]]] = {
+        "design": partial(_design_drawings, outcome, tables),
+        "misfit": partial(_misfit_drawings, outcome, tables),
+        "diagnosis": partial(diagnosis_drawings, outcome),
+        "posterior": partial(_posterior_drawings, outcome),
+    }
+    for group, drawings in groups.items():
+        for name, make in left_out.attempt(f"set of figures of the {group}", lambda of=drawings: [*of()], []):
+            report(name)
+            left_out.attempt(f"figure {name}", partial(_save, make, folder, name), None)
+
+
+def _save(make: Callable[[], Picture | None], folder: Path, name: str) -> None:
+    if (picture := make()) is not None:
         figures.save(picture, folder, name)
 
 
-def _design_pictures(outcome: Outcome, tables: Tables) -> Iterator[tuple[str, Picture]]:
-    """The paper's figures, by file name: a pulse, a design, a virtual specimen."""
+def _design_drawings(outcome: Outcome, tables: Tables) -> Iterator[Drawing]:
+    """The paper's figures: a pulse, a design, a virtual specimen."""
     if EXCITATION in tables:
-        yield "fig3_excitation", design_figures.excitations(tables[EXCITATION], outcome.campaign.pair)
+        yield "fig3_excitation", partial(design_figures.excitations, tables[EXCITATION], outcome.campaign.pair)
     if MODEL_AT_TRUTH in tables:
+        of = (tables[SPECIMEN], tables[MODEL_AT_TRUTH])
         for owner in outcome.model.owners:
-            picture = design_figures.loops_and_energy(tables[SPECIMEN], tables[MODEL_AT_TRUTH], owner)
-            yield _file("fig4_loops_and_energy", owner), picture
+            yield _file("fig4_loops_and_energy", owner), partial(design_figures.loops_and_energy, *of, owner)
     if ESTIMATES_ALONE in tables:
-        yield "fig4bis_one_experiment_map", design_figures.estimate_maps(tables[ESTIMATES_ALONE])
+        yield "fig4bis_one_experiment_map", partial(design_figures.estimate_maps, tables[ESTIMATES_ALONE])
     if outcome.state is not None:
-        yield "fig6_exploration", exploration(outcome, outcome.state)
+        yield "fig6_exploration", partial(exploration, outcome, outcome.state)
         if outcome.steps:
-            yield "fig5_expected_improvement", expected_improvement(outcome)
-            yield "fig7_estimates", estimates(outcome)
+            yield "fig5_expected_improvement", partial(expected_improvement, outcome)
+            yield "fig7_estimates", partial(estimates, outcome)
     if MODEL in tables:
+        of = (tables[SPECIMEN], tables[MODEL])
         for owner in outcome.model.owners:
             if {*of_each([owner], design_figures.CHANNELS)} <= {*tables[MODEL]}:
-                picture = design_figures.responses(tables[SPECIMEN], tables[MODEL], owner)
-                yield _file("fig8_responses", owner), picture
+                yield _file("fig8_responses", owner), partial(design_figures.responses, *of, owner)
 
 
 def exploration(outcome: Outcome, state: DesignState) -> Picture:
@@ -83,45 +102,44 @@ def estimates(outcome: Outcome) -> Picture:
     )
 
 
-def _misfit_pictures(outcome: Outcome, tables: Tables) -> Iterator[tuple[str, Picture]]:
+def _misfit_drawings(outcome: Outcome, tables: Tables) -> Iterator[Drawing]:
     comparison, better = outcome.comparison, outcome.improved_comparison
     if comparison is None:
         return
-    yield from misfit_pictures(comparison, outcome.location, tables.get(ERROR_MAP), outcome.campaign)
-    read = cycles(better or comparison, outcome.campaign, None if better is None else comparison)
-    if read is not None:
-        yield "cycles", read
+    yield from misfit_drawings(comparison, outcome.location, tables.get(ERROR_MAP), outcome.campaign)
+    yield "cycles", partial(cycles, better or comparison, outcome.campaign, None if better is None else comparison)
 
 
-def diagnosis_pictures(outcome: Outcome) -> Iterator[tuple[str, Picture]]:
-    """Every figure of the diagnosis and the improvement that there is material for, with the name of its file."""
+def diagnosis_drawings(outcome: Outcome) -> Iterator[Drawing]:
+    """Every figure of the diagnosis and the improvement that there is material for."""
     diagnosis, trail = outcome.diagnosis, outcome.trail
     if diagnosis is not None and diagnosis.ranking:
-        yield "ranking", diagnosis_figures.ranking(diagnosis)
+        yield "ranking", partial(diagnosis_figures.ranking, diagnosis)
     if outcome.discovery is not None and outcome.discovery.found:
-        yield "learned", learned(outcome.discovery, outcome.campaign)
+        yield "learned", partial(learned, outcome.discovery, outcome.campaign)
     if trail is not None and len(trail.steps) > 1:
-        yield "error_fall", diagnosis_figures.error_fall(trail)
+        yield "error_fall", partial(diagnosis_figures.error_fall, trail)
     if outcome.comparison is not None and outcome.improved_comparison is not None:
-        picture = diagnosis_figures.before_after(outcome.comparison, outcome.improved_comparison, outcome.campaign)
-        if picture is not None:
-            yield "before_after", picture
+        both = (outcome.comparison, outcome.improved_comparison)
+        yield "before_after", partial(diagnosis_figures.before_after, *both, outcome.campaign)
     if outcome.fit is not None and outcome.improved is not None:
-        picture = diagnosis_figures.parameters_before_after(
-            outcome.fit.summary(), outcome.improved.summary(), outcome.improved.units, outcome.truth, outcome.catalogue
-        )
-        if picture is not None:
-            yield "parameters_before_after", picture
+        yield "parameters_before_after", partial(_parameters, outcome, outcome.fit, outcome.improved)
 
 
-def _posterior_pictures(outcome: Outcome) -> Iterator[tuple[str, Picture]]:
+def _parameters(outcome: Outcome, fit: Fit, improved: Fit) -> Picture | None:
+    return diagnosis_figures.parameters_before_after(
+        fit.summary(), improved.summary(), improved.units, outcome.truth, outcome.catalogue
+    )
+
+
+def _posterior_drawings(outcome: Outcome) -> Iterator[Drawing]:
     if outcome.fit is not None:
         better = outcome.improved
         before = None if better is None else outcome.fit
         fit = better or outcome.fit
-        yield "posterior", posterior(fit, before, outcome.truth)
+        yield "posterior", partial(posterior, fit, before, outcome.truth)
         for level, parameters in fit.levels().items():
-            yield _file("population", level), population(level, parameters, fit.units)
+            yield _file("population", level), partial(population, level, parameters, fit.units)
 
 
 def _file(name: str, owner: str) -> str:

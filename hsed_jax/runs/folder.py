@@ -16,7 +16,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from hsed_jax.drafts import write_netcdf, write_whole
+from hsed_jax.drafts import create, extend, first_link, write_netcdf, write_whole
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import read_campaign
 from hsed_jax.plain import dump_yaml, parse_yaml
@@ -55,7 +55,8 @@ class RunFolder:
         force: throw away what the run in it left.
 
     Raises:
-        UserError: the folder exists and neither was said, or it belongs to another study or another running process.
+        UserError: the folder exists and neither was said, it holds a symbolic link where a run writes, or it belongs to another
+            study or another running process.
     """
 
     def __init__(self, path: str | Path, study: Mapping[str, Any], *, resume: bool = False, force: bool = False):
@@ -73,6 +74,7 @@ class RunFolder:
                     f"{self.path} holds a run already; say --resume to go on with it or --force to replace it"
                 )
             self.path.mkdir(parents=True, exist_ok=True)
+            self._refuse_links()
             self._lock = self._locked()
         except OSError as error:
             raise UserError(f"{self.path} cannot be written to ({error.strerror}); choose another --output") from None
@@ -98,8 +100,8 @@ class RunFolder:
     def record(self, event: str, **content: Any) -> None:
         """Append an event to the journal and see it onto the disk; a number that is not finite is written as null."""
         line = json.dumps(_with_null({"event": event, **content}), allow_nan=False)
-        with self._journal.open("a", encoding="utf-8") as journal:
-            journal.write(line + "\n")
+        with extend(self._journal) as journal:
+            journal.write(f"{line}\n".encode())
             journal.flush()
             os.fsync(journal.fileno())
 
@@ -140,7 +142,7 @@ class RunFolder:
         """Keep what a calculation has reached, in place of what it kept before."""
         self._reached.mkdir(exist_ok=True)
         unfinished = self._reached / f"{name}.part"
-        with unfinished.open("wb") as file:
+        with create(unfinished) as file:
             np.savez(file, *arrays)
         unfinished.replace(self._reached / f"{name}.npz")
 
@@ -204,7 +206,7 @@ class RunFolder:
         return self.path / "journal.jsonl"
 
     def _locked(self):
-        lock = (self.path / ".lock").open("w")
+        lock = extend(self.path / ".lock")
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -213,6 +215,17 @@ class RunFolder:
                 f"{self.path} is in use by another running process; wait for it or choose another --output"
             ) from None
         return lock
+
+    def _refuse_links(self) -> None:
+        """Refuse a folder in which a link leads what is written elsewhere; a record in `laboratory` is read alone."""
+        drafts = [path.name for path in self.path.glob("*.part")]
+        link = first_link(self.path, [".lock", *drafts, *(name for name in _OF_A_RUN if name != "laboratory")])
+        link = link or next((path for path in (self.laboratory, *self.laboratory.glob("*")) if path.is_symlink()), None)
+        if link is not None:
+            raise UserError(
+                f"{link} is a symbolic link, and what the run writes would go elsewhere; replace it by what it leads to, or "
+                "choose another --output"
+            )
 
     def _clear(self) -> None:
         for item in self.path.iterdir():

@@ -8,6 +8,7 @@ import xarray as xr
 from hsed_jax.criticism.error_map import error_map
 from hsed_jax.design.over_inputs import estimates_alone, excitations, responses
 from hsed_jax.laboratories.virtual import VirtualLaboratory
+from hsed_jax.left_out import LeftOut
 from hsed_jax.physics.outputs import of_each
 from hsed_jax.physics.simulator import Simulator
 from hsed_jax.reporting.design_figures import CHANNELS
@@ -21,12 +22,20 @@ _AT = (0.5, 0.85, 0.3)
 """Where responses are shown: in the middle of the inputs' distributions, and at two quantiles far apart."""
 
 
-def illustrations(outcome: Outcome, report: Callable[[str], None] = lambda name: None) -> dict[str, xr.Dataset]:
-    """Compute what the outcome has the material for; `report` hears the name of each group before it is made."""
+def illustrations(
+    outcome: Outcome, left_out: LeftOut, report: Callable[[str], None] = lambda name: None
+) -> dict[str, xr.Dataset]:
+    """Compute what the outcome has the material for.
+
+    Arguments:
+        outcome: what the run has come to.
+        left_out: notes what cannot be computed.
+        report: hears the name of each group before it is made.
+    """
     made = {}
     for name, compute in _computations(outcome):
         report(name)
-        if (table := compute()) is not None:
+        if (table := left_out.attempt(f"data of the figure {name}", compute, None)) is not None:
             made[name] = table
     return made
 

@@ -160,8 +160,14 @@ def _levels(fit: Fit) -> dict[str, Any]:
 
 
 def _doubts(fit: Fit) -> dict[str, Any]:
-    """What is wrong with the draws, whether the model explains the data, and how wrong it is, as far as it can be said."""
-    said = {"warning": fit.warning, "chi2_per_datum": fit.chi2_per_datum, "doubt": fit.doubt}
+    """Which estimates lean on bounds, what is wrong with the draws, and what the model leaves, as far as it can be said."""
+    said = {
+        "caution": fit.caution,
+        "at_bounds": [one.summary() for one in fit.leaning] or None,
+        "warning": fit.warning,
+        "chi2_per_datum": fit.chi2_per_datum,
+        "doubt": fit.doubt,
+    }
     return {key: value for key, value in said.items() if value is not None} | (
         {} if fit.discrepancy is None else {"discrepancy": fit.discrepancy_summary()}
     )

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Array, Float
 
+from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
 from hsed_jax.laboratories.answer import QUANTITIES, RECORD, is_answered, left, read_quantities, read_record
 from hsed_jax.laboratories.base import ExperimentFailed, Measured
@@ -132,7 +133,7 @@ class Requests:
             unit = output(name).unit if declared is None else declared.unit
             for share, values in zip(BAND, band, strict=True):
                 columns[f"{name} {share:.0%} [{unit}]"] = parse_unit(unit).from_si(values)
-        pd.DataFrame(columns).to_csv(folder / "expected.csv", index=False)
+        write_whole(folder / "expected.csv", pd.DataFrame(columns).to_csv(index=False))
         peaks = {
             name: {"unit": output(name).unit, **{f"{s:.0%}": float(v) for s, v in zip(BAND, values, strict=True)}}
             for name, values in expected.quantities.items()

@@ -21,6 +21,7 @@ from hsed_jax.interruptions import Interrupted, answered_by
 from hsed_jax.laboratories.base import ExperimentFailed, Measured
 from hsed_jax.laboratories.folder import Awaited
 from hsed_jax.laboratories.virtual import VirtualLaboratory
+from hsed_jax.left_out import LeftOut
 from hsed_jax.measurements import Campaign, stop_at_errors, write_campaign
 from hsed_jax.physics.scales import Scales
 from hsed_jax.runs.conduct import Asked, Conduct
@@ -78,6 +79,7 @@ class Run:
     Attributes:
         conduct: of the design, where it ran.
         calibration, comparison, location, diagnosis, remaining, discovery, improvement: results of the steps that ran.
+        left_out: sentences on the figures and tables that could not be made.
     """
 
     def __init__(
@@ -106,6 +108,7 @@ class Run:
         self.stop_reason = "iterations"
         self._under_way = ""
         self._followed: Progress | None = None
+        self.left_out: list[str] = []
         self.calibration: Calibration | None = None
         self.comparison: Comparison | None = None
         self.location: Location | None = None
@@ -137,7 +140,7 @@ class Run:
                 outcome = self.outcome("complete")
                 content = summary(outcome)
                 self.store.write_summary(content)
-                self._write(outcome)
+                self._write(outcome, content)
                 return content
         except Waiting:
             self.store.write_summary(summary(self.outcome("waiting")))
@@ -145,8 +148,8 @@ class Run:
         finally:
             self.store.close()
 
-    def _write(self, outcome: Outcome) -> None:
-        """Write the results, draw the figures, and make a report of both."""
+    def _write(self, outcome: Outcome, content: dict[str, Any]) -> None:
+        """Write the results, draw the figures, and make a report of both; a figure that fails is left out and said."""
         from hsed_jax.runs.results import results_tree
 
         if not self.figures:
@@ -157,16 +160,22 @@ class Run:
         from hsed_jax.runs.figures import draw
         from hsed_jax.runs.illustrations import illustrations
 
+        left_out = LeftOut()
         with self._watch("figures") as watch:
             tables = {}
             try:
-                tables = illustrations(outcome, watch.report)
+                tables = illustrations(outcome, left_out, watch.report)
             finally:
                 # Before anything is drawn: what was found is on the disk whatever becomes of the figures.
                 self.store.write_results(results := results_tree(outcome, tables))
-            draw(outcome, tables, self.store.figures, watch.report)
+            draw(outcome, tables, self.store.figures, left_out, watch.report)
+        if left_out.reasons:
+            content["left_out"] = left_out.sentences
+            self.store.write_summary(content)
         self.store.finish()
-        self.store.write_report(report_page(read_run(self.store.path, results)))
+        of_page = LeftOut()
+        self.store.write_report(report_page(read_run(self.store.path, results), of_page))
+        self.left_out = [*left_out.sentences, *of_page.sentences]
 
     def _stopped(self) -> str:
         """Leave behind what the run has come to when it is interrupted, and say where."""

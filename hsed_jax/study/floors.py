@@ -32,6 +32,11 @@ def floor_count(campaign: Campaign) -> int:
     return max((number for number, _ in map(_floor, campaign.channels)), default=1)
 
 
+def top_channel(campaign: Campaign) -> str | None:
+    """The channel that tells most directly how the highest floor moves; None where no floor has a sensor."""
+    return max((name for name in campaign.channels if _floor(name)[0]), key=_floor, default=None)
+
+
 def floors_of(campaign: Campaign) -> Floors | None:
     """Frequency, stiffness and strength by the highest sensor, medians over the training experiments; None without one.
 
@@ -40,10 +45,9 @@ def floors_of(campaign: Campaign) -> Floors | None:
     first mode of a shear building of n equal storeys, $\\phi_i = \\sin\\frac{i\\pi}{2n+1}$,
     $\\omega_1 = 2\\sqrt{k/m}\\sin\\frac{\\pi}{4n+2}$.
     """
-    names = [name for name in campaign.channels if _floor(name)[0]]
-    if not names:
+    if (name := top_channel(campaign)) is None:
         return None
-    count, _ = _floor(name := max(names, key=_floor))
+    count, _ = _floor(name)
     rows = [_top(e.record, name) for e in campaign.train if e.record is not None and name in e.record.channels]
     if not rows:
         return None

@@ -1,20 +1,18 @@
 """Levels of a study: which columns of the experiments parameters vary with, and who is a member of what."""
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hsed_jax.config.functions import FunctionEntry
 from hsed_jax.errors import UserError
+from hsed_jax.inference.leaning import ANYTHING
 from hsed_jax.inference.population import Level, Varying
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Experiment
-from hsed_jax.physics.outputs import own_name, owner_of
-from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.plain import shown
 from hsed_jax.study import parts
+from hsed_jax.study.possible import possible_of
 
 if TYPE_CHECKING:
     from hsed_jax.study.build import Built
@@ -91,15 +89,4 @@ def _varying(built: "Built", where: str, name: str, entry: Mapping, free: Mappin
     else:
         sd = 0.5 * float(prior.quantile(0.84) - prior.quantile(0.16))
         spread = Prior("half_normal", _SPREAD if is_log else _SPREAD * sd)
-    return Varying(name, list(free).index(name), is_log, spread, *_limits(built, name))
-
-
-def _limits(built: "Built", name: str) -> tuple[float, float]:
-    """What a law or an effect allows of a parameter, SI; of a function's nobody knows."""
-    if not isinstance(built.study.model, FunctionEntry):
-        naming, owner = built.naming, owner_of(name)
-        known = naming.of_laws if owner not in naming.catalogue else parameters_of(naming.catalogue[owner])
-        found = known.get(name if owner not in naming.catalogue else own_name(name))
-        if found is not None:
-            return found.lower, found.upper
-    return -math.inf, math.inf
+    return Varying(name, list(free).index(name), is_log, spread, *possible_of(built).get(name, ANYTHING))

@@ -131,6 +131,17 @@ class Naming:
         }
         return shared | own
 
+    def known(self, name: str) -> Parameter | None:
+        """What is known of a parameter of a law, of an effect under either of its names, or of the structure; else None."""
+        owner, own = owner_of(name), own_name(name)
+        if owner == OWNER:
+            return parameter_of(own)
+        if name in self.of_laws:
+            return self.of_laws[name]
+        effect = self.catalogue.get(owner)
+        every = () if effect is None else parameters_of(effect).values()
+        return next((p for p in every if own in (p.name, p.physical.name if p.physical else "")), None)
+
     def units(self, names: Sequence[str], constants: Mapping[str, float], pair: Pair) -> dict[str, str]:
         """SI unit of every named parameter of specimens that are measured in a pair."""
         units = {}

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from hsed_jax.drafts import write_whole
+from hsed_jax.drafts import extend, first_link, write_whole
 from hsed_jax.errors import UserError
 from hsed_jax.plain import dump_yaml, parse_yaml
 from hsed_jax.sweeps.plan import Plan
@@ -52,7 +52,9 @@ class SweepFolder:
             if resume and not written.is_file():
                 raise UserError(f"{path}: there is no sweep to resume; leave out --resume to start one")
             self.path.mkdir(parents=True, exist_ok=True)
-            self._lock = (self.path / ".lock").open("w")
+            if (link := first_link(self.path, [".lock", *_OF_A_SWEEP])) is not None:
+                raise UserError(f"{link} is a symbolic link, and what the sweep writes would go elsewhere; remove it")
+            self._lock = extend(self.path / ".lock")
         except OSError as error:
             raise UserError(f"{path} cannot be written to ({error.strerror}); choose another --output") from None
         try:
@@ -128,7 +130,7 @@ def alone(path: Path, number: int) -> Iterator[None]:
     A cluster starts a study again when it has lost sight of a worker, which may go on all the same; and a worker may outlive a
     sweep that was killed.
     """
-    with (path / "outcomes" / f"{number + 1:04d}.lock").open("w") as lock:
+    with extend(path / "outcomes" / f"{number + 1:04d}.lock") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield
 

@@ -161,9 +161,7 @@ def sweep(
 def gather(folder: SweepFolder) -> Sweep:
     """Make table, dataset, failures and figure of what has come out so far, and write them."""
     made = Sweep(folder.path, folder.plan, results.table_of(folder.path, folder.plan))
-    unfinished = folder.path / "unfinished.part"
-    made.table.to_parquet(unfinished)
-    unfinished.replace(folder.path / "table.parquet")
+    write_whole(folder.path / "table.parquet", made.table.to_parquet())
     write_netcdf(folder.path / "results.nc", made.dataset)
     listed = "\n".join(f"{number}  {text}" for number, text in made.failures.items())
     write_whole(folder.path / "failures.txt", listed or "none\n")

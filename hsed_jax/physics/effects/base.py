@@ -80,6 +80,7 @@ class AbstractEffect(eqx.Module):
         name: as it stands in studies and reports.
         family: the kind of physics.
         reference: where it comes from.
+        negative: what it is where its amplitude is negative, if its name says the contrary.
         place: where the physics sits.
         needs_time: it depends on rates or on time, not on the path alone: a test without a time scale cannot show it.
         histories_only: it changes channels but no quantity.
@@ -93,6 +94,7 @@ class AbstractEffect(eqx.Module):
     name: ClassVar[str]
     family: ClassVar[str]
     reference: ClassVar[str]
+    negative: ClassVar[str] = ""
     place: ClassVar[Literal["spring", "structure", "test rig"]]
     needs_time: ClassVar[bool] = False
     histories_only: ClassVar[bool] = False

@@ -110,7 +110,11 @@ class Gap(AbstractSpringEffect):
 @register
 @final
 class SupportFlexibility(AbstractWornEffect):
-    r"""A linear spring in series with the specimen: compliance $\delta u_c/F_c$."""
+    r"""A spring in series with the specimen, u its elongation: a linear one of compliance $\delta u_c/F_c$, or another one.
+
+    Where it is not linear, and where it loosens, its form is that of the compliance $du/dF$: what has loosened gives way more
+    from then on, and a force that stays moves nothing.
+    """
 
     name: ClassVar[str] = "support_flexibility"
     family: ClassVar[str] = "structure"
@@ -120,15 +124,15 @@ class SupportFlexibility(AbstractWornEffect):
         Form("linear", r"u = \delta u_c\,F/F_c"),
         Form(
             "power",
-            r"u = \delta u_c|F/F_c|^p\,\mathrm{sign}\,F",
+            r"\frac{du}{dF} = \delta\frac{u_c}{F_c}\,p\max(|F/F_c|, 0.02)^{p-1}",
             "Hertz 1882; Ramberg & Osgood 1943",
             free=("power",),
             in_units=False,
         ),
-        heating(r"u = \delta u_c\,F/F_c\,", "Ibrahim & Pettit 2005 (joints that loosen)", "loosening"),
+        heating(r"\frac{du}{dF} = \delta\frac{u_c}{F_c}\,", "Ibrahim & Pettit 2005 (joints that loosen)", "loosening"),
         Form(
             FREE,
-            r"\frac{du}{dF} = \delta\frac{u_c}{F_c}\left(p|F/F_c|^{p-1} + b\,e^{-|F/wF_c|^m}\right)",
+            r"\frac{du}{dF} = \delta\frac{u_c}{F_c}\left(p\max(|F/F_c|, 0.02)^{p-1} + b\,e^{-|F/wF_c|^m}\right)",
             free=("power", "bedding", "bedded", "abruptness"),
             in_units=False,
         ),

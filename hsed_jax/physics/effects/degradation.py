@@ -30,7 +30,8 @@ class AbstractDegradation(AbstractDamagedEffect):
         Form("power", r"1 + \delta x^p", "Park & Ang 1985; Kunnath, Mander & Fang 1997", free=("power",),
              in_units=False),
         Form("threshold", r"1 + \delta\max(x - x_0, 0)", "Ibarra, Medina & Krawinkler 2005 (onset)", free=("onset",)),
-        Form(FREE, r"1 + \delta\,\frac{1 - e^{-(qy)^p}}{1 - e^{-q^p}},\ y = \max(x - x_0, 0)",
+        Form(FREE, r"1 + \delta\,\frac{1 - e^{-(qy)^p}}{1 - e^{-q^p}},\ y = \max(x - x_0, 0);\ "
+             r"1 + \delta y^p\text{ for }q < 0.01",
              free=("soonness", "power", "onset"), in_units=False),
     )  # fmt: skip
 

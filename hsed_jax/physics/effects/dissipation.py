@@ -146,7 +146,10 @@ class QuadraticDamping(AbstractSpringEffect):
 @register
 @final
 class PowerDamping(AbstractWornEffect):
-    r"""A fluid damper in parallel: $\delta\,F_c\,|\Delta\dot u/v_c|^\alpha\,\mathrm{sign}\,\Delta\dot u$."""
+    r"""A fluid damper in parallel: $\delta\,F_c\,|\Delta\dot u/v_c|^\alpha\,\mathrm{sign}\,\Delta\dot u$.
+
+    Below $10^{-3} v_c$ it is linear, as the power has no derivative at rest.
+    """
 
     name: ClassVar[str] = "power_damping"
     family: ClassVar[str] = "damping"
@@ -258,10 +261,10 @@ class StribeckFriction(AbstractBristledEffect):
     needs_time: ClassVar[bool] = True
     forms: ClassVar[tuple[Form, ...]] = (
         Form("exponential"),
-        Form("of any speed", r"v_r = r\,v_c", free=("falling",)),
+        Form("of any speed", r"v_r = \max(r, 0.06)\,v_c", free=("falling",)),
         Form(
             "bristle",
-            r"\delta F_c q,\ dq/d\Delta u = (1 - q\,\mathrm{sign}\,\Delta\dot u/[\ldots])/b u_c",
+            r"\delta F_c q,\ dq/d\Delta u = (1 - q\,\mathrm{sign}\,\Delta\dot u/[\ldots])/b u_c,\ v_r = \max(r, 0.06)\,v_c",
             "Canudas de Wit, Olsson, Åström & Lischinsky 1995 (LuGre)",
             held={"of_bristle": 1.0},
             free=("falling", "bristle"),

@@ -119,8 +119,12 @@ class AbstractWornEffect(AbstractSpringEffect):
         """The factor at one instant."""
         if is_zero(self.worn):
             return 1.0
-        path, energy = (DRIVERS[name].value(point) for name in ("path", "energy"))
-        x = energy if is_number(self.heats, 1) else path if is_zero(self.heats) else path + self.heats * (energy - path)
+        x = 0.0
+        if not is_zero(self.heats):
+            x = self.heats * DRIVERS["energy"].value(point)
+        if not is_number(self.heats, 1):
+            # Only then does the spring integrate its path (`needs`).
+            x = x + (1 - self.heats) * DRIVERS["path"].value(point)
         return 1 - self.worn * jnp.expm1(-jnp.maximum(x, 0.0) / self.wears)
 
 

@@ -44,6 +44,7 @@ class Hardening(AbstractBristledEffect, AbstractWornEffect):
     name: ClassVar[str] = "hardening"
     family: ClassVar[str] = "post-yield"
     reference: ClassVar[str] = "Wen 1976"
+    negative: ClassVar[str] = "softening, as by P-Delta"
     forms: ClassVar[tuple[Form, ...]] = (
         Form("linear", r"\delta\,\frac{F_c}{u_c}\,\Delta u"),
         Form("tension only", r"\delta\,\frac{F_c}{u_c}\max(\Delta u, 0)", held={"side": 1.0}),
@@ -113,6 +114,7 @@ class CubicStiffness(AbstractSpringEffect):
     name: ClassVar[str] = "cubic_stiffness"
     family: ClassVar[str] = "post-yield"
     reference: ClassVar[str] = "Duffing 1918"
+    negative: ClassVar[str] = "a spring that softens"
     forms: ClassVar[tuple[Form, ...]] = (
         Form("cubic", r"\delta F_c(\Delta u/u_c)^3"),
         Form("power", r"\delta F_c|\Delta u/u_c|^p\,\mathrm{sign}\,\Delta u", free=("power",), in_units=False),

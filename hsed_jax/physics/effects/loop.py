@@ -24,7 +24,8 @@ def _whether(place: str, symbol: str, neutral: float = 1.0) -> Any:
 class YieldSharpness(AbstractSpringEffect):
     r"""The exponent differs from the assumed one: $|z|^n \to |z|^n(|z|/z_u)^\delta$; a larger one yields more sharply.
 
-    $z_u$ is the strength of the element, which stays: with $|z|^{n+\delta}$ and the same β the strength would fall, too.
+    $z_u$ is the strength of the element, which stays: with $|z|^{n+\delta}$ and the same β the strength would fall, too. The free
+    form takes no less than $10^{-3}$ for $|z|/z_u$.
     """
 
     name: ClassVar[str] = "yield_sharpness"
@@ -32,7 +33,9 @@ class YieldSharpness(AbstractSpringEffect):
     reference: ClassVar[str] = "Wen 1976"
     forms: ClassVar[tuple[Form, ...]] = (
         Form("power"),
-        Form(FREE, r"|z|^n\left[1 - w + w\,(|z|/z_u)^\delta\right]", held={"of_power": 0.0}, free=("of_part",)),
+        Form(
+            FREE, r"|z|^n\left[1 - w + w\max(|z|/z_u, 10^{-3})^\delta\right]", held={"of_power": 0.0}, free=("of_part",)
+        ),
     )
 
     delta: Scalar = parameter(

@@ -1,0 +1,147 @@
+"""Estimates that lean on a bound of their prior: where that is no physical limit, the prior excludes what the data ask for.
+
+A posterior that is cut off says nothing of how wrong the cut is, and an effect that gets round the bound gains evidence from it.
+So this is said before anything else is made of a calibration, and nothing is named before the bound was opened.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hsed_jax.inference.priors import Prior
+
+Range = tuple[float, float]
+ANYTHING: Range = (-math.inf, math.inf)
+"""What is possible of a parameter of which nothing is known."""
+
+# As shares of the width of the prior: what is on a bound to the digits of a search; and what is near it, where the posterior
+# reaches the bound within so many of its standard deviations.
+_ON, _NEAR, _REACHES = 1e-4, 0.01, 2.0
+# Of a prior that has but one bound, or none, this share of it is its width.
+_WIDTH = 0.9
+
+
+class Leaning(NamedTuple):
+    """An estimate on a bound of its prior that is no physical limit.
+
+    Attributes:
+        parameter: its name.
+        value: θ_MAP, SI.
+        bound: that it leans on, SI.
+        side: `lower` or `upper`.
+        prior: both bounds, SI; infinite where there is none.
+    """
+
+    parameter: str
+    value: float
+    bound: float
+    side: str
+    prior: Range
+
+    def summary(self) -> dict[str, Any]:
+        """As in `summary.json`; a bound that there is none of is null."""
+        bounds = [bound if math.isfinite(bound) else None for bound in self.prior]
+        return {**self._asdict(), "prior": bounds}
+
+
+def leaning(
+    priors: Mapping[str, Prior],
+    possible: Mapping[str, Range],
+    estimates: Mapping[str, float],
+    posterior: Mapping[str, Mapping[str, float]],
+) -> tuple[Leaning, ...]:
+    """The estimates that lean on a bound of their prior which is no physical limit.
+
+    Arguments:
+        priors: of the parameters, by name.
+        possible: what is physically possible of each, SI; of what is not in it nothing is known, and zero is taken for a limit
+            of a prior that has no other bound.
+        estimates: θ_MAP by name, SI, of the parameters to look at.
+        posterior: `sd` of each, the standard deviation, SI.
+    """
+    found = []
+    for name, value in estimates.items():
+        prior = priors[name]
+        for side, bound in touched(prior, value, posterior[name]["sd"]):
+            if not _is_limit(side, bound, prior, possible.get(name)):
+                low, high = prior.bounds
+                ends = (-math.inf if low is None else low, math.inf if high is None else high)
+                found.append(Leaning(name, value, bound, side, ends))
+    return tuple(found)
+
+
+def touched(prior: Prior, value: float, deviation: float) -> Iterator[tuple[str, float]]:
+    """The bounds of a prior that an estimate is on, physical limits or not: `lower` or `upper`, and where that is."""
+    low, high = prior.bounds
+    if low is not None and high is not None:
+        width = high - low
+    else:
+        outside = 0.5 * (1 - _WIDTH)
+        width = float(prior.quantile(1 - outside) - prior.quantile(outside))
+    reach = max(_ON * width, min(_NEAR * width, _REACHES * deviation))
+    for side, bound in (("lower", low), ("upper", high)):
+        if bound is not None and abs(value - bound) <= reach:
+            yield side, bound
+
+
+def _is_limit(side: str, bound: float, prior: Prior, possible: Range | None) -> bool:
+    if possible is None:
+        return bound == 0 and None in prior.bounds
+    limit = possible[0 if side == "lower" else 1]
+    return bool(np.isclose(bound, limit, rtol=1e-9, atol=0.0))
+
+
+def caution(
+    leaning: Sequence[Leaning],
+    priors: Mapping[str, Prior],
+    estimates: Mapping[str, float],
+    posterior: Mapping[str, Mapping[str, float]],
+    units: Mapping[str, str],
+) -> str | None:
+    """What to know before any estimate is believed: which of them lean, and which lie outside their own 90 % interval.
+
+    Arguments:
+        leaning: the estimates that lean.
+        priors: by name.
+        estimates: θ_MAP of the model's own parameters by name, SI.
+        posterior: `sd`, `q05` and `q95` of each, SI.
+        units: SI units by name.
+    """
+    said = [_leaning_words(leaning, units)] if leaning else []
+    for name, value in estimates.items():
+        known = posterior[name]
+        # On a bound, be it a physical limit, it lies outside of every interval that leaves out as much on either side.
+        if not known["q05"] <= value <= known["q95"] and not any(touched(priors[name], value, known["sd"])):
+            said.append(
+                f"the most probable {name} = {_quantity(name, value, units)} lies outside its own 90 % interval, "
+                f"{known['q05']:.4g} to {known['q95']:.4g}: the posterior is skewed or has another mode, or its draws miss a part"
+            )
+    return "; ".join(said) or None
+
+
+def _leaning_words(found: Sequence[Leaning], units: Mapping[str, str]) -> str:
+    what, excluding, them = (
+        ("estimates lean on bounds of their priors that are no physical limits", "these priors exclude", "them")
+        if len(found) > 1
+        else ("an estimate leans on a bound of its prior that is no physical limit", "this prior excludes", "it")
+    )
+    each = ", ".join(
+        f"{one.parameter} = {_quantity(one.parameter, one.value, units)} on the {one.side} bound of {_range(one.prior)}"
+        for one in found
+    )
+    return (
+        f"{what}: {each}; the data ask for what {excluding}: widen {them} and calibrate again before an effect is named"
+    )
+
+
+def _quantity(name: str, value: float, units: Mapping[str, str]) -> str:
+    return f"{value:.4g}" if units.get(name, "1") == "1" else f"{value:.4g} {units[name]}"
+
+
+def _range(bounds: Range) -> str:
+    low, high = bounds
+    if math.isinf(high):
+        return f"at least {low:.4g}"
+    return f"at most {high:.4g}" if math.isinf(low) else f"{low:.4g} to {high:.4g}"
