@@ -10,6 +10,7 @@ from test_init import loop
 
 import hsed_jax as hx
 from hsed_jax.config.schema import Study
+from hsed_jax.diagnosis.diagnose import diagnose
 from hsed_jax.inference.leaning import ANYTHING, Leaning, caution, leaning
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Channel, Noise, write_campaign
@@ -17,6 +18,7 @@ from hsed_jax.reporting.digest import verdict
 from hsed_jax.run import main
 from hsed_jax.runs.folder import read_run
 from hsed_jax.study.build import Built
+from hsed_jax.study.candidates import problem_of
 from hsed_jax.study.possible import possible_of
 
 POSITIVE = (0.0, math.inf)
@@ -151,6 +153,21 @@ def test_terminal_and_report_begin_with_it(campaign, tmp_path, capsys):
 
 
 # --- what is physically possible -----------------------------------------------------------------------------------------
+
+
+def test_no_effect_is_named_to_get_round_a_bound(campaign):
+    built = Built(Study.model_validate(content()), campaign)
+    fit = hx.calibrate(built.study, campaign)
+    leaning = [one.parameter for one in fit.fit.leaning]
+    assert leaning == ["beta"]
+    effects = ["hardening", "support_flexibility"]
+    within = diagnose(problem_of(built, campaign, effects, known=fit.map))
+    assert within.effects  # what gets round it
+    open_ = diagnose(problem_of(built, campaign, effects, known=fit.map, opened=leaning))
+    assert (open_.verdict, open_.effects) == ("unexplained", [])
+    assert open_.opened["beta"] == pytest.approx(5.0, rel=0.1)
+    assert open_.sentence.startswith("the priors exclude this specimen") and "widen" in open_.sentence
+    assert open_.summary()["opened"] == open_.opened
 
 
 def test_physical_limits_are_those_of_the_catalogue_in_either_form(campaign):

@@ -49,7 +49,10 @@ def diagnose(calibration: Calibration, campaign: Campaign | None = None, watch: 
     built = calibration.built
 
     def problem_with(some: Campaign) -> Problem:
-        return problem_of(built, some, watch=watch, known=calibration.map, apart=calibration.apart(some))
+        leaning = [one.parameter for one in calibration.fit.leaning if one.parameter in built.parameters[0]]
+        return problem_of(
+            built, some, watch=watch, known=calibration.map, apart=calibration.apart(some), opened=leaning
+        )
 
     problem = problem_with(campaign)
     found = diagnosing.diagnose(problem, watch.report, watch.lead)

@@ -82,7 +82,8 @@ def diagnose(
     look_alikes = look_alikes_of(problem, search, best, models) if best.effects else []
     chosen, worth, average = None, None, None
     if not best.effects:
-        verdict = "undecided" if p_value is None else "adequate" if is_explained(none.fit) else "unexplained"
+        is_adequate = is_explained(none.fit) and not problem.opened
+        verdict = "undecided" if p_value is None else "adequate" if is_adequate else "unexplained"
     elif rivals:
         verdict = "ambiguous"
         look_alikes = joined([*look_alikes, *(difference(best.effects, rival.effects) for rival in rivals)])
@@ -114,6 +115,7 @@ def diagnose(
         optimum={problem.names[k]: float(theta[k]) for k in best.fit.free},
         prediction=_prediction(problem, best.fit, search.target.sigma),
         scales=problem.scales,
+        opened=_opened(problem, none.fit),
         notes=[*problem.notes, *([_MISSED] if search.missed > _APART else [])],
         averaged=average,
     )
@@ -292,6 +294,12 @@ def _deviation(problem: Problem, fit: Descent, column: int) -> float:
     moved[column] += step
     box = problem.models.box
     return float(abs(box.theta(moved)[column] - box.theta(fit.x)[column]))
+
+
+def _opened(problem: Problem, fit: Descent) -> dict[str, float]:
+    """Where the model as it is goes beyond the bounds that the calibration leans on, SI."""
+    theta = problem.models.theta(fit.x, fit.member)
+    return {name: float(theta[problem.names.index(name)]) for name in problem.opened}
 
 
 def _law(problem: Problem, fit: Descent, sample: Sampled) -> dict[str, dict[str, float]]:

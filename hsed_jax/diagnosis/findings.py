@@ -119,6 +119,8 @@ class Diagnosis(Tabular):
         forms: labels of the forms of the named effects, where these are not the default ones.
         averaged: predictions over all explanations of an ambiguous verdict; None of any other.
         specimens: what effects are to the specimens, where the study has levels.
+        opened: parameters of the model as it is whose bounds were left open, since the calibration leans on them: where they
+            go then, SI.
     """
 
     verdict: str
@@ -141,6 +143,7 @@ class Diagnosis(Tabular):
     forms: Mapping[str, str] = field(default_factory=dict)
     averaged: "Averaged | None" = None
     specimens: Sequence[Judgement] = ()
+    opened: Mapping[str, float] = field(default_factory=dict)
 
     def summary(self) -> dict[str, Any]:
         """The key `diagnosis` of `summary.json`."""
@@ -162,6 +165,7 @@ class Diagnosis(Tabular):
             "p_value_after": self.p_value_after,
             "averaged": None if self.averaged is None else self.averaged.summary(),
             "specimens": [one.summary() for one in self.specimens] or None,
+            "opened": dict(self.opened) or None,
         }
         return content | {key: value for key, value in optional.items() if value is not None}
 
@@ -184,6 +188,8 @@ class Diagnosis(Tabular):
                 "whether anything is missing cannot be said: nothing is known of the noise, and no effect predicts "
                 f"what was not used so much better that it need not be (error {self.error[0]:.3f})"
             )
+        if self.verdict == "unexplained" and self.opened and self.is_explained:
+            return f"the priors exclude this specimen, and no effect is missing: {self._beyond}; widen them"
         if self.verdict == "unexplained" and self._unnamed:
             first = self._unnamed[0]
             return f"the model is wrong, and no effect is named ({errors}); {first.effect} {self._instead(first)}"
@@ -205,12 +211,19 @@ class Diagnosis(Tabular):
         return f"missing is {named}: {fall}{left}{alike}"
 
     @property
+    def _beyond(self) -> str:
+        """Where the model goes when the bounds of priors are open."""
+        values = " and ".join(f"{name} = {value:.4g}" for name, value in self.opened.items())
+        return f"with the bounds open that the calibration leans on, the model as it is goes to {values}"
+
+    @property
     def _notes(self) -> list[str]:
         """What effects are to the specimens, how the diagnosis was made, what explanations differ in, and why likely effects are
         not named."""
         between = [] if self.averaged is None else [self.averaged.sentence]
         return [
             *(one.sentence for one in self.specimens),
+            *([self._beyond] if self.opened else []),
             *self.notes,
             *between,
             *(f"{c.effect} {self._instead(c)}" for c in self._unnamed[:_SHOWN]),

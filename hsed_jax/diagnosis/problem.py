@@ -80,6 +80,7 @@ class Problem(NamedTuple):
         notes: what a reader should know of the candidates, in sentences.
         pair: that the specimen is measured in.
         held_out: the experiments of `test`.
+        opened: parameters of the law whose priors are open here, since the calibration leans on their bounds.
     """
 
     models: NestedModels
@@ -100,6 +101,7 @@ class Problem(NamedTuple):
     notes: Sequence[str] = ()
     pair: Pair = ELONGATION_AND_FORCE
     held_out: tuple[Experiment, ...] = ()
+    opened: tuple[str, ...] = ()
 
     @property
     def rows(self) -> int:

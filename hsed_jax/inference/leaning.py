@@ -72,6 +72,14 @@ def leaning(
     return tuple(found)
 
 
+def opened(prior: Prior) -> Prior:
+    """A prior of the same location without the bounds: log-normal over a positive range, else normal, as wide as the range."""
+    low, high = (float(prior.quantile(share)) for share in (0.01, 0.99))
+    if low > 0:
+        return Prior("lognormal", [0.5 * math.log(low * high), max(math.log(high / low), 1.0)])
+    return Prior("normal", [0.5 * (low + high), high - low])
+
+
 def touched(prior: Prior, value: float, deviation: float) -> Iterator[tuple[str, float]]:
     """The bounds of a prior that an estimate is on, physical limits or not: `lower` or `upper`, and where that is."""
     low, high = prior.bounds

@@ -16,6 +16,7 @@ from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import FormColumns, Problem, of_simplest_shape
 from hsed_jax.errors import UserError
+from hsed_jax.inference.leaning import opened as without_bounds
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.observation import conditions_of, stacked
 from hsed_jax.inference.priors import Prior
@@ -100,6 +101,7 @@ def problem_of(
     known: Mapping[str, float] | None = None,
     forms: Mapping[str, str] | None = None,
     apart: Apart | None = None,
+    opened: Iterable[str] = (),
 ) -> Problem:
     """The large model and the measurements.
 
@@ -112,6 +114,8 @@ def problem_of(
         known: parameters of the model as it is, by name, SI, as a calibration found them.
         forms: the one form, by its label, that a candidate may have; by default any that its law can have.
         apart: how far specimens are from their population, training experiments first; it stays so.
+        opened: parameters of the model whose estimates lean on a bound of their prior that is no physical limit: the bound is
+            open here, so that no effect is named to get round it.
     """
     names = applicable(built, campaign) if effects is None else list(effects)
     large = Built(with_effects(built, names), built.campaign, open_forms=tuple(names))
@@ -131,7 +135,8 @@ def problem_of(
     size = jax.tree.leaves(conditions)[0].shape[0]
     predictions = batch if apart is None else BatchApart(batch, apart.across(order, size))
     # A prior may reach beyond what is possible, and another effect is what lies there.
-    box = Box(free, limits={name: (known.lower, known.upper) for name, known in declared.items()})
+    priors = free | {name: without_bounds(free[name]) for name in opened}
+    box = Box(priors, limits={name: (known.lower, known.upper) for name, known in declared.items()})
     models = NestedModels(predictions, box, neutral, watch)
     start = None if known is None else models.point({name: known[name] for name in free if name in known})
     of_effects = {k for k, name in enumerate(order) if owner_of(name) in catalogue}
@@ -159,6 +164,7 @@ def problem_of(
         notes=built.naming.left_out(),
         pair=large.pair,
         held_out=test,
+        opened=tuple(opened),
     )
 
 
