@@ -32,6 +32,8 @@ from hsed_jax.tables import Table, Tabular
 
 # Candidates of a design among which the one that separates rivals best is looked for: a Sobol' set's beginning fills it.
 _DISCRIMINATED = 512
+# Samples of a record of a component test that a diagnosis looks at; an improvement is fitted to all.
+_SAMPLES = 1200
 # Nats by which the model as it is may miss its best fit before that is looked into, and for another fit to be taken.
 _APART = 2.0
 
@@ -51,7 +53,13 @@ def diagnose(calibration: Calibration, campaign: Campaign | None = None, watch: 
     def problem_with(some: Campaign) -> Problem:
         leaning = [one.parameter for one in calibration.fit.leaning if one.parameter in built.parameters[0]]
         return problem_of(
-            built, some, watch=watch, known=calibration.map, apart=calibration.apart(some), opened=leaning
+            built,
+            some,
+            watch=watch,
+            known=calibration.map,
+            apart=calibration.apart(some),
+            opened=leaning,
+            samples=_SAMPLES,
         )
 
     problem = problem_with(campaign)

@@ -110,7 +110,7 @@ class MeasurementsEntry(Section):
 
     accept: list[dict[str, DoubtKind]] = []
     """Doubts that were looked at and are no faults, each as `experiment: kind`."""
-    samples: Annotated[int, Field(ge=100)] = 1200
+    samples: Annotated[int, Field(ge=100)] = 4000
     """Longer records of component tests are thinned to about so many samples."""
 
     def accepted(self, campaign: Campaign | None) -> frozenset[tuple[str, str]]:

@@ -1,6 +1,7 @@
 """From a study and a campaign to the large model that a diagnosis works on: the study's model with every candidate in it."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -32,6 +33,7 @@ from hsed_jax.physics.timeline import Timeline, times
 from hsed_jax.study.build import Built
 from hsed_jax.study.laboratories import driver_of
 from hsed_jax.study.plan import ORDER, check_added
+from hsed_jax.study.records import thinning_notes
 from hsed_jax.study.specimens import effects_of
 
 # Experiments that could be made, to look for one that tells rivals apart.
@@ -102,6 +104,7 @@ def problem_of(
     forms: Mapping[str, str] | None = None,
     apart: Apart | None = None,
     opened: Iterable[str] = (),
+    samples: int | None = None,
 ) -> Problem:
     """The large model and the measurements.
 
@@ -116,7 +119,11 @@ def problem_of(
         apart: how far specimens are from their population, training experiments first; it stays so.
         opened: parameters of the model whose estimates lean on a bound of their prior that is no physical limit: the bound is
             open here, so that no effect is named to get round it.
+        samples: to which longer records of component tests are thinned; by default as the study says.
     """
+    if samples is not None and samples < built.study.measurements.samples:
+        fewer = built.study.measurements.model_copy(update={"samples": samples})
+        built = replace(built, study=built.study.model_copy(update={"measurements": fewer}))
     names = applicable(built, campaign) if effects is None else list(effects)
     large = Built(with_effects(built, names), built.campaign, open_forms=tuple(names))
     free, _ = large.parameters
@@ -161,7 +168,7 @@ def problem_of(
         candidates=inputs,
         seed=built.study.seed,
         start=start,
-        notes=built.naming.left_out(),
+        notes=(*built.naming.left_out(), *thinning_notes(built, campaign.train)),
         pair=large.pair,
         held_out=test,
         opened=tuple(opened),

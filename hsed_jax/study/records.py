@@ -12,8 +12,10 @@ if TYPE_CHECKING:
 
 # Seconds for each step of each experiment on one core, by step of a study, as measured on the project's campaigns; and of
 # compiling.  What a search needs depends on the data by a factor of three.
-_SECONDS = {"calibrate": 3e-4, "compare": 2e-5, "diagnose": 5e-3, "discover": 3e-3, "improve": 1.2e-3}
-_COMPILING = 30.0
+_SECONDS = {"calibrate": 3e-4, "compare": 2e-5, "diagnose": 2e-2, "discover": 3e-3, "improve": 1.2e-3}
+_COMPILING = 15.0
+# Experiments that a diagnosis searches, at most.
+_SEARCHED = 6
 # Memory [B]: of the program; on each core, of a step in a tile of lanes and of a number in a chunk of them; of a number of each
 # experiment in a search, which holds a batch of them at most.
 _PROGRAM, _TILE, _CHUNK, _SEARCH, _BATCH = 0.7e9, 64 * 32, 256 * 24, 1500 * 8, 0.5e9
@@ -33,7 +35,9 @@ def forecast(built: "Built", campaign: Campaign) -> str:
     steps, count = built.timeline.steps, len(campaign.completed)
     columns = len(built.observation.groups)
     available = cores()
-    seconds = _COMPILING + count * steps * sum(_SECONDS.get(step, 0.0) for step in built.study.steps) / available
+    counts = {"diagnose": min(count, _SEARCHED)}
+    work = sum(counts.get(step, count) * _SECONDS.get(step, 0.0) for step in built.study.steps)
+    seconds = _COMPILING + steps * work / available
     memory = _PROGRAM + available * (_TILE * steps + _CHUNK * columns)
     if "diagnose" in built.study.steps:
         memory += min(_SEARCH * count * columns, _BATCH)
