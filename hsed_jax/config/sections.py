@@ -59,7 +59,7 @@ class ErrorEntry(NoiseEntry):
     error of its logarithm) or what was measured (Gaussian, of a given scale: Eqs. 2 to 4 of Abbiati & Marelli).
     """
 
-    of: Literal["predicted", "measured"] | None = None
+    of: Literal["predicted", "measured"] = "predicted"
     correlated: bool | None = None
     inflate: bool = False
     discrepancy: bool = False
@@ -68,9 +68,9 @@ class ErrorEntry(NoiseEntry):
     def _one_kind(self) -> "ErrorEntry":
         if self.kinds > 1 or not self.model_fields_set:
             raise ValueError("give exactly one of relative, absolute, unknown")
-        if self.of is not None and self.relative is None:
+        if self.of == "measured" and self.relative is None:
             raise ValueError(
-                "of says what a relative error is relative to; give relative with it, such as {relative: 0.05, of: measured}"
+                "only a relative error is one of what was measured, such as {relative: 0.05, of: measured}"
             )
         if self.inflate and self.discrepancy:
             raise ValueError(

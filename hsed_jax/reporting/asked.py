@@ -141,7 +141,7 @@ def _error(entry: Mapping[str, Any], observe: str) -> str:
     if entry.get("unknown"):
         said = "inferred"
     elif "relative" in entry:
-        said = f"{100 * entry['relative']:g} % of {_RELATIVE_TO[observe, entry.get('of') or 'predicted']}"
+        said = f"{100 * entry['relative']:g} % of {_RELATIVE_TO[observe, entry.get('of', 'predicted')]}"
     elif "absolute" in entry:
         said = f"{entry['absolute']:g} (SI)"
     else:
