@@ -342,16 +342,19 @@ def _tell(done: "Run", step: str) -> None:
 
 def _said(done: "Run", step: str) -> Iterator[Any]:
     """What there is to say of a step that has ended."""
+    from hsed_jax.design.teaching import told
     from hsed_jax.measurements import check_campaign
 
     if step == "data" and (findings := check_campaign(done.campaign)):
         yield "\n".join(map(str, findings))
     elif step == "design" and done.steps:
-        improvement = [step["max_expected_improvement"] for step in done.steps]
+        improvement = told([step["max_expected_improvement"] for step in done.steps])
         yield (
             f"{len(done.campaign)} experiments, max EI {max(improvement):.2e} at its largest and {improvement[-1]:.2e} "
             f"at the end; stopped by: {done.stop_reason}"
         )
+        if done.drift is not None and (said := done.drift.sentence(done.built.units)):
+            yield said
     elif step == "calibrate":
         yield done.calibration
     elif step == "compare":

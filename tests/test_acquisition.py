@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from jaxtyping import Array, Float
 from scipy.integrate import quad
-from scipy.special import log_ndtr
-from scipy.stats import norm
+from scipy.stats import norm, t
 
 from hsed_jax.design.acquisition import (
     ACQUISITIONS,
@@ -38,60 +37,73 @@ def surrogate(n=12, planned=16):
     return condition(*arrays)
 
 
+def improvement_of_twelve(mean, variance, best):
+    """Expected improvement of a surrogate of 12 points and a constant: a Student t of 11 degrees of freedom, and its variance."""
+    nu, scale = 11, np.sqrt(variance * 9 / 11)
+    z = (mean - best) / scale
+    return (mean - best) * t.cdf(z, nu) + scale * (nu + z**2) / (nu - 1) * t.pdf(z, nu)
+
+
 def no_points(d=2):
     return jnp.zeros((1, d)), jnp.zeros(1, bool)
 
 
+DEGREES = pytest.mark.parametrize("nu", [2, 3, 9, 40, 4000])
+
+
+@DEGREES
 @pytest.mark.parametrize(
-    ("mean", "deviation", "best"), [(1.0, 0.5, 0.7), (0.2, 0.3, 1.0), (-4.0, 2.0, 1.0), (5.0, 0.1, 1.0)]
+    ("mean", "scale", "best"), [(1.0, 0.5, 0.7), (0.2, 0.3, 1.0), (-4.0, 2.0, 1.0), (5.0, 0.1, 1.0)]
 )
-def test_expected_improvement_is_the_integral(mean, deviation, best):
-    truth = quad(
-        lambda y: (y - best) * norm.pdf(y, mean, deviation),
-        best,
-        max(best, mean) + 12 * deviation,
-        points=[mean] if mean > best else None,
-        epsabs=1e-14,
-        epsrel=1e-12,
-    )[0]
-    got = expected_improvement(jnp.array([mean]), jnp.array([deviation]), best)[0]
-    np.testing.assert_allclose(got, truth, rtol=1e-9)
-    eq14 = (mean - best) * (1 - norm.cdf((best - mean) / deviation)) + deviation * norm.pdf((best - mean) / deviation)
-    np.testing.assert_allclose(got, eq14, rtol=1e-9)
+def test_expected_improvement_is_the_integral(mean, scale, best, nu):
+    z = (mean - best) / scale
+    truth = scale * quad(lambda x: t.sf(x, nu), -z, np.inf, epsabs=0, epsrel=1e-12, limit=500)[0]
+    got = expected_improvement(jnp.array([mean]), jnp.array([scale]), best, nu)[0]
+    np.testing.assert_allclose(got, truth, rtol=1e-8)
+    closed = (mean - best) * t.cdf(z, nu) + scale * (nu + z**2) / (nu - 1) * t.pdf(z, nu)
+    np.testing.assert_allclose(got, closed, rtol=1e-8)
 
 
-def test_log_improvement_against_quadrature_without_cancellation():
-    # φ(z) + zΦ(z) = φ(z) ∫ s exp(zs − s²/2) ds over s > 0: a positive integrand, scaled here to its own width.
-    z = np.r_[-np.logspace(3, -1, 25), -5 - 1e-9, -5 + 1e-9, 0.0, np.logspace(-1, 1, 7)]
-    width = 1 / np.maximum(1.0, -z)
-    integrals = [
-        w**2
-        * quad(lambda s, a=a, w=w: s * np.exp(a * w * s - (w * s) ** 2 / 2), 0, 60, epsabs=0, epsrel=1e-12, limit=200)[
-            0
-        ]
-        for a, w in zip(z, width, strict=True)
-    ]
-    truth = norm.logpdf(z) + np.log(integrals)
-    np.testing.assert_allclose(log_standard_improvement(jnp.asarray(z)), truth, rtol=1e-12, atol=3e-13)
+def test_of_many_degrees_of_freedom_it_is_eq_14():
+    z = np.linspace(-6, 6, 25)
+    got = expected_improvement(jnp.asarray(z), jnp.ones(25), 0.0, 1e9)
+    np.testing.assert_allclose(got, z * norm.cdf(z) + norm.pdf(z), rtol=1e-6)
+
+
+@DEGREES
+def test_log_improvement_against_quadrature_without_cancellation(nu):
+    # E max(T + z, 0) = ψ(z) ∫ s ψ(s − z)/ψ(z) ds over s > 0: a positive integrand, over log s.
+    z = np.r_[-np.logspace(3, -1, 25), 0.0, np.logspace(-1, 1, 7)]
+
+    def truth_at(a):
+        def integrand(x):
+            return np.exp(2 * x + t.logpdf(np.exp(x) - a, nu) - t.logpdf(a, nu))
+
+        bounds = zip(np.linspace(-30, 40, 15)[:-1], np.linspace(-30, 40, 15)[1:], strict=True)
+        return t.logpdf(a, nu) + np.log(sum(quad(integrand, *part, epsabs=1e-16, epsrel=1e-12)[0] for part in bounds))
+
+    truth = [truth_at(a) for a in z]
+    np.testing.assert_allclose(log_standard_improvement(jnp.asarray(z), nu), truth, rtol=1e-11, atol=3e-11)
 
 
 def test_log_improvement_far_out():
-    z = -jnp.array([1e4, 1e6, 1e8, 1e50, 1e150])
-    got = np.asarray(log_standard_improvement(z))
-    # One term of the asymptotic series is all that a float can show there.
-    np.testing.assert_allclose(got, norm.logpdf(np.asarray(z)) - 2 * np.log(-np.asarray(z)), rtol=1e-14)
+    # There H is ψ(t) t²/(ν − 1)/ν: one term of its series is all that a float can show.
+    z, nu = -np.array([1e8, 1e20, 1e50, 1e140]), 9
+    got = np.asarray(log_standard_improvement(jnp.asarray(z), nu))
+    truth = t.logpdf(z[0], nu) - (nu + 1) * np.log(z / z[0]) + 2 * np.log(-z) - np.log(nu * (nu - 1))
+    np.testing.assert_allclose(got, truth, rtol=1e-12)
     assert np.all(np.isfinite(got)) and np.all(np.diff(got) < 0)
-    up = np.array([10.0, 1e3, 1e100])
-    np.testing.assert_allclose(log_standard_improvement(jnp.asarray(up)), np.log(up), rtol=1e-14)
+    up = np.array([1e4, 1e100])
+    np.testing.assert_allclose(log_standard_improvement(jnp.asarray(up), nu), np.log(up), rtol=1e-14)
 
 
-def test_derivative_of_the_log_improvement_is_the_ratio_of_tails():
-    # d/dz log(φ + zΦ) = Φ/(φ + zΦ), on both sides of the switch
-    z = np.r_[np.linspace(-40, 6, 93), -1e3, -1e5]
-    slope = jax.jit(jax.grad(lambda a: jnp.sum(log_standard_improvement(a))))(jnp.asarray(z))
-    truth = np.exp(log_ndtr(z) - np.asarray(log_standard_improvement(jnp.asarray(z))))
-    np.testing.assert_allclose(slope[:-2], truth[:-2], rtol=1e-9)
-    np.testing.assert_allclose(slope[-2:], -z[-2:], rtol=1e-5)
+@DEGREES
+def test_derivative_of_the_log_improvement_is_the_ratio_of_tails(nu):
+    # d/dz log E max(T + z, 0) = Ψ/E, on both sides of zero.
+    z = np.linspace(-40, 6, 93)
+    slope = jax.jit(jax.grad(lambda a: jnp.sum(log_standard_improvement(a, nu))))(jnp.asarray(z))
+    truth = np.exp(t.logcdf(z, nu) - np.asarray(log_standard_improvement(jnp.asarray(z), nu)))
+    np.testing.assert_allclose(slope, truth, rtol=1e-7)
 
 
 @pytest.mark.parametrize("deviation", [1.0, 1e-8, 1e-30, 1e-200, 0.0])
@@ -99,15 +111,15 @@ def test_vanishing_deviation(deviation):
     means = jnp.array([-3.0, 0.5, 0.7, 2.0])
 
     def total(means, deviation):
-        return jnp.sum(log_expected_improvement(means, jnp.full(4, deviation), 0.5))
+        return jnp.sum(log_expected_improvement(means, jnp.full(4, deviation), 0.5, 9))
 
     assert np.all(np.isfinite(jax.jit(jax.grad(total, argnums=(0, 1)))(means, deviation)[0]))
     assert np.isfinite(jax.jit(jax.grad(total, argnums=1))(means, deviation))
-    values = log_expected_improvement(means, jnp.full(4, deviation), 0.5)
+    values = log_expected_improvement(means, jnp.full(4, deviation), 0.5, 9)
     assert np.all(np.isfinite(values))
     if deviation < 1e-3:
         np.testing.assert_allclose(
-            expected_improvement(means, jnp.full(4, deviation), 0.5), [0, 0, 0.2, 1.5], atol=1e-8
+            expected_improvement(means, jnp.full(4, deviation), 0.5, 9), [0, 0, 0.2, 1.5], atol=1e-8
         )
 
 
@@ -131,7 +143,9 @@ def test_improvement_is_over_the_largest_mean_not_the_largest_datum():
     best = model.predict(model.inputs)[0].max()
     assert best < 1.9
     got = choose(model, x, *no_points(1), "expected_improvement", KEY)
-    np.testing.assert_allclose(got.value, expected_improvement(mean, jnp.sqrt(variance), best)[0], rtol=1e-10)
+    # Three points and a constant: a Student t of two degrees of freedom, whose scale² is the variance of Eq. 11 times N/(N − p).
+    truth = expected_improvement(mean, jnp.sqrt(variance / 2), best, 2)[0]
+    np.testing.assert_allclose(got.value, truth, rtol=1e-10)
     np.testing.assert_allclose([got.mean, got.sd], [mean[0], np.sqrt(variance[0])], rtol=1e-12)
 
 
@@ -140,9 +154,8 @@ def test_choice_is_the_best_candidate(name):
     model, candidates = surrogate(), sobol_candidates(300, 2, 1)
     choice = choose(model, candidates, *no_points(), name, KEY)
     mean, variance = map(np.asarray, model.predict(candidates))
-    sd = np.sqrt(variance)
-    z = (mean - float(model.tested_means().max())) / sd
-    value = {"expected_improvement": sd * (norm.pdf(z) + z * norm.cdf(z)), "max_variance": variance}[name]
+    gained = improvement_of_twelve(mean, variance, float(model.tested_means().max()))
+    value = {"expected_improvement": gained, "max_variance": variance}[name]
     assert choice.index == np.argmax(value)
     np.testing.assert_allclose([choice.value, np.exp(choice.log_value)], value.max(), rtol=1e-9)
 
@@ -150,9 +163,8 @@ def test_choice_is_the_best_candidate(name):
 def test_what_is_to_be_gained_counts_per_cost():
     model, candidates = surrogate(), sobol_candidates(300, 2, 1)
     mean, variance = map(np.asarray, model.predict(candidates))
-    sd = np.sqrt(variance)
-    z = (mean - float(model.tested_means().max())) / sd
-    gained, costs = sd * (norm.pdf(z) + z * norm.cdf(z)), 0.01 + np.asarray(candidates)[:, 0]
+    gained = improvement_of_twelve(mean, variance, float(model.tested_means().max()))
+    costs = 0.01 + np.asarray(candidates)[:, 0]
     assert np.argmax(gained / costs) != np.argmax(gained)
     choice = choose(
         model, candidates, *no_points(), PerCost(ACQUISITIONS["expected_improvement"], jnp.asarray(costs)), KEY

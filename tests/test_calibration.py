@@ -106,9 +106,9 @@ def paper_grid(paper):
     def log_density(A, beta):
         thetas = jnp.asarray(np.stack([m.ravel() for m in np.meshgrid(A, beta, indexing="ij")]))
         predicted = np.asarray(jax.lax.map(lambda t: predict(*t), thetas.T, batch_size=64))
-        mean, sd = log_moments(0.05)
-        logarithm = stats.norm.logpdf(np.log(data.values), np.log(predicted) + mean, sd) - np.log(data.values)
-        return logarithm.sum(axis=(1, 2)).reshape(len(A), len(beta)) + prior
+        # Eqs. 2 to 4 with the scale that the study gives: 5 % of each measured quantity.
+        likelihood = stats.norm.logpdf(data.values, predicted, 0.05 * data.values)
+        return likelihood.sum(axis=(1, 2)).reshape(len(A), len(beta)) + prior
 
     A, beta = np.linspace(2e5, 9e5, 29), np.linspace(0.5, 2.0, 25)
     coarse = log_density(A, beta)
@@ -252,6 +252,35 @@ def test_a_relative_error_of_a_quantity_is_one_of_its_logarithm():
     found = find(posterior, data)
     assert float(found.theta[0]) == pytest.approx(mode, rel=1e-4)
     assert float(found.covariance[0, 0]) == pytest.approx((mode * sd) ** 2 / 3, rel=1e-2)
+
+
+def test_a_relative_error_of_what_was_measured_is_gaussian_of_a_given_scale():
+    # y = θ x + s y ε and a history y = θ x + s RMS(y) ε: least squares whose weights do not depend on θ.
+    x, y, s = np.array([1.0, 2.0, 3.0]), np.array([1.3, 1.7, 4.1]), 0.1
+    history = np.array([[1.0, -2.0], [2.5, 3.0], [1.0, 0.0]])
+
+    def respond(theta, c):
+        return theta[0] * c.inputs["x"] * jnp.ones(3), True
+
+    posterior = Posterior(
+        Predictor(respond),
+        {"t": Prior("uniform", [0.1, 10.0])},
+        [Error(s, is_relative=True, of_measured=True)] * 2,
+        ["y", "h"],
+        np.array([0, 1, 1]),
+    )
+    values = np.column_stack([y, history])
+    data = measured_at(x, values)
+    sigma = s * np.column_stack([y, *[np.sqrt(np.mean(history**2, axis=1))] * 2])
+    for theta in (0.8, 1.2, 2.0):
+        u = posterior.unconstrain(jnp.asarray([theta]))
+        expected = stats.norm.logpdf(values, theta * x[:, None], sigma).sum() - np.log(9.9)
+        assert float(log_posterior(posterior, u, data)) == pytest.approx(expected, rel=1e-9)
+    weights = (x[:, None] / sigma) ** 2
+    mode = (weights * values / x[:, None]).sum() / weights.sum()
+    found = find(posterior, data)
+    assert float(found.theta[0]) == pytest.approx(mode, rel=1e-5)
+    assert float(found.covariance[0, 0]) == pytest.approx(1 / weights.sum(), rel=1e-3)
 
 
 @pytest.mark.parametrize("s", [pytest.param(0.05, marks=pytest.mark.slow), 0.2])

@@ -10,10 +10,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hsed_jax.design.acquisition import SAME_POINT
+from hsed_jax.design.acquisition import ACQUISITIONS, sobol_candidates
 from hsed_jax.design.discrepancy import discrepancy, variance_over
+from hsed_jax.design.drift import shares
+from hsed_jax.design.feasible import too_near
 from hsed_jax.design.sequential import DesignState, SequentialDesign, Trial
-from hsed_jax.design.space import InputSpace, Point
+from hsed_jax.design.space import SAME_POINT, InputSpace, Point
+from hsed_jax.design.teaching import lesson, told
 from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import Error
 from hsed_jax.inference.nuts import Settings
@@ -187,6 +190,70 @@ def test_no_point_is_tested_twice(campaign):
     points = state.cube
     distance = np.linalg.norm(points[:, None] - points[None], axis=-1) + np.eye(len(points))
     assert distance.min() > SAME_POINT
+
+
+def test_a_design_keeps_its_distance_and_replicates_do_not(campaign, toy):
+    design, state, _ = campaign
+    distance = np.linalg.norm(state.cube[:, None] - state.cube[None], axis=-1) + 9 * np.eye(len(state.trials))
+    # A third of the mean distance of 16 experiments in a square.
+    assert distance.min() >= 1 / 3 / 4
+    free = toy(replicates=True)
+    chosen, _, info = free.ask(state, jax.random.key(0))
+    near = np.linalg.norm(state.cube - chosen, axis=1).min()
+    best = np.argmax(ACQUISITIONS["expected_improvement"](info.kriging, free.candidate_set, jax.random.key(0)))
+    np.testing.assert_array_equal(chosen, np.asarray(free.candidate_set)[best])
+    # It goes on where the discrepancy is largest; the other looks elsewhere.
+    assert near < 1 / 3 / 4
+    assert np.linalg.norm(state.cube - design.ask(state, jax.random.key(0))[0], axis=1).min() >= 1 / 3 / 4
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_planned_experiments_never_close_all_candidates_and_few_of_them_are_used_all_the_same(d):
+    candidates = np.asarray(sobol_candidates(4096, d, 0))
+    tested = [candidates[0]]
+    for _ in range(39):
+        closed = too_near(candidates, np.asarray(tested), 40, np.zeros(4096, bool))
+        distance = np.linalg.norm(candidates[:, None] - np.asarray(tested)[None], axis=-1).min(axis=1)
+        np.testing.assert_array_equal(closed, distance < 40 ** (-1 / d) / 3)
+        # The worst that could happen: as dense as may be.
+        tested.append(candidates[np.argmin(np.where(closed, np.inf, distance))])
+    few = candidates[:2]
+    open_one = ~too_near(few, few[:1] + 1e-3, 40, np.zeros(2, bool))
+    assert open_one.tolist() == [False, True]
+    assert not too_near(few[:1], few[:1] + 1e-3, 40, np.zeros(1, bool)).any()
+
+
+def test_a_drift_is_told_from_experiments_that_crowd(toy):
+    # y = 2 + a + b/2 and a bump that the model does not know: a crowd there moves the estimates, a grid does not.
+    design = toy(size=32)
+    crowd = BUMP + 0.03 * np.random.default_rng(0).standard_normal((12, 2))
+    grid = design.space.initial_design(16)
+    both = design.init()
+    for cube in [*grid, *crowd]:
+        both = design.tell(both, cube.tolist(), [truth(cube)])
+    even = design.init()
+    for cube in grid:
+        even = design.tell(even, cube.tolist(), [truth(cube)])
+    crowded, spread = design.drift(both), design.drift(even)
+    by = {name: crowded.designed[name] - spread.designed[name] for name in crowded.sd}
+    moved = [name for name, sd in crowded.sd.items() if abs(by[name]) > 2 * sd]
+    assert moved
+    for name in moved:
+        assert abs(crowded.over_inputs[name] - spread.over_inputs[name]) < 0.3 * abs(by[name])
+    assert all(f"{name} is " in crowded.sentence({}) for name in moved)
+    assert spread.sentence({}) is None
+
+
+def test_the_shares_of_the_inputs_are_those_of_the_nearest():
+    points = np.asarray(sobol_candidates(4096, 2, 0))
+    found = shares(np.array([[0.25, 0.5], [0.75, 0.5], [0.75, 0.5 + 1e-9]]), points)
+    assert found[0] == pytest.approx(0.5, abs=0.01) and found.sum() == pytest.approx(1.0)
+
+
+def test_an_improvement_below_a_millionth_of_the_largest_is_shown_as_none():
+    assert told([0.2, 0.05, 3e-7, 1e-9, 1e-44]) == [0.2, 0.05, 3e-7, 0.0, 0.0]
+    assert told([]) == [] and told([0.0]) == [0.0]
+    assert "by 0 % of that" in lesson("expected_improvement", 1e-44, [0.3])
 
 
 def test_few_candidates_are_used_up_one_by_one_and_then_there_are_none(toy):

@@ -15,7 +15,7 @@ from hsed_jax.physics.simulator import Conditions, Recorded, Simulator, Timeline
 from hsed_jax.physics.structures import ModalDamping, Structure
 from hsed_jax.study.build import Built
 
-NEW = ("residual_elongation", "peak_absolute_acceleration", "energy_at_1100ms")
+NEW = ("residual_elongation", "peak_absolute_acceleration", "peak_energy", "energy_at_1100ms")
 NAMES = (*EQ_18, *NEW, "energy_at_5s", "energy_at_60s")
 PAPER = "configs/paper.yaml"
 
@@ -80,6 +80,8 @@ def test_quantities_of_an_elastic_oscillator_are_the_closed_ones():
     assert found["residual_elongation"] == pytest.approx(elongation(step * steps), rel=1e-4)
     assert found["peak_absolute_acceleration"] == pytest.approx(2 * PUSH, rel=5e-6)
     assert found["energy_at_1100ms"] == pytest.approx(0.5 * STIFFNESS * elongation(1.1) ** 2, rel=1e-4)
+    # All of the work is given back: what it was at most is twice the push to the left.
+    assert found["peak_energy"] == pytest.approx(0.5 * STIFFNESS * (2 * PUSH / OMEGA**2) ** 2, rel=1e-4)
     at_ends = PUSH * (1 - np.cos(OMEGA * step * np.arange(steps + 1)))
     assert abs(at_ends.max() / (2 * PUSH) - 1) > 1e-4  # a peak of the samples alone would not pass
 
@@ -98,10 +100,11 @@ def test_quantities_of_an_imposed_elongation():
     time = 0.5 * step * np.arange(2 * steps + 1)
     path = Imposed(jnp.asarray(0.03 * np.sin(2 * time)), jnp.asarray(0.06 * np.cos(2 * time)))
     conditions = Conditions({}, Recorded(Tabulated(path), jnp.full(steps, step)))
-    names = ("residual_elongation", "energy_at_1100ms")
+    names = ("residual_elongation", "energy_at_1100ms", "peak_energy")
     found = Simulator(None, None, Timeline(None, steps)).respond(ELASTIC, conditions, quantities=names).quantities
     assert found["residual_elongation"] == pytest.approx(0.03 * np.sin(3.2), rel=1e-12)
     assert found["energy_at_1100ms"] == pytest.approx(0.5 * STIFFNESS * (0.03 * np.sin(2.2)) ** 2, rel=1e-6)
+    assert found["peak_energy"] == pytest.approx(0.5 * STIFFNESS * 0.03**2, rel=1e-6)  # at π/4 s, within a step
 
 
 # --- the history of the same simulation -----------------------------------------------------------------------------
@@ -174,7 +177,7 @@ def test_gains_of_the_rig_act_on_what_they_measure(paper_simulator, pulse_condit
         "residual_elongation": 0.8,
         "peak_absolute_acceleration": 1.0,
     }
-    expected |= dict.fromkeys(("dissipated_energy", "energy_at_1100ms", "energy_at_5s"), 0.88)
+    expected |= dict.fromkeys(("dissipated_energy", "peak_energy", "energy_at_1100ms", "energy_at_5s"), 0.88)
     assert factors == pytest.approx(expected, rel=1e-9)
 
 

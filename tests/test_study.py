@@ -17,8 +17,10 @@ from hypothesis import strategies as st
 import hsed_jax as hx
 from hsed_jax.config.load import load_study, parse_yaml
 from hsed_jax.errors import UserError
+from hsed_jax.measurements import Campaign
 from hsed_jax.physics.simulator import Simulator
 from hsed_jax.plain import dump_yaml
+from hsed_jax.reporting.asked import asked
 from hsed_jax.run import main, run_main
 from hsed_jax.study.build import Built
 
@@ -110,7 +112,14 @@ def test_every_ready_study_is_read_again_as_it_was_written(request, tmp_path):
     width=st.floats(1e-3, 1e6),
     iterations=st.integers(0, 100),
     error=st.sampled_from(
-        [{"relative": 0.1}, {"absolute": 3.0}, {"unknown": True}, {"peak_force": {"relative": 0.1}}, None]
+        [
+            {"relative": 0.1},
+            {"relative": 0.1, "of": "measured"},
+            {"absolute": 3.0},
+            {"unknown": True},
+            {"peak_force": {"relative": 0.1}},
+            None,
+        ]
     ),
     name=st.from_regex(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,11}", fullmatch=True),
 )
@@ -130,6 +139,17 @@ def test_written_has_every_default(request):
     assert written["design"]["kriging"] == {"trend": "constant", "kernel": "matern52", "starts": 10}
     assert written["quantities"] == ["peak_force", "peak_elongation", "dissipated_energy"]
     assert written["excitation"]["near_fault_pulse"]["gamma"] == 2.0
+
+
+def test_a_study_says_what_a_relative_error_is_of():
+    measured = Campaign("m", "ground_motion")
+    for of, word in (
+        (None, "5 % of what is predicted (log-normal)"),
+        ("measured", "5 % of what was measured (Gaussian)"),
+    ):
+        study = load_study({**content(), "error": {"relative": 0.05} | ({"of": of} if of else {})})
+        assert Built(study).errors[0].of_measured == (of == "measured")
+        assert any(word in sentence for sentence in asked(study.written(), measured))
 
 
 def test_numbers_are_read_as_engineers_write_them():
@@ -211,6 +231,8 @@ MISTAKES = {
     "text for a parameter": ("model.parameters.A", "big", "model.parameters.A", "number or a prior", "'big'"),
     "list for a parameter": ("model.parameters.A", [2e5, 9e5], "model.parameters.A", "number or a prior"),
     "number for an error": ("error", 0.05, "error", "mapping"),
+    "what an absolute error is of": ("error", {"absolute": 0.05, "of": "measured"}, "error", "relative: 0.05, of: mea"),
+    "an error of anything else": ("error", {"relative": 0.05, "of": "both"}, "error.of", "'both'", "measured"),
     "number for an input": ("inputs.V_P", 2.0, "inputs.V_P", "mapping"),
     "unknown unit": ("inputs.V_P.unit", "wobble", "inputs.V_P.unit", "wobble"),
     "unit of another dimension": ("inputs.V_P.unit", "kN", "inputs.V_P.unit", "kN", "velocity", "m/s"),

@@ -57,10 +57,10 @@ def _campaign(case, simulate, iterations) -> dict[str, float]:
 
 
 def _maximum(plain, simulate, inputs, measured, relative, low, high, start) -> np.ndarray:
-    """The MAP in shares of the priors' ranges, which are uniform: least squares within bounds, of the logarithms."""
+    """The MAP in shares of the priors' ranges, which are uniform: least squares within bounds, the scale of the error given."""
 
     def of_predicted(predicted):
-        return ((np.log(predicted / measured) - relative**2 / 2) / relative).reshape(len(predicted), -1)
+        return ((predicted / measured - 1) / relative).reshape(len(predicted), -1)
 
     def residuals(u):
         return of_predicted(_predicted(plain, simulate, (low + (high - low) * u)[None], inputs))[0]

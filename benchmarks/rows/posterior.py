@@ -96,8 +96,7 @@ def _emcee(case, data, simulate, kept: int, burnt: int) -> Draws:
         some = thetas[inside]
         a, beta = (np.repeat(some[:, i], len(values)) for i in range(2))
         y = simulate(plain, np.tile(v_p, len(some)), np.tile(t_p, len(some)), a, beta, 0.0)
-        # The error of the logarithm: its bias of s²/2 is the same for every sampler's second digit.
-        z = (np.log(y.reshape(-1, *values.shape) / values) - size**2 / 2) / size
+        z = (y.reshape(-1, *values.shape) / values - 1) / size
         result[inside] = -0.5 * np.sum(z**2, axis=(1, 2))
         return result
 

@@ -82,6 +82,8 @@ class DesignEntry(Section):
     stop: StopEntry = StopEntry()
     limits: LimitsEntry | None = None
     cost: CostEntry | None = None
+    replicates: bool = False
+    """Whether inputs may be asked again, or next to those that were."""
     variance: Literal["inputs", "inputs_and_parameters"] = "inputs"
     """Over what the variance in Eq. 12 is taken."""
     kriging: KrigingEntry = KrigingEntry()

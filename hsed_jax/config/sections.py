@@ -55,9 +55,11 @@ class ErrorEntry(NoiseEntry):
 
     `correlated` says whether the noise of a history has a memory, which is then inferred; by default one is where the size of the
     noise is declared, and false takes every sample for news.  `inflate` counts as error what the model leaves beyond the
-    declared one, `discrepancy` learns it.
+    declared one, `discrepancy` learns it.  `of` says what a relative error is relative to: what is predicted (of a quantity an
+    error of its logarithm) or what was measured (Gaussian, of a given scale: Eqs. 2 to 4 of Abbiati & Marelli).
     """
 
+    of: Literal["predicted", "measured"] = "predicted"
     correlated: bool | None = None
     inflate: bool = False
     discrepancy: bool = False
@@ -66,6 +68,10 @@ class ErrorEntry(NoiseEntry):
     def _one_kind(self) -> "ErrorEntry":
         if self.kinds > 1 or not self.model_fields_set:
             raise ValueError("give exactly one of relative, absolute, unknown")
+        if self.of == "measured" and self.relative is None:
+            raise ValueError(
+                "only a relative error is one of what was measured, such as {relative: 0.05, of: measured}"
+            )
         if self.inflate and self.discrepancy:
             raise ValueError(
                 "give inflate or discrepancy, not both: each says how wrong the model is, one as a larger error, the other as "

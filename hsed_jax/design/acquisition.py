@@ -15,95 +15,117 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jax.scipy.special import gammaln
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, ScalarLike
 
 from hsed_jax.design.kriging import Kriging
+from hsed_jax.design.space import SAME_POINT
 from hsed_jax.programs import program
 
 Acquisition = Callable[[Kriging, Float[Array, "M d"], PRNGKeyArray], Float[Array, " M"]]
 
-# Two inputs of the unit cube closer than this are the same experiment.
-SAME_POINT = 1e-6
-# Floor of a standard deviation, below any response's rounding; with it (difference/deviation)² stays a finite number.
-_LEAST_DEVIATION = 1e-60
+# Floor of a scale, below any response's rounding; with it (difference/scale)² stays a finite number.
+_LEAST_SCALE = 1e-60
 # Distances 0 to ∞ below the best are mapped to −1 to 1, and this one to 0: where a polynomial comes closest.
-_CENTRE = 4.0
-
-
-def _ratio_of_tails(y: np.ndarray) -> np.ndarray:
-    """(1 + t/c)²(φ(t) − tΦ(−t))/φ(t) at y = (t − c)/(t + c), where c is `_CENTRE`: smooth from t = 0 to ∞.
-
-    The ratio of both is ∫ x exp(−tx − x²/2) dx over x > 0, here in s = (t + c)x.
-    """
-    nodes, weights = np.polynomial.legendre.leggauss(60)
-    s, tail = 20.0 * (nodes + 1.0), 0.5 * (1.0 - y[:, None]) / _CENTRE
-    return 20.0 / _CENTRE**2 * np.exp(-s * (1.0 - _CENTRE * tail) - 0.5 * (s * tail) ** 2) @ (s * weights)
-
-
-# Highest power first; exact to 4e-15.
-_RATIO = np.polynomial.Chebyshev.interpolate(_ratio_of_tails, 22).convert(kind=np.polynomial.Polynomial).coef[::-1]
+_CENTRE, _DEGREE = 4.0, 22
+# Chebyshev's points of −1 to 1, and two matrices: values there to coefficients of his polynomials, and these to those of powers.
+_POINTS = np.cos((np.arange(_DEGREE + 1) + 0.5) * np.pi / (_DEGREE + 1))
+_FITTED = np.linalg.inv(np.polynomial.chebyshev.chebvander(_POINTS, _DEGREE))
+_POWERS = np.zeros((_DEGREE + 1, _DEGREE + 1))
+for _k in range(_DEGREE + 1):
+    _POWERS[: _k + 1, _k] = np.polynomial.Chebyshev.basis(_k).convert(kind=np.polynomial.Polynomial).coef
+# Gauss and Legendre over 0 to 1.
+_NODES, _SHARES = (
+    0.5 * (half + shift) for half, shift in zip(np.polynomial.legendre.leggauss(100), (1, 0), strict=True)
+)
 
 
 def expected_improvement(
-    mean: Float[Array, " M"], deviation: Float[Array, " M"], best: ScalarLike
+    mean: Float[Array, " M"], scale: Float[Array, " M"], best: ScalarLike, degrees: ScalarLike
 ) -> Float[Array, " M"]:
     """Expected improvement for maximisation (Eq. 14; Jones, Schonlau & Welch 1998, Journal of Global Optimization 13).
 
-    E[max(Y − best, 0)] for Y ~ N(mean, deviation²): (mean − best)Φ(z) + deviation·φ(z), z = (mean − best)/deviation.
+    E[max(Y − best, 0)] for Y = mean + scale·T, T a Student t of ν degrees of freedom with distribution Ψ and density ψ:
+    (mean − best)Ψ(z) + scale·(ν + z²)/(ν − 1)·ψ(z), z = (mean − best)/scale.  With ν → ∞ it is Eq. 14.
     In the response's units, never negative.  Arguments as in `log_expected_improvement`.
     """
-    return jnp.exp(log_expected_improvement(mean, deviation, best))
+    return jnp.exp(log_expected_improvement(mean, scale, best, degrees))
 
 
 @jax.jit
 def log_expected_improvement(
-    mean: Float[Array, " M"], deviation: Float[Array, " M"], best: ScalarLike
+    mean: Float[Array, " M"], scale: Float[Array, " M"], best: ScalarLike, degrees: ScalarLike
 ) -> Float[Array, " M"]:
-    """Natural logarithm of the expected improvement of Eq. 14, accurate where the improvement itself is zero in floats.
+    """Natural logarithm of the expected improvement, accurate where the improvement itself is zero in floats.
 
-    The aim is that of Ament, Daulton, Eriksson, Balandat & Bakshy (2023, arXiv 2310.20708); the tail is a continued
-    fraction here.  Values and gradients are finite, also at a deviation of zero, where the improvement is mean − best
-    if that is positive and otherwise too small to matter.
+    The aim is that of Ament, Daulton, Eriksson, Balandat & Bakshy (2023, arXiv 2310.20708).  Values and gradients are finite,
+    also at a scale of zero, where the improvement is mean − best if that is positive and otherwise too small to matter.
 
-    **Arguments:** `mean`, `deviation`: Kriging mean and standard deviation, (M,); `best`: largest Kriging mean among
-    the tested points (μ_max), a scalar; all in the response's units.
+    **Arguments:** `mean`, `scale`: location and scale of the Kriging's Student t, (M,); `best`: largest Kriging mean among
+    the tested points (μ_max), a scalar; all in the response's units; `degrees`: ν, above 1.
 
     **Returns:** log of the improvement, (M,).
     """
-    deviation = jnp.maximum(deviation, _LEAST_DEVIATION)
-    improvement, log_unit = _standard_improvement((mean - best) / deviation)
+    scale = jnp.maximum(scale, _LEAST_SCALE)
+    improvement, log_unit = _standard_improvement((mean - best) / scale, degrees)
     # One logarithm of the product, not two: of all that is done to a candidate here, a logarithm takes longest.
-    return log_unit + jnp.log(deviation * improvement)
+    return log_unit + jnp.log(scale * improvement)
 
 
 @jax.jit
-def log_standard_improvement(z: Float[Array, " M"]) -> Float[Array, " M"]:
-    """log(φ(z) + zΦ(z)), the log-expectation of max(Z + z, 0) for a standard normal Z."""
-    improvement, log_unit = _standard_improvement(z)
+def log_standard_improvement(z: Float[Array, " M"], degrees: ScalarLike) -> Float[Array, " M"]:
+    """The log-expectation of max(T + z, 0) for a standard Student t of so many degrees of freedom."""
+    improvement, log_unit = _standard_improvement(z, degrees)
     return log_unit + jnp.log(improvement)
 
 
-def _standard_improvement(z: Float[Array, " M"]) -> tuple[Float[Array, " M"], Float[Array, " M"]]:
-    """φ(z) + zΦ(z) in a unit that keeps it from vanishing, and the logarithm of the unit: φ below zero, or else one.
+def _standard_improvement(z: Float[Array, " M"], degrees: ScalarLike) -> tuple[Float[Array, " M"], Float[Array, " M"]]:
+    """E[max(T + z, 0)] in a unit that keeps it from vanishing, and the logarithm of the unit: ψ below zero, or else one.
 
-    With t = |z| and H(t) = φ(t) − tΦ(−t) it is H(t) below zero and z + H(t) above: nothing cancels on either side.
+    With t = |z| and H(t) = E[max(T − t, 0)] it is H(t) below zero and z + H(t) above: nothing cancels on either side.
     """
     below = z < 0
     t = jnp.where(below, -z, z)
-    log_density = -0.5 * t**2 - 0.5 * np.log(2.0 * np.pi)
-    # H/φ as a polynomial, the same for every t: no tail of its own, whose cost all candidates would bear.
-    share = _CENTRE / (t + _CENTRE)
-    y = 1.0 - 2.0 * share
-    ratio = functools.reduce(lambda value, coefficient: value * y + coefficient, _RATIO) * share**2
+    nu = jnp.asarray(degrees, dtype=z.dtype)
+    wide = 1.0 + t**2 / nu
+    log_density = _log_peak(nu) - 0.5 * (nu + 1.0) * jnp.log(wide)
+    # As a polynomial, the same for every t: no tail of its own, whose cost all candidates would bear.
+    coefficients, last = _ratio_of_tails(nu)
+    share = _CENTRE / (t / jnp.sqrt(wide) + _CENTRE)
+    y = 4.0 * (1.0 - share) / (last + 1.0) - 1.0
+    ratio = wide * functools.reduce(lambda value, coefficient: value * y + coefficient, coefficients[::-1]) * share**2
     improvement = jnp.where(below, ratio, z + jnp.exp(log_density) * ratio)
     return improvement, jnp.where(below, log_density, 0.0)
 
 
+def _log_peak(nu: Float[Array, ""]) -> Float[Array, ""]:
+    """log ψ(0)."""
+    return gammaln(0.5 * (nu + 1.0)) - gammaln(0.5 * nu) - 0.5 * jnp.log(nu * np.pi)
+
+
+def _ratio_of_tails(nu: Float[Array, ""]) -> tuple[Float[Array, " q"], Float[Array, ""]]:
+    """Coefficients of (1 + s/c)²H(t)/(ψ(t)(1 + t²/ν)) as a polynomial, lowest power first, and the last place v of its domain.
+
+    Of s = t/√(1 + t²/ν), which goes from 0 to √ν, at v = (s − c)/(s + c), −1 to `last`, stretched to −1 to 1; c is `_CENTRE`.
+    The ratio without its factor is ∫ x (1 + (2sx + x²)/ν)^(−(ν + 1)/2) dx over x > 0: smooth in s, and exact to 1e-13 here.
+    """
+    last = (jnp.sqrt(nu) - _CENTRE) / (jnp.sqrt(nu) + _CENTRE)
+    v = 0.5 * (_POINTS + 1.0) * (last + 1.0) - 1.0
+    s = _CENTRE * (1.0 + v) / (1.0 - v)
+    width = 3.0 / (1.0 + s[:, None])
+    x = width * _NODES / (1.0 - _NODES)
+    height = x * jnp.exp(-0.5 * (nu + 1.0) * jnp.log1p((2.0 * s[:, None] * x + x**2) / nu))
+    values = (1.0 + s / _CENTRE) ** 2 * ((height * width) @ (_SHARES / (1.0 - _NODES) ** 2))
+    # Not by the product of both matrices, whose entries are so large that they would cancel.
+    return _POWERS @ (_FITTED @ values), last
+
+
 def improvement(kriging: Kriging, candidates: Float[Array, "M d"], key: PRNGKeyArray) -> Float[Array, " M"]:
-    """Log-expected improvement over the largest Kriging mean among the tested points (Eq. 14)."""
+    """Log-expected improvement over the largest Kriging mean among the tested points (Eq. 14), of the Kriging's Student t."""
     del key
     mean, variance = kriging.predict(candidates)
-    return log_expected_improvement(mean, _deviation(variance), jnp.max(kriging.tested_means()))
+    best = jnp.max(kriging.tested_means())
+    return log_expected_improvement(mean, kriging.scale_share * _deviation(variance), best, kriging.degrees)
 
 
 def max_variance(kriging: Kriging, candidates: Float[Array, "M d"], key: PRNGKeyArray) -> Float[Array, " M"]:
@@ -264,4 +286,4 @@ def sobol_candidates(count: int, dimensions: int, seed: int) -> Float[Array, "co
 
 def _deviation(variance: Float[Array, " M"]) -> Float[Array, " M"]:
     # The square root's own derivative at zero is infinite.
-    return jnp.sqrt(jnp.maximum(variance, _LEAST_DEVIATION**2))
+    return jnp.sqrt(jnp.maximum(variance, _LEAST_SCALE**2))

@@ -1,4 +1,5 @@
-r"""Which inputs may be asked: not those that would break a limit of the specimen, nor those where experiments failed."""
+r"""Which inputs may be asked: not those that would break a limit of the specimen, nor those where experiments failed, nor those
+next to an experiment that was made."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -7,13 +8,16 @@ from functools import cached_property
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from hsed_jax.design.space import SAME_POINT
 from hsed_jax.physics.batch import tiled_map
 
 # A failure closes what lies within about this distance of it in the unit cube, unless more experiments there succeeded.
 _REACH = 0.1
 _DRAWS = 8
+# Of the mean distance of so many experiments: balls of this radius never cover the cube.
+_APART = 1 / 3
 
 
 def near_failures(
@@ -38,6 +42,30 @@ def near_failures(
 
     failures, successes = weight(failed), weight(succeeded)
     return failures > 0.5 * (0.5 + failures + successes)
+
+
+def too_near(
+    candidates: Float[np.ndarray, "M d"], tested: Float[np.ndarray, "n d"], size: int, closed: Bool[np.ndarray, " M"]
+) -> Bool[np.ndarray, " M"]:
+    r"""Candidates next to an experiment, (M,): within $\tfrac13 N^{-1/d}$ of one, N experiments being planned over d inputs.
+
+    What a nearby experiment would measure is known but for its noise.  Where so few candidates are left that the distance would
+    close all of them it is halved, as often as needed.
+
+    Arguments:
+        candidates: in the unit cube.
+        tested: experiments that were made or asked, in the unit cube.
+        size: N.
+        closed: candidates that are not to be asked for another reason.
+    """
+    from scipy.spatial import KDTree
+
+    if not len(tested):
+        return np.zeros(len(candidates), dtype=bool)
+    distance, least = KDTree(tested).query(candidates)[0], _APART * size ** (-1 / candidates.shape[1])
+    while (closed | (distance < least)).all() and least > SAME_POINT:
+        least /= 2
+    return distance < least
 
 
 @dataclass(frozen=True)

@@ -123,6 +123,17 @@ class Kriging(eqx.Module):
         variance = self.process_variance * (known / jnp.maximum(known - p - 2, 1)) * (1.0 - explained + trend_part)
         return self.trend_coefficients @ f + product[-1], jnp.maximum(variance, 0.0)
 
+    @property
+    def degrees(self) -> Float[Array, ""]:
+        """Degrees of freedom of the Student t of a prediction, N − p; of fewer than two, whose mean may not exist, two."""
+        return jnp.maximum(jnp.sum(self.mask) - self.trend_whitening.shape[0], 2.0)
+
+    @property
+    def scale_share(self) -> Float[Array, ""]:
+        """Scale of the Student t of a prediction over the standard deviation that `predict` gives."""
+        left = jnp.sum(self.mask) - self.trend_whitening.shape[0]
+        return jnp.sqrt(jnp.maximum(left - 2.0, 1.0) / jnp.maximum(left, 1.0))
+
     def tested_means(self) -> Float[Array, " N"]:
         """Kriging mean at each training point, Eq. 10 (padded rows: −∞, so that a maximum passes over them).
 

@@ -21,7 +21,8 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from hsed_jax.design.acquisition import ACQUISITIONS, Acquisition, Choice, PerCost, Restricted, choose, sobol_candidates
 from hsed_jax.design.cost import Cost
 from hsed_jax.design.discrepancy import discrepancy, variance_over
-from hsed_jax.design.feasible import near_failures
+from hsed_jax.design.drift import Drift, shares
+from hsed_jax.design.feasible import near_failures, too_near
 from hsed_jax.design.kriging import Kriging, condition, fit_kriging
 from hsed_jax.design.space import InputSpace, Point
 from hsed_jax.errors import UserError
@@ -123,6 +124,7 @@ class SequentialDesign:
         seed: of the candidate set.
         exceeding: which candidates (M, d) exceed a limit of the specimen, from draws of the posterior (n, p): (M,) bool.
         cost: of experiments; what is to be gained counts over it.
+        replicates: whether inputs may be asked that were asked already, or next to them.
     """
 
     posterior: Posterior
@@ -138,6 +140,7 @@ class SequentialDesign:
     seed: int
     exceeding: Callable[[np.ndarray, Array], np.ndarray] | None = None
     cost: Cost | None = None
+    replicates: bool = False
 
     def init(self) -> DesignState:
         """No experiment yet."""
@@ -209,7 +212,8 @@ class SequentialDesign:
         def chosen_by(by: Acquisition) -> Choice:
             if closed is not None:
                 by = Restricted(by, jnp.asarray(closed))
-            known = jax.device_put((self._cube(state), self._rows(state, np.ones(len(state.trials), bool))))
+            excluded = np.full(len(state.trials), not self.replicates)
+            known = jax.device_put((self._cube(state), self._rows(state, excluded)))
             return choose(believing, self.candidate_set, *known, acquisition=by, key=of_choice)
 
         best = chosen_by(ACQUISITIONS["expected_improvement"])
@@ -263,8 +267,8 @@ class SequentialDesign:
         Raises:
             UserError: none is left.
         """
-        closed = near_failures(np.asarray(self.candidate_set), state.cube[state.status == "failed"],
-                               state.cube[state.status == "completed"])  # fmt: skip
+        candidates, tested = np.asarray(self.candidate_set), state.cube
+        closed = near_failures(candidates, tested[state.status == "failed"], tested[state.status == "completed"])
         if self.exceeding is not None:
             closed = closed | self.exceeding(np.asarray(draws).reshape(-1, draws.shape[-1]), self.candidate_set)
         if closed.all():
@@ -272,7 +276,24 @@ class SequentialDesign:
                 "every candidate is predicted to exceed a limit (design.limits) or lies where experiments failed; "
                 "widen the limits or the inputs"
             )
+        if not self.replicates:
+            closed = closed | too_near(candidates, tested, self.size_of(state), closed)
         return closed if closed.any() else None
+
+    def drift(self, state: DesignState) -> Drift:
+        """How far the estimates of these experiments are from those of experiments spread evenly over the inputs."""
+        data, used = self.data(state), state.is_measured
+        weights = np.zeros(len(data.values))
+        of_each = shares(state.cube[used], np.asarray(self.candidate_set))
+        weights[: len(used)][used] = of_each * used.sum()
+        evenly = data._replace(weights=data.weights * jnp.asarray(weights)[:, None])
+        designed, spread = (maximise(self.posterior, one, self.starting_points(state)) for one in (data, evenly))
+        sd = np.sqrt(np.diag(np.asarray(designed.covariance)))
+
+        def by_name(values: Any) -> dict[str, float]:
+            return dict(zip(self.posterior.reported, np.asarray(values).tolist(), strict=False))
+
+        return Drift(by_name(designed.theta), by_name(spread.theta), by_name(sd))
 
     @property
     def least(self) -> int:

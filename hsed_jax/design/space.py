@@ -12,6 +12,9 @@ from jaxtyping import Array, Float
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
 
+SAME_POINT = 1e-6
+"""Two inputs of the unit cube closer than this are the same experiment."""
+
 
 class Point(NamedTuple):
     """A point of the input space.

@@ -5,6 +5,19 @@ from collections.abc import Sequence
 
 from hsed_jax.tables import odds
 
+# An improvement below this share of the largest is none: what a surrogate says there is its tail, and nothing that was measured.
+_NONE = 1e-6
+
+
+def told(improvements: Sequence[float]) -> list[float]:
+    """Expected improvements as they are shown: 0 below a millionth of the largest.
+
+    Arguments:
+        improvements: the largest of each step.
+    """
+    least = _NONE * max(improvements, default=0.0)
+    return [value if value >= least else 0.0 for value in improvements]
+
 
 def lesson(acquisition: str, value: float, discrepancies: Sequence[float | None]) -> str:
     """What an experiment is expected to teach, in a clause; empty where it was chosen without regard to that.
@@ -21,5 +34,5 @@ def lesson(acquisition: str, value: float, discrepancies: Sequence[float | None]
         return "how wrong the model is where that is known least"
     if acquisition != "expected_improvement" or not known or not max(known) > 0:
         return ""
-    share = 100 * value / max(known)
+    share = 100 * value / max(known) if value >= _NONE * max(known) else 0.0
     return f"whether the model is wrong by more than anywhere so far: by {share:.3g} % of that, on average"

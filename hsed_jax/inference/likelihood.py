@@ -7,8 +7,8 @@ $$\log L = -\tfrac12\sum_{ij}\Big[w_{ij}^2+\log 2\pi\sigma_{ij}^2(1-\rho_{ij}^2)
 correlation of the noise of a sample with that of the sample before (a first-order autoregression; Box & Jenkins 1976); of white
 noise and of quantities it is zero.
 
-The relative error of a *history* is relative to its RMS, which many samples tell without noise: the measured one, less what the
-noise itself adds to it, $\sigma = s\,\mathrm{RMS}(y)/\sqrt{1+s^2}$.  That of a *quantity* is one of its logarithm,
+By default the relative error of a *history* is relative to its RMS, which many samples tell without noise: the measured one, less
+what the noise itself adds to it, $\sigma = s\,\mathrm{RMS}(y)/\sqrt{1+s^2}$.  That of a *quantity* is one of its logarithm,
 
 $$z = \frac{\log f(\theta) - \log y + \mathrm E\log|1+s\varepsilon|}{\mathrm{sd}\log|1+s\varepsilon|},
   \qquad \varepsilon\sim N(0,1),$$
@@ -16,6 +16,9 @@ $$z = \frac{\log f(\theta) - \log y + \mathrm E\log|1+s\varepsilon|}{\mathrm{sd}
 whose mean and variance are those of y = f·(1 + sε).  Anchored on the noisy datum, σ = s·y, errors that happen to be small would
 count for more than those that happen to be large, which biases every estimate; with σ = s·f a model that is wrong would be drawn
 towards larger predictions, where errors are larger.
+
+Where the error is one of what was measured (`Error.of_measured`), its scale is given, as in the paper: σ = s·|y| of a quantity
+and s·RMS(y) of a history, and z is Gaussian.
 
 Where the discrepancy of the model is learned (`hsed_jax.inference.discrepancy`) the errors of all data are correlated with one
 another: $\operatorname{cov} z = C$ in place of the white or autoregressive noise.
@@ -45,10 +48,12 @@ class Error(NamedTuple):
 
     Attributes:
         size: s, declared (a number) or inferred (its prior).
-        is_relative: whether c is the size of the predicted quantity or the RMS of the history; else 1, and s is in SI.
+        is_relative: whether c is the size of the quantity or the RMS of the history; else 1, and s is in SI.
         correlated: whether the noise of a history has a memory; None: where its declared size lets one tell.
         inflate: where the model leaves more than the declared error, that counts as error, too.
         discrepancy: whether how wrong the model is beyond the error is learned.
+        of_measured: whether c of a relative error is given by what was measured (Gaussian); else a quantity's error is one of the
+            logarithm of what is predicted.
     """
 
     size: Union[float, "Prior"]
@@ -56,11 +61,36 @@ class Error(NamedTuple):
     correlated: bool | None = None
     inflate: bool = False
     discrepancy: bool = False
+    of_measured: bool = False
 
     @property
     def is_declared(self) -> bool:
         """Whether the size is known."""
         return isinstance(self.size, int | float)
+
+
+class Columns(NamedTuple):
+    """What the errors of the columns of the data are relative to.
+
+    Attributes:
+        is_relative: whether the error of a column is relative, (J,).
+        of_measured: whether it is relative to what was measured, (J,).
+        members: 1 where a column belongs to an output, (J, G).
+    """
+
+    is_relative: Bool[np.ndarray, " J"]
+    of_measured: Bool[np.ndarray, " J"]
+    members: Float[np.ndarray, "J G"]
+
+    @property
+    def is_quantity(self) -> Bool[np.ndarray, " J"]:
+        """Which columns are outputs by themselves, and no samples of a history."""
+        return self.members.sum(axis=0)[self.members.argmax(axis=1)] == 1
+
+    @property
+    def is_logarithmic(self) -> Bool[np.ndarray, " J"]:
+        """Which columns have an error of their logarithm."""
+        return self.is_relative & self.is_quantity & ~self.of_measured
 
 
 class Decorrelation(Protocol):
@@ -143,8 +173,7 @@ def magnitudes(
 
 def sigma_of(
     errors: Float[Array, " J"],
-    is_relative: Bool[np.ndarray, " J"],
-    members: Float[np.ndarray, "J G"],
+    columns: Columns,
     predicted: Float[Array, "n J"],
     ok: Float[Array, " n"],
     data: Data,
@@ -152,12 +181,13 @@ def sigma_of(
     """σ = s·c of every column, SI; one where nothing is used or the simulation diverged."""
     used = (data.weights > 0).astype(float)
     counts = (used > 0) & (ok[:, None] > 0)
-    if not is_relative.any():
+    if not columns.is_relative.any():
         return jnp.where(counts, errors, 1.0)
-    measured = magnitudes(data.values, used, members)
+    measured = magnitudes(data.values, used, columns.members)
     of_quantity = jnp.maximum(jnp.abs(predicted), _LEAST * measured)
-    size = jnp.where(_is_quantity(members), of_quantity, measured / jnp.sqrt(1 + errors**2))
-    return jnp.where(counts, errors * jnp.where(is_relative, size, 1.0), 1.0)
+    told = jnp.where(columns.is_quantity, of_quantity, measured / jnp.sqrt(1 + errors**2))
+    size = jnp.where(columns.of_measured, measured, told)
+    return jnp.where(counts, errors * jnp.where(columns.is_relative, size, 1.0), 1.0)
 
 
 def whitened(standardised: Any, memory: Any) -> Any:
@@ -174,17 +204,16 @@ def whitened(standardised: Any, memory: Any) -> Any:
 
 def compared(
     errors: Float[Array, " J"],
-    is_relative: Bool[np.ndarray, " J"],
-    members: Float[np.ndarray, "J G"],
+    columns: Columns,
     predicted: Float[Array, "n J"],
     ok: Float[Array, " n"],
     data: Data,
 ) -> tuple[Float[Array, "n J"], Float[Array, "n J"]]:
     """z, and log σ of the density of y; both zero where nothing is used, and where the simulation diverged."""
     counts = (data.weights > 0) & (ok[:, None] > 0)
-    sigma = sigma_of(errors, is_relative, members, predicted, ok, data)
+    sigma = sigma_of(errors, columns, predicted, ok, data)
     z, log_sigma = (predicted - data.values) / sigma, jnp.log(sigma)
-    of_logarithm = is_relative & _is_quantity(members)
+    of_logarithm = columns.is_logarithmic
     if of_logarithm.any():
         mean, sd = _moments(errors)
         measured = jnp.where(counts, data.values, 1.0)
@@ -194,16 +223,9 @@ def compared(
     return jnp.where(counts, z, 0.0), jnp.where(counts, log_sigma, 0.0)
 
 
-def logarithmic(
-    errors: Float[Array, " J"], is_relative: Bool[np.ndarray, " J"], members: Float[np.ndarray, "J G"]
-) -> tuple[Bool[np.ndarray, " J"], Float[Array, " J"]]:
-    """Which columns have an error of their logarithm, and its standard deviation."""
-    return is_relative & _is_quantity(members), _moments(errors)[1]
-
-
-def _is_quantity(members: Float[np.ndarray, "J G"]) -> Bool[np.ndarray, " J"]:
-    """Which columns are outputs by themselves, and no samples of a history."""
-    return members.sum(axis=0)[members.argmax(axis=1)] == 1
+def sd_of_logarithm(errors: Float[Array, " J"]) -> Float[Array, " J"]:
+    """Standard deviation of the logarithm of what is measured with relative errors s."""
+    return _moments(errors)[1]
 
 
 def _moments(s: Float[Array, " J"]) -> tuple[Float[Array, " J"], Float[Array, " J"]]:

@@ -15,12 +15,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hsed_jax.inference.likelihood import (
+    Columns,
     Data,
     Error,
     compared,
     log_likelihood,
-    logarithmic,
     magnitudes,
+    sd_of_logarithm,
     sigma_of,
     standardised_residual,
 )
@@ -62,6 +63,7 @@ class Posterior(eqx.Module):
     _priors: tuple[Prior, ...] = eqx.field(static=True)
     _columns: tuple[int, ...] = eqx.field(static=True)
     _relative: tuple[bool, ...] = eqx.field(static=True)
+    _of_measured: tuple[bool, ...] = eqx.field(static=True)
     _inferred: tuple[tuple[int, int], ...] = eqx.field(static=True)
     declared: Float[Array, " outputs"]
     population: Population
@@ -84,6 +86,7 @@ class Posterior(eqx.Module):
         self.names, self._priors = (*known, *self.population.offsets), tuple(known.values())
         self._columns = tuple(np.asarray(groups).tolist())
         self._relative = tuple(error.is_relative for error in errors)
+        self._of_measured = tuple(error.of_measured for error in errors)
         self.declared = jax.device_put(np.asarray([1.0 if isinstance(s, Prior) else s for s in sizes], dtype=float))
         # Number of an output, and where its error stands in θ.
         self._inferred = tuple(
@@ -126,14 +129,11 @@ class Posterior(eqx.Module):
         return [spread_support(p) if n in spreads else p.to_support for n, p in self.priors.items()]
 
     @property
-    def _is_relative(self) -> np.ndarray:
-        """Whether the error of a column is relative, (J,)."""
-        return np.asarray(self._relative, dtype=bool)[self.groups]
-
-    @property
-    def _members(self) -> np.ndarray:
-        """1 where a column belongs to an output, (J, G)."""
-        return (self.groups[:, None] == np.arange(len(self.outputs))).astype(float)
+    def _errors(self) -> Columns:
+        """What the errors of the columns are relative to."""
+        members = (self.groups[:, None] == np.arange(len(self.outputs))).astype(float)
+        known = (np.asarray(each, dtype=bool)[self.groups] for each in (self._relative, self._of_measured))
+        return Columns(*known, members)
 
     def constrain(self, u: Float[Array, " p"]) -> Float[Array, " p"]:
         """θ(u)."""
@@ -175,20 +175,21 @@ class Posterior(eqx.Module):
         self, theta: Float[Array, " p"], predicted: Float[Array, "n J"], ok: Float[Array, " n"], data: Data
     ) -> Float[Array, "n J"]:
         """σ of every datum, SI; one where nothing is used or the simulation diverged."""
-        return sigma_of(self.errors(theta), self._is_relative, self._members, predicted, ok, data)
+        return sigma_of(self.errors(theta), self._errors, predicted, ok, data)
 
     def _compared(
         self, theta: Float[Array, " p"], predicted: Float[Array, "n J"], ok: Float[Array, " n"], data: Data
     ) -> tuple[Float[Array, "n J"], Float[Array, "n J"]]:
         """z and log σ of every datum, as the likelihood has them."""
-        return compared(self.errors(theta), self._is_relative, self._members, predicted, ok, data)
+        return compared(self.errors(theta), self._errors, predicted, ok, data)
 
     def expected_sigma(
         self, theta: Float[Array, " p"], predicted: Float[Array, "n J"], data: Data
     ) -> Float[Array, "n J"]:
         """σ that a measurement of what is predicted would have, SI: of a band, which knows of no measurement."""
-        size = magnitudes(predicted, (data.weights > 0).astype(float), self._members)
-        return self.errors(theta) * jnp.where(self._is_relative, size, 1.0)
+        columns = self._errors
+        size = magnitudes(predicted, (data.weights > 0).astype(float), columns.members)
+        return self.errors(theta) * jnp.where(columns.is_relative, size, 1.0)
 
     def standardised(
         self, theta: Float[Array, " p"], predicted: Float[Array, "n J"], ok: Float[Array, " n"], data: Data
@@ -238,13 +239,13 @@ class Posterior(eqx.Module):
         predicted, ok = self.predictions(u, data)
         z, log_sigma = self._compared(theta, predicted, ok, data)
         parts = [standardised_residual(z, ok, data), self.prior_residuals(u)]
-        inferred, members = ~self.is_declared, self._members
+        inferred, columns = ~self.is_declared, self._errors
         if inferred.any():
             used = (data.weights > 0).astype(float)
             # What it is measured against only has to be fixed and of its order.
-            size = jnp.where(self._is_relative, magnitudes(data.values, used, members), 1.0)
+            size = jnp.where(columns.is_relative, magnitudes(data.values, used, columns.members), 1.0)
             excess = data.weights * (log_sigma - jnp.log(jnp.where(used > 0, size, 1.0)) + _ROOM)
-            parts.append(_root(2 * excess @ members[:, inferred]).ravel())
+            parts.append(_root(2 * excess @ columns.members[:, inferred]).ravel())
         return jnp.concatenate(parts)
 
     def prior_residuals(self, u: Float[Array, " p"]) -> Float[Array, " p"]:
@@ -293,10 +294,10 @@ class Posterior(eqx.Module):
     ) -> tuple[Float[Array, "n J"], Float[Array, "n J"]]:
         """Predictions moved by so many standard deviations of the error, SI, and how much one more would move them.
 
-        A relative error of a quantity is one of its logarithm, and so is what it is moved by.
+        Where the error of a quantity is one of its logarithm, so is what it is moved by.
         """
         errors = self.errors(theta)
-        of_logarithm, sd = logarithmic(errors, self._is_relative, self._members)
+        of_logarithm, sd = self._errors.is_logarithmic, sd_of_logarithm(errors)
         moved = jnp.where(of_logarithm, predicted * jnp.exp(sd * by), 0.0)
         sigma = self.expected_sigma(theta, predicted, data)
         slope = jnp.where(of_logarithm, sd * jnp.abs(moved), sigma)

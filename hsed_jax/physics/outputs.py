@@ -166,6 +166,16 @@ QUANTITIES: dict[str, Quantity] = {
         is_strength=True,
         limit="energy",
     ),
+    "peak_energy": Quantity(
+        r"\max e",
+        "J",
+        "largest work done on the specimen so far",
+        (*_FORCE, *_ELONGATION),
+        channels=lambda masses: ("force", "elongation"),
+        measured=lambda time, channels: float(np.max(np.abs(_energy(time, channels)))),
+        kept=_largest(lambda step: step.peak_energy),
+        is_strength=True,
+    ),
     "residual_elongation": Quantity(
         r"\Delta u(t_{end})",
         "m",

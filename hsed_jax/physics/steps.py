@@ -52,6 +52,12 @@ class Step(NamedTuple):
         first, middle, last = (self.system.channels(*at, names) for at in (self.start, self.middle, self.end))
         return jnp.max(jnp.stack([_peak(first[name], middle[name], last[name]) for name in names]))
 
+    @property
+    def peak_energy(self) -> Scalar:
+        """Largest work within the step [J]: the peak of a parabola through start, middle and end."""
+        begin, end = (state.memory[self.specimen]["energy"] for state, _ in (self.start, self.end))
+        return _peak(begin, self.energy(0.5 * self.length), end)
+
     def energy(self, elapsed: Scalar) -> Scalar:
         """Work [J] done until a time [s] after the start of the step, that at its end where it is longer ago."""
         share = jnp.clip(elapsed / jnp.where(self.length == 0, 1.0, self.length), 0.0, 1.0)

@@ -9,6 +9,12 @@ from hsed_jax.physics.laws import LAWS
 from hsed_jax.physics.outputs import driven_mass
 from hsed_jax.reporting.page_tables import unit_words
 
+_RELATIVE_TO = {
+    ("quantities", "predicted"): "what is predicted (log-normal)",
+    ("quantities", "measured"): "what was measured (Gaussian)",
+    ("histories", "predicted"): "the RMS of each history",
+    ("histories", "measured"): "the RMS of each history",
+}
 _LABORATORIES = {
     "folder": "people or a controller",
     "command": "a program",
@@ -124,16 +130,18 @@ def _observed(study: Mapping[str, Any], campaign: Campaign) -> str:
         what = _listed([*map(campaign.pair.called, study["quantities"])])
     entry = study.get("error") or {}
     of_outputs = {name: value for name, value in entry.items() if isinstance(value, Mapping)}
-    said = ", ".join(f"{name} {_error(value)}" for name, value in of_outputs.items()) or _error(entry)
+    observe = study["observe"]
+    each = (f"{name} {_error(value, observe)}" for name, value in of_outputs.items())
+    said = ", ".join(each) or _error(entry, observe)
     return f"Observed: {what}; error: {said}."
 
 
-def _error(entry: Mapping[str, Any]) -> str:
+def _error(entry: Mapping[str, Any], observe: str) -> str:
     """What an error is, of all outputs or of one, and how it is taken."""
     if entry.get("unknown"):
         said = "inferred"
     elif "relative" in entry:
-        said = f"{100 * entry['relative']:g} % of what was measured"
+        said = f"{100 * entry['relative']:g} % of {_RELATIVE_TO[observe, entry.get('of', 'predicted')]}"
     elif "absolute" in entry:
         said = f"{entry['absolute']:g} (SI)"
     else:

@@ -91,6 +91,8 @@ def warnings(run: FinishedRun) -> Iterator[str]:
         if doubt := found.get("doubt"):
             yield sentence(doubt.replace("the model", model, 1))
     yield from map(sentence, run.summary.get("left_out", []))
+    if said := run.summary.get("design", {}).get("drift"):
+        yield sentence(said)
     for finding in run.findings[:_QUOTED]:
         yield sentence(f"the data check has {'an' if finding.level == 'error' else 'a'} {finding}")
     if rest := len(run.findings[_QUOTED:]):

@@ -90,7 +90,7 @@ def exploration(outcome: Outcome, state: DesignState) -> Picture:
 
 def expected_improvement(outcome: Outcome) -> Picture:
     """Fig. 5 of a run with steps of a design."""
-    return figures.expected_improvement_history([step["max_expected_improvement"] for step in outcome.steps])
+    return figures.expected_improvement_history(outcome.improvements)
 
 
 def estimates(outcome: Outcome) -> Picture:

@@ -9,8 +9,10 @@ import numpy as np
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.improve import Trail
 from hsed_jax.criticism.locate import Location
+from hsed_jax.design.drift import Drift
 from hsed_jax.design.sequential import DesignState, SequentialDesign
 from hsed_jax.design.space import InputSpace
+from hsed_jax.design.teaching import told
 from hsed_jax.diagnosis.findings import Diagnosis
 from hsed_jax.discovery.findings import Discovery
 from hsed_jax.inference.fit import Fit
@@ -37,6 +39,7 @@ class Outcome:
         campaign: the experiments.
         space: of the inputs.
         design: the sequential design, and its state, steps (as in the journal) and reason to stop, where it ran.
+        drift: how far its estimates are from those over all inputs; None before its end.
         fit, comparison, location, diagnosis: results of the steps that ran.
         remaining: where the model with the named effects still fails.
         discovery: what was learned that the catalogue does not hold.
@@ -59,6 +62,7 @@ class Outcome:
     state: DesignState | None
     steps: list[dict[str, Any]]
     stop_reason: str
+    drift: Drift | None
     fit: Fit | None
     comparison: Comparison | None
     location: Location | None
@@ -74,6 +78,11 @@ class Outcome:
     def truth(self) -> Mapping[str, float]:
         """The parameters of the virtual specimen, SI; empty where there is none."""
         return {} if self.laboratory is None else self.laboratory.parameters
+
+    @property
+    def improvements(self) -> list[float]:
+        """The largest expected improvement of every step of the design, as it is shown."""
+        return told([step["max_expected_improvement"] for step in self.steps])
 
     @property
     def estimates(self) -> np.ndarray:
@@ -135,10 +144,10 @@ def summary(outcome: Outcome) -> dict[str, Any]:
         estimates = outcome.estimates.T.tolist()
         content["design"] = {
             "inputs": outcome.design.space.declared(state.cube).tolist(),
-            "max_expected_improvement": [step["max_expected_improvement"] for step in outcome.steps],
+            "max_expected_improvement": outcome.improvements,
             "map": dict(zip(outcome.posterior.names, estimates, strict=False)),
             "stop_reason": outcome.stop_reason,
-        }
+        } | _drift(outcome)
     # A report is drawn from what is written: it cannot ask law and effects, which may be somebody else's code.
     content["references"] = _references(outcome)
     return content
@@ -151,6 +160,14 @@ def _references(outcome: Outcome) -> dict[str, str]:
         [] if outcome.trail is None else [effect for step in outcome.trail.steps for effect in step.effects]
     )
     return outcome.model.references | {name: outcome.catalogue[name].reference for name in dict.fromkeys(used)}
+
+
+def _drift(outcome: Outcome) -> dict[str, Any]:
+    """The estimates over all inputs, and what is to be said of them, once a design has ended."""
+    if outcome.drift is None:
+        return {}
+    said = outcome.drift.sentence(outcome.units)
+    return {"map_over_inputs": outcome.drift.over_inputs} | ({} if said is None else {"drift": said})
 
 
 def _levels(fit: Fit) -> dict[str, Any]:

@@ -192,7 +192,7 @@ def _design(outcome: Outcome) -> xr.Dataset:
     names = list(outcome.posterior.names)
     steps = outcome.steps
     table = {
-        "max_expected_improvement": ("step", [step["max_expected_improvement"] for step in steps]),
+        "max_expected_improvement": ("step", outcome.improvements),
         "acquisition": ("step", [step["acquisition"] for step in steps]),
         "log_evidence": ("step", [step["log_evidence"] for step in steps]),
         "divergences": ("step", [step["divergences"] for step in steps]),

@@ -14,6 +14,8 @@ from hsed_jax.criticism import locate as locating
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.improve import Trail, step_of
 from hsed_jax.criticism.locate import Location
+from hsed_jax.design.drift import Drift
+from hsed_jax.design.teaching import told
 from hsed_jax.diagnosis.findings import Diagnosis
 from hsed_jax.discovery.findings import Discovery
 from hsed_jax.errors import UserError
@@ -106,6 +108,7 @@ class Run:
         self.conduct: Conduct | None = None
         self._campaign = self.built.empty_campaign() if self.built.measured is None else self.built.measured
         self.stop_reason = "iterations"
+        self.drift: Drift | None = None
         self._under_way = ""
         self._followed: Progress | None = None
         self.left_out: list[str] = []
@@ -218,6 +221,7 @@ class Run:
             state=None if self.conduct is None else self.conduct.state,
             steps=self.steps,
             stop_reason=self.stop_reason if status == "complete" else status,
+            drift=self.drift,
             fit=None if self.calibration is None else self.calibration.fit,
             comparison=self.comparison,
             location=self.location,
@@ -258,6 +262,8 @@ class Run:
                     break
                 self._perform(conduct.ask())
         self.stop_reason = conduct.stop_reason
+        if conduct.state.is_measured.any():
+            self.drift = conduct.design.drift(conduct.state)
 
     def _perform(self, asked: Asked) -> None:
         assert self.conduct is not None
@@ -288,7 +294,7 @@ class Run:
     def _postfix(self) -> str:
         step = self.steps[-1]
         estimates = ", ".join(f"{name} {value:.4g}" for name, value in step["map"].items())
-        return f"max EI {step['max_expected_improvement']:.2e}, {estimates}"
+        return f"max EI {told([one['max_expected_improvement'] for one in self.steps])[-1]:.2e}, {estimates}"
 
     # What is made of the experiments.
 

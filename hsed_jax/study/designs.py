@@ -38,4 +38,5 @@ def design_of(built: "Built") -> "SequentialDesign":
         seed=built.study.seed,
         exceeding=built.limits,
         cost=None if entry.cost is None else Cost(entry.cost.fixed, entry.cost.per, built.space),
+        replicates=entry.replicates,
     )

@@ -85,7 +85,7 @@ def _error(name: str, size: float | Prior, is_relative: bool, entry: ErrorEntry,
             f"error.{name}: {name} may be negative or zero, and no error is relative to that; give it an absolute one "
             f"[{pair.output(name).unit}], such as error: {{{name}: {{absolute: 0.001}}}}"
         )
-    return Error(size, is_relative, entry.correlated, entry.inflate, entry.discrepancy)
+    return Error(size, is_relative, entry.correlated, entry.inflate, entry.discrepancy, entry.of == "measured")
 
 
 def _declared(channel: Channel | None) -> NoiseEntry:
