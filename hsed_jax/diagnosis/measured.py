@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from hsed_jax.criticism.compare import HISTORY, normalised_error
+from hsed_jax.criticism.compare import normalised_error
+from hsed_jax.criticism.prediction import HISTORY
 from hsed_jax.diagnosis.descent import Target
 from hsed_jax.inference.correlation import Judged, judge
 from hsed_jax.inference.likelihood import Error, magnitudes

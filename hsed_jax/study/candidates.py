@@ -10,7 +10,7 @@ import numpy as np
 from hsed_jax.config.mechanics import DRIVER, FORM
 from hsed_jax.config.schema import ImproveEntry, ScalesEntry, Study
 from hsed_jax.criticism.compare import compare
-from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.criticism.prediction import HISTORY, Prediction
 from hsed_jax.diagnosis.batch import Apart, Batch, BatchApart, Part
 from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.measured import Measured
@@ -38,6 +38,8 @@ from hsed_jax.study.specimens import effects_of
 
 # Experiments that could be made, to look for one that tells rivals apart.
 _CANDIDATES = 32
+# More than any noise, in units of an output.
+_ANY_NOISE = 1e12
 # The conditions are padded to a multiple of this, so that campaigns of similar size share a compiled program.
 _PADDING = 16
 
@@ -216,9 +218,11 @@ def _measured(large: Built, data: Data, experiments: Sequence[Experiment], rows:
     values, used, gaps = (np.asarray(table)[rows] for table in (data.values, data.weights, data.gaps))
     groups = np.asarray(large.observation.groups)
     measured = Measured(values, used > 0, gaps, groups, large.errors, 0.0)
-    # What is not declared is no noise, but for a division by it.
+    # Where no noise is declared, that of a history is what its record shows, and a number alone shows none.
     declared = ~np.isnan(measured.declared)
-    sigma = measured.sigma(np.where(declared, measured.declared, 1e-12), values)
+    is_history = np.bincount(groups, minlength=len(large.errors)) >= HISTORY
+    unknown = np.where(is_history, _ANY_NOISE, 1 / _ANY_NOISE)
+    sigma = measured.sigma(np.where(declared, measured.declared, unknown), values)
     itself = Prediction(
         large.outputs,
         groups,

@@ -91,6 +91,7 @@ def initial_study(campaign: Campaign, folder: Path, output: Path) -> str:
     lines += [
         "error: {inflate: true}                      # what the model leaves beyond it counts as error, too",
         "",
+        "calibration: {seconds: 20}                  # budget of NUTS, where importance sampling does not vouch for its draws",
         "steps: [calibrate, compare, diagnose, improve]   # how wrong, where, which effect is missing; add it",
         "",
     ]
