@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import hsed_jax as hx
+from hsed_jax.inference.observation import Grid, conditions_of
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Experiment, Record, characteristics
 from hsed_jax.measurements.thinning import loss, thinned
@@ -93,8 +94,9 @@ def test_steps_longer_than_the_yield_elongation_are_divided():
     (middle,), (steepest,) = (naming.laws((priors, {}), steepest=steepest) for steepest in (False, True))
     for record, longest in ((coarse, 1.0), (long_record(500), None)):
         longest = longest or np.abs(np.diff(record["elongation"])).max()
-        step = longest / imposed_grid([record], characteristics(campaign), middle, steepest).every
-        assert step <= YIELD * 1.001 and (longest > 20 * 0.2 * YIELD or step <= 0.2 * YIELD * 1.001)
+        grid = imposed_grid([record], characteristics(campaign), middle, steepest)
+        step = np.max(np.abs(np.diff(record["elongation"])) / grid.divisions(record))
+        assert grid.divisions(record).sum() <= grid.steps and step <= YIELD * 1.001 and (longest > 20 * 0.2 * YIELD or step <= 0.2 * YIELD * 1.001)
     # Where the first sample is far beyond yield, the data cannot tell it, and the model does.
     blind = characteristics(
         campaign_of(
@@ -103,7 +105,20 @@ def test_steps_longer_than_the_yield_elongation_are_divided():
             )
         )
     )
-    assert imposed_grid([coarse], blind, middle, steepest).every >= 200
+    assert imposed_grid([coarse], blind, middle, steepest).divisions(coarse).max() >= 200
+
+
+def test_an_interval_of_a_larger_change_has_more_steps_and_samples_are_at_their_ends():
+    elongation = np.array([0.0, 0.001, 0.011, 0.012, -0.02, -0.0201])
+    record = Record(np.arange(6) * 0.5, {"elongation": elongation, "force": elongation})
+    grid = Grid(8, 1, change=0.001, steps=63)
+    np.testing.assert_array_equal(grid.divisions(record), [1, 10, 1, 32, 1])
+    campaign = campaign_of(long_record())
+    recorded = conditions_of(Experiment("E01", record=record), campaign, grid, None).recorded
+    np.testing.assert_array_equal(recorded.ends, [0, 1, 11, 12, 44, 45, 63, 63])
+    lengths = np.asarray(recorded.step_length)
+    assert np.count_nonzero(lengths) == 45 and lengths.sum() == pytest.approx(2.5)
+    np.testing.assert_allclose(np.asarray(recorded.forcing.samples.elongation)[::2][recorded.ends[:6]], elongation, atol=1e-15)
 
 
 @pytest.mark.whole
