@@ -26,11 +26,12 @@ import hsed_jax as hx
 from hsed_jax.design.acquisition import ACQUISITIONS, sobol_candidates
 from hsed_jax.design.discrepancy import discrepancy, variance_over
 from hsed_jax.design.kriging import fit_kriging
+from hsed_jax.diagnosis.batch import Predictions
 from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.descent import Descent, Member, Target, Task
 from hsed_jax.diagnosis.evidence import laplace
 from hsed_jax.diagnosis.fits import spread
-from hsed_jax.diagnosis.nested import NestedModels, Predictions
+from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.rivals import Predictive, expected_log_bayes_factor, predictive
 from hsed_jax.inference.priors import Prior
 from hsed_jax.study.build import Built

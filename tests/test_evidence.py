@@ -7,10 +7,10 @@ import pytest
 from scipy import stats
 from scipy.integrate import quad
 
+from hsed_jax.diagnosis.batch import Batch
 from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.descent import Descent, Target, Task
 from hsed_jax.diagnosis.evidence import laplace, of_any_size, sample_posterior
-from hsed_jax.diagnosis.batch import Batch
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.inference.priors import Prior
 

@@ -8,9 +8,9 @@ from scipy import stats
 from scipy.optimize import least_squares
 
 from hsed_jax.diagnosis import nested
+from hsed_jax.diagnosis.batch import Batch
 from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.descent import Target, Task
-from hsed_jax.diagnosis.batch import Batch
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.inference.priors import Prior
 from hsed_jax.inference.watch import Watch

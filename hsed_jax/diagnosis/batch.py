@@ -1,17 +1,17 @@
 r"""Simulations of many models in one batch: pairs of a parameter vector and an experiment.
 
 One program holds every candidate effect in its simplest shape with any driver.  It serves every set of effects, every campaign
-of its kind and every record of about its length, since masses, scales, data and parameters are operands.  An effect that is neutral
-does exactly nothing in it, but costs as much as any other, and the shapes of all effects cost ten times that.  So other programs hold
-all forms of the few effects whose forms are compared; and a choice of forms that is simulated again and again gets a program of
-its own, in which all other parameters are numbers that the compiler knows, as soon as that would have paid for itself (the rule
-of ski rental, which costs at most twice what the number of simulations would have told; Karlin et al. 1988).
+of its kind and every record of about its length: masses, scales, data and parameters are operands.  An effect that is neutral
+does exactly nothing in it, but costs as much as any other, and the shapes of all effects cost ten times that.  So other
+programs hold all forms of the few effects whose forms are compared.  A choice of forms that is simulated again and again gets a
+program of its own, in which all other parameters are numbers that the compiler knows, as soon as that would have paid for itself
+(the rule of ski rental: at most twice the cost of knowing the number of simulations beforehand; Karlin et al. 1988).
 
 Chunks of simulations go to threads: XLA runs a program of this kind on one core, and several at a time on several.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import NamedTuple
@@ -33,6 +33,9 @@ _CHUNK, _TILE = 64, 8
 _FAR = 1e100
 # A program is made once it would have saved so many evaluations of a parameter in a step: about two seconds of either.
 _PRICE = 300_000_000
+
+Predictions = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Of parameters (L, P) and numbers of experiments (L,): outputs (L, J), and whether each converged (L,); a `Batch`, say."""
 
 Columns = frozenset[int]
 """Parameters of effects that a program has, by their place in a parameter vector; all others are neutral in it."""
@@ -98,7 +101,7 @@ class Selected(NamedTuple):
         rows: places of the experiments among all, (r,).
     """
 
-    batch: "Batch | BatchApart"
+    batch: "Predictions"
     rows: Int[np.ndarray, " r"]
 
     def __call__(
@@ -186,8 +189,8 @@ class Batch:
         return {has: np.sort(np.concatenate(parts)) for has, parts in by_program.items()}
 
     def _provide(self, needs: Sequence[Columns]) -> None:
-        """Make programs for what none has: of each set of effects whose shapes are not the simplest, all that is asked of it, with
-        the simplest shapes of all others where it is asked beside several."""
+        """Make programs for what none has: of each set of effects whose shapes are not the simplest, all that is asked of it,
+        with the simplest shapes of all others where it is asked beside several."""
         asked: dict[frozenset[str], list[Columns]] = {}
         for needed in needs:
             asked.setdefault(self._effects_of(needed - self._simplest), []).append(needed)

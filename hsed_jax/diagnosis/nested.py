@@ -1,21 +1,21 @@
 r"""Fits of many nested models at once: bounded Levenberg–Marquardt whose simulations are one batch.
 
 All models are the same large one, with all but a few parameters held at their neutral values.  Hence one compiled program
-serves every candidate, every start and every subset of the experiments; derivatives are differences between simulations, which cost
-one simulation each and also see an effect that has no derivative at its neutral value (a gap, a stop).  As long as steps gain
-what was expected of them, each mends the derivatives along itself instead (Broyden 1965), which costs none; nor does a fit that
+serves every candidate, every start and every subset of the experiments; derivatives are differences between simulations, which
+cost one simulation each and also see an effect that has no derivative at its neutral value (a gap, a stop).  As long as steps
+gain what was expected of them, each mends the derivatives along itself instead (Broyden 1965), which costs none; nor does a fit that
 goes on, with other errors or without some of the experiments, from where another one ended.
 
 $$\varphi(x) = \tfrac12\sum_{ij} w_{ij}\Big(\frac{y_{ij}-f_{ij}(\theta(x))}{\sigma_{ij}}\Big)^2 - \sum_k\log p(x_k),
   \qquad x_k\in[l_k,u_k]$$
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from hsed_jax.diagnosis.batch import Selected
+from hsed_jax.diagnosis.batch import Predictions, Selected
 from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.descent import Descent, Member, Target, Task
 from hsed_jax.inference.watch import Watch, fingerprint
@@ -35,9 +35,6 @@ _FLAT = 1e-6
 _NUMBERS, _KEPT = 2**24, 2**17
 # So many steps in a row mend the derivatives, if each gains this share of what was expected of it.
 _MENDED, _EXPECTED = 3, 0.3
-
-Predictions = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Of parameters (L, P) and numbers of experiments (L,): outputs (L, J), and whether each converged (L,); `Batch`, say."""
 
 
 class NestedModels:

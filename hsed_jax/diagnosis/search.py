@@ -46,8 +46,8 @@ _PROMISING, _STARTS = 2, 2
 _REACH = 8
 # In place of an effect so many others, the most probable ones, are tried with so many beside each that promise most.
 _OTHERS, _BESIDE = 3, 2
-# All forms are fitted of so many sets (of three times as many of one effect), if they are no more nats below the most probable one
-# than this, or gain half as much as it.
+# All forms are fitted of so many sets (of three times as many of one effect), if they are no more nats below the most
+# probable one than this, or gain half as much as it.
 _DEEP, _NEAR = 2, 10.0
 # Of so many sets that rank first so many forms are fitted anew, once the errors are known.
 _AGAIN = 3

@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import logsumexp
 
+from hsed_jax.diagnosis.batch import Predictions
 from hsed_jax.diagnosis.descent import Member
-from hsed_jax.diagnosis.nested import Predictions
 from hsed_jax.diagnosis.scores import Around
 from hsed_jax.discovery.places import Place, Reaches
 from hsed_jax.physics.effects.free_function import COUNTS, POWERS, deviations, power, powers_of
