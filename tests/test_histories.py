@@ -14,7 +14,7 @@ from scipy.linalg import eigh
 
 import hsed_jax as hx
 from hsed_jax.errors import UserError
-from hsed_jax.inference.observation import Quantities, assemble
+from hsed_jax.inference.observation import Quantities, assemble, conditions_of
 from hsed_jax.measurements import Campaign, Channel, Experiment, Noise, Record, read_at2
 from hsed_jax.physics.simulator import Conditions
 from hsed_jax.study.build import Built
@@ -40,9 +40,13 @@ def path_force(time, elongation, A=A, beta=BETA, parts=40):
 
 def along_the_path(built, campaign, row, A=A, beta=BETA):
     """The closed form along the path that the package lays through the samples of an experiment."""
-    conditions = built.data(campaign, campaign.experiments).conditions
-    path = np.asarray(conditions.recorded.forcing.samples.elongation)[row]
-    return exact_force(path, A, beta)[:: 2 * built.grid.every][: len(campaign.experiments[row].record)]
+    experiment = campaign.experiments[row]
+    # In steps so small that no reversal falls between them.
+    fine = replace(built.grid, change=built.grid.change / 40, steps=0)
+    fine = replace(fine, steps=int(fine.divisions(experiment.record).sum()))
+    recorded = conditions_of(experiment, campaign, fine, None).recorded
+    path, ends = np.asarray(recorded.forcing.samples.elongation), np.asarray(recorded.ends)
+    return exact_force(path, A, beta)[2 * ends][: len(experiment.record)]
 
 
 def motion(seed, samples):
@@ -466,7 +470,7 @@ def test_a_record_longer_than_the_model_was_built_for_is_refused(calibration):
     time, elongation = motion(0, 500)
     longer = Record(time, {"elongation": elongation, "force": exact_force(elongation)})
     campaign = replace(calibration.campaign, experiments=(Experiment("L01", record=longer),))
-    with pytest.raises(UserError, match="'L01': its record has 500 samples, more than the 400"):
+    with pytest.raises(UserError, match="'L01': its record has 500 samples, more than the 448"):
         calibration.predict(campaign)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import hsed_jax as hx
+from hsed_jax.errors import UserError
 from hsed_jax.inference.observation import Grid, conditions_of
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Experiment, Record, characteristics
@@ -113,12 +114,12 @@ def test_an_interval_of_a_larger_change_has_more_steps_and_samples_are_at_their_
     elongation = np.array([0.0, 0.001, 0.011, 0.012, -0.02, -0.0201])
     record = Record(np.arange(6) * 0.5, {"elongation": elongation, "force": elongation})
     grid = Grid(8, 1, change=0.001, steps=63)
-    np.testing.assert_array_equal(grid.divisions(record), [1, 10, 1, 32, 1])
+    np.testing.assert_array_equal(grid.divisions(record), [1, 10, 4, 32, 1])
     campaign = campaign_of(long_record())
     recorded = conditions_of(Experiment("E01", record=record), campaign, grid, None).recorded
-    np.testing.assert_array_equal(recorded.ends, [0, 1, 11, 12, 44, 45, 63, 63])
+    np.testing.assert_array_equal(recorded.ends, [0, 1, 11, 15, 47, 48, 63, 63])
     lengths = np.asarray(recorded.step_length)
-    assert np.count_nonzero(lengths) == 45 and lengths.sum() == pytest.approx(2.5)
+    assert np.count_nonzero(lengths) == 48 and lengths.sum() == pytest.approx(2.5)
     np.testing.assert_allclose(
         np.asarray(recorded.forcing.samples.elongation)[::2][recorded.ends[:6]], elongation, atol=1e-15
     )
@@ -153,3 +154,9 @@ def test_time_and_memory_are_forecast_and_grow_with_the_steps():
         said[samples] = float(found[3])
         assert len(thinning_notes(built, campaign)) == (2 if samples == 1000 else 0)
     assert said[1000] < said[28000] < 5
+
+
+def test_a_record_that_takes_more_steps_than_the_model_has_is_refused():
+    record = Record(np.arange(3.0), {"elongation": np.array([0.0, 0.05, 0.0]), "force": np.zeros(3)})
+    with pytest.raises(UserError, match="'E01': its record takes 100 steps, more than the 63"):
+        conditions_of(Experiment("E01", record=record), campaign_of(long_record()), Grid(8, 1, 0.001, 63), None)

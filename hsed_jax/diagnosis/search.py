@@ -22,7 +22,8 @@ from hsed_jax.diagnosis.held_out import Gain, HeldOut, by_prediction, to_take_aw
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Forms, amplitude_of, of_other_drivers, of_other_shapes
-from hsed_jax.diagnosis.scores import Around, score_p_value, telling
+from hsed_jax.diagnosis.propose import beside, pairs
+from hsed_jax.diagnosis.scores import Around, score_p_value
 from hsed_jax.errors import UserError
 
 MOST_EFFECTS = 4
@@ -40,10 +41,6 @@ _POOL = 24
 _WORSE = 2.0
 # Of the models that rank first so many are considered to go on from.
 _TRIED = 5
-# Of the forms of an effect, the default one and so many that promise most are fitted first, each from so many starts.
-_PROMISING, _STARTS = 2, 2
-# Beside a set so many effects are fitted: those that promise most.
-_REACH = 8
 # In place of an effect so many others, the most probable ones, are tried with so many beside each that promise most.
 _OTHERS, _BESIDE = 3, 2
 # All forms are fitted of so many sets (of three times as many of one effect), if they are no more nats below the most
@@ -243,57 +240,33 @@ class Search:
         self.scores = Around(self.models, self.target, fit).score_tests(defaults)
 
     def _fit(self, around: Sequence[Set]) -> None:
-        """Fit the sets around the best: what a set has more than a fitted one, in the forms and from the sizes that promise most.
-
-        To a model without effects every candidate is fitted, to others those that promise most.
-        """
+        """Fit the sets around the best: what a set has more than a fitted one, as it is proposed."""
         self._fits.fit(self.target, [self._in_forms(s) for s in around if s <= self.best])
-        beside: dict[Set, list[str]] = {}
-        for grown in (s for s in around if not s <= self.best):
-            beside.setdefault(grown & self.best, []).extend(grown - self.best)
+        grown: dict[Set, list[str]] = {}
+        for larger in (s for s in around if not s <= self.best):
+            grown.setdefault(larger & self.best, []).extend(larger - self.best)
         starts: dict[Choice, list[np.ndarray]] = {}
-        for base, others in beside.items():
+        for base, others in grown.items():
             if base in self._fits and base not in self._tried:
                 self._tried.add(base)
-                starts |= self._promising(base, others)
+                fit, effects = self._fits.best(base), {e: self.effects[e] for e in others}
+                starts |= beside(self.models, self.target, fit, self._fits.top(base), effects, base == self.best)
         self._fits.fit(self.target, starts, starts)
 
     def _fit_pairs(self) -> None:
-        """Fit pairs in place of the one effect of the best set, where that leaves more than the noise: another effect, with what
-        promises most beside it.  One that is like neither may have taken what two effects do."""
+        """Fit pairs in place of the one effect of the best set, where that leaves more than the noise: one that is like neither
+        may have taken what two effects do."""
         self._pairs = []
         if len(self.best) != 1 or self._is_explained(self._fits.best(self.best)):
             return
         self._report(f"pairs in place of {_text(self.best)}")
-        starts: dict[Choice, list[np.ndarray]] = {}
-        others = [e for e in self.effects if e not in self.best]
-        singles = [self.model({one}) for one in others if frozenset({one}) in self._fits]
-        for single in sorted(singles, key=lambda m: -m.log_posterior)[:_OTHERS]:
-            further = {e: self.effects[e] for e in others if e not in single.effects}
-            promises = Around(self.models, self.target, single.fit, telling(self.target, single.fit)).of_places(further)
-            defaults = [(effect, *next(iter(forms.items()))) for effect, forms in promises.items()]
-            for effect, label, found in sorted(defaults, key=lambda one: -one[2][0].gain)[:_BESIDE]:
-                choice = self._fits.top(single.effects) | {(effect, label)}
-                starts.setdefault(choice, []).extend(p.start for p in found[:_STARTS])
+        others = {e: forms for e, forms in self.effects.items() if e not in self.best}
+        singles = [self.model({e}) for e in others if frozenset({e}) in self._fits]
+        leading = sorted(singles, key=lambda m: -m.log_posterior)[:_OTHERS]
+        chosen = [(self._fits.top(m.effects), m.fit) for m in leading]
+        starts = pairs(self.models, self.target, chosen, others, _BESIDE)
         self._pairs = list(dict.fromkeys(names_of(choice) for choice in starts))
         self._fits.fit(self.target, starts, starts)
-
-    def _promising(self, base: Set, others: Sequence[str]) -> dict[Choice, list[np.ndarray]]:
-        """Choices of one effect beside a fitted set: the effects that promise most, by their best drivers, and starts of each."""
-        top, fit = self._fits.top(base), self._fits.best(base)
-        around = Around(self.models, self.target, fit, telling(self.target, fit))
-        promises = around.of_places({e: self.effects[e] for e in others})
-        ranked = sorted(promises.items(), key=lambda item: -max(found[0].gain for found in item[1].values()))
-        # Beside a part of the best set, what stands in place of the rest: that is looked at closely once it leads.
-        reach, starts = (_REACH, _STARTS) if base == self.best else (_REACH // 2, 1)
-        chosen: dict[Choice, list[np.ndarray]] = {}
-        for effect, forms in ranked[:reach]:
-            default, *further = forms
-            # A trial tells what there is to gain, and not what there is not: they need not promise more than the default one.
-            further.sort(key=lambda f: -forms[f][0].gain)
-            for label in (default, *further[: starts * _PROMISING // 2]):
-                chosen[top | {(effect, label)}] = [p.start for p in forms[label][:starts]]
-        return chosen
 
     def _in_forms(self, effects: Set) -> Choice:
         """Effects of the best set in its forms."""

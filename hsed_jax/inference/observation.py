@@ -24,6 +24,9 @@ from hsed_jax.physics.simulator import AbstractModel, Conditions, Recorded
 
 # Where two estimates of a slope differ by this share of the slopes nearby, the motion has a corner.
 _CORNER = 0.2
+# Steps of the two intervals of samples between which an imposed elongation turns, where one of them changes it by this share of the
+# largest change of a step.
+_AT_A_TURN, _TURN = 4, 0.25
 
 Excite = Callable[[Mapping[str, Any]], AbstractExcitation] | None
 Respond = Callable[[Mapping[str, Any], Conditions], tuple[Float[Array, " J"], Array]]
@@ -55,9 +58,16 @@ class Grid:
         """Steps of each interval of a record, (len(record) − 1,)."""
         if self.change is None:
             return np.full(len(record) - 1, self.every)
-        changes = np.abs(np.diff(record["elongation"]))
-        # A relative tolerance: a ramp of equal intervals has equal numbers of steps.
-        return np.maximum(np.ceil(changes / self.change - 1e-9), 1).astype(int)
+        changes = np.nan_to_num(np.diff(record["elongation"]))
+        # With a tolerance: the intervals of a ramp have equal numbers of steps.
+        divisions = np.maximum(np.ceil(np.abs(changes) / self.change - 1e-9), 1).astype(int)
+        # The motion turns beside a sample, where the force of a spring has a kink; what noise turns is less than this.
+        turns = np.flatnonzero(
+            (changes[1:] * changes[:-1] < 0) & (np.maximum(*np.abs([changes[1:], changes[:-1]])) > _TURN * self.change)
+        )
+        for at in (turns, turns + 1):
+            divisions[at] = np.maximum(divisions[at], _AT_A_TURN)
+        return divisions
 
 
 @dataclass(frozen=True)
@@ -238,8 +248,13 @@ def conditions_of(experiment: Experiment, campaign: Campaign, grid: Grid | None,
     record = _record(experiment)
     if len(record) > grid.samples:
         raise UserError(
-            f"experiment {experiment.id!r}: its record has {len(record)} samples, more than the {grid.samples} of the "
-            "longest one that the model was built for; calibrate on a campaign that holds it (as a test experiment)"
+            f"experiment {experiment.id!r}: its record has {len(record)} samples, more than the {grid.samples} that the "
+            "model was built for; calibrate on a campaign that holds it (as a test experiment)"
+        )
+    if (steps := int(grid.divisions(record).sum())) > grid.steps:
+        raise UserError(
+            f"experiment {experiment.id!r}: its record takes {steps} steps, more than the {grid.steps} that the model was "
+            "built for; calibrate on a campaign that holds it (as a test experiment)"
         )
     lengths, half_steps, ends = _grid_of(record, grid)
     measured = [name for name in record.channels if is_driver(name)]
