@@ -18,7 +18,9 @@ from hsed_jax.measurements import (
     overview,
     read_campaign,
     stop_at_errors,
+    write_campaign,
 )
+from hsed_jax.run import main
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 SIGMA = {"elongation": 2e-5, "force": 50.0}
@@ -231,3 +233,25 @@ def test_measured_campaigns_have_no_errors(name):
     # Friction holds the damper's force before the earthquakes: the only doubt, and a true one.
     expected = {("kocaeli", "force"), ("imperial_valley", "force")} if name == "friction_damper" else set()
     assert {(f.experiment, f.channel) for f in found} == expected
+
+
+@pytest.mark.parametrize("samples", [2, 7])
+def test_a_record_of_a_few_samples_is_no_history(samples):
+    time = np.arange(float(samples))
+    record = Record(time, {"elongation": 0.001 * np.sin(time), "force": 2000 * np.sin(time)})
+    channels = {name: Channel(name, unit) for name, unit in (("elongation", "m"), ("force", "N"))}
+    campaign = Campaign("x", "displacement", channels=channels, experiments=(Experiment("E01", record=record),))
+    with pytest.raises(UserError, match=f"the record has {samples} samples; a history that is fitted has 8 at least"):
+        stop_at_errors(campaign)
+
+
+def test_fewer_samples_than_parameters_are_one_clear_message(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("hsed_jax.measurements.checks.SAMPLES", 2)
+    record = Record(np.arange(2.0), {"elongation": np.array([0, 0.001]), "force": np.array([0, 2000.0])})
+    channels = {name: Channel(name, unit) for name, unit in (("elongation", "mm"), ("force", "kN"))}
+    write_campaign(
+        Campaign("x", "displacement", channels=channels, experiments=(Experiment("E01", record=record),)), tmp_path
+    )
+    assert main(["init", str(tmp_path)]) == 0
+    assert main(["run", str(tmp_path / "study.yaml"), "--output", str(tmp_path / "run"), "steps=[calibrate]"]) == 2
+    assert "has no curvature at its maximum" in capsys.readouterr().err
