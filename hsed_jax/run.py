@@ -316,13 +316,16 @@ def _report(options: Any) -> int:
     from hsed_jax.left_out import LeftOut
     from hsed_jax.reporting.report import report_page
     from hsed_jax.reporting.side_by_side import comparison_page
-    from hsed_jax.runs.folder import read_run, write_page
+    from hsed_jax.runs.folder import write_page
+    from hsed_jax.runs.reading import holding, read_run
 
     folders = [Path(run) for run in options.runs]
     runs, left_out = [read_run(folder) for folder in folders], LeftOut()
     alone = len(runs) == 1
     output = Path(options.output) if options.output else folders[0] / "report.html" if alone else Path("runs.html")
-    write_page(report_page(runs[0], left_out) if alone else comparison_page(runs), output)
+    with holding(", ".join(options.runs)):
+        page = report_page(runs[0], left_out) if alone else comparison_page(runs)
+    write_page(page, output)
     for sentence in left_out.sentences:
         print(f"warning: {sentence}", file=sys.stderr)
     print(f"wrote {output}")

@@ -21,8 +21,8 @@ from hsed_jax.reporting.page_tables import error_of, residual_table, samples_tab
 from hsed_jax.reporting.report import report_page
 from hsed_jax.run import main
 from hsed_jax.runs import figures
-from hsed_jax.runs.folder import read_run
 from hsed_jax.runs.outcome import Outcome
+from hsed_jax.runs.reading import read_run
 
 HOSTILE = "</script><script>alert('x')</script>"
 IDS = ("E01", "E02", "T01")
@@ -706,3 +706,55 @@ def test_a_full_disk_and_an_interruption_are_no_faults_of_a_figure(error):
 
     with pytest.raises(type(error)):
         LeftOut().attempt("figure", stop, None)
+
+
+def without(content, *keys):
+    """A mapping without one of its parts."""
+    changed = json.loads(json.dumps(content))
+    inner = changed
+    for key in keys[:-1]:
+        inner = inner[key]
+    del inner[keys[-1]]
+    return changed
+
+
+def parts(content, before=()):
+    """The path of every part of a summary."""
+    for key, value in content.items() if isinstance(content, dict) else ():
+        yield (*before, key)
+        yield from parts(value, (*before, key))
+
+
+@pytest.mark.parametrize(("kind", "first"), [("missing", 0), ("number", 2), ("list", 4), ("text", 6), ("null", 8)])
+def test_a_summary_that_lacks_a_part_makes_a_report_or_one_clear_message(folder, capsys, kind, first):
+    whole, instead = summary(), {"number": 3, "list": [1], "text": "x", "null": None}
+    for path in list(parts(whole))[first::10]:
+        changed = without(whole, *path)
+        if kind != "missing":
+            inner = changed
+            for key in path[:-1]:
+                inner = inner[key]
+            inner[path[-1]] = instead[kind]
+        (folder / "summary.json").write_text(json.dumps(changed))
+        status = main(["report", str(folder)])
+        said = capsys.readouterr().err
+        assert status == 0 or (status == 2 and said.startswith("error: ") and said.count("\n") == 1), (path, said)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_damaged_results_make_a_report_or_one_clear_message(folder, capsys, seed):
+    content, draw = bytearray((folder / "results.nc").read_bytes()), np.random.default_rng(seed)
+    for at in draw.integers(0, len(content) if seed % 2 else 4000, 4):
+        content[at] = draw.integers(256)
+    (folder / "results.nc").write_bytes(content)
+    assert main(["report", str(folder)]) in (0, 2)
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_results_that_declare_more_than_they_hold_are_not_loaded(folder, capsys):
+    import h5py
+
+    with h5py.File(folder / "results.nc", "a") as file:
+        file.create_dataset("huge", shape=(4_000_000_000,), dtype=float, chunks=(1024,))
+    assert main(["report", str(folder)]) == 2
+    assert "are declared in a file of" in capsys.readouterr().err
