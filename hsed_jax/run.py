@@ -205,14 +205,16 @@ def _check(options: Any) -> int:
     from hsed_jax.study.plausible import frequency_doubts
     from hsed_jax.study.records import forecast, thinning_notes
 
-    built = Built(study)
-    built.check()
+    built, accepted = Built(study), frozenset()
     if built.measured is not None:
+        # Before anything is computed from the data: steps of a time that is no number are none.
         findings, accepted = check_campaign(built.measured), study.measurements.accepted(built.measured)
         for finding in findings:
             print(f"{finding}{' (accepted)' if (finding.experiment, finding.kind) in accepted else ''}")
         if any(finding.level == "error" for finding in findings):
             raise UserError(f"{options.study}: the data have errors, listed above; nothing is repaired silently")
+    built.check()
+    if built.measured is not None:
         print(overview(built.measured))
         for note in (*thinning_notes(built, built.measured), *frequency_doubts(built, built.measured)):
             print(note)

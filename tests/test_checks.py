@@ -255,3 +255,26 @@ def test_fewer_samples_than_parameters_are_one_clear_message(tmp_path, monkeypat
     assert main(["init", str(tmp_path)]) == 0
     assert main(["run", str(tmp_path / "study.yaml"), "--output", str(tmp_path / "run"), "steps=[calibrate]"]) == 2
     assert "has no curvature at its maximum" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words", [["check"], ["run", "--output", "run"], ["sweep", "--set", "seed=1,2", "--output", "sweep"]]
+)
+@pytest.mark.parametrize("channel", ["t", "u", "F"])
+def test_a_missing_sample_is_an_error_of_the_data_in_every_command(tmp_path, monkeypatch, capsys, words, channel):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "records").mkdir()
+    columns = "time: {column: t, unit: s}, elongation: {column: u, unit: mm}, force: {column: F, unit: kN}"
+    (tmp_path / "campaign.yaml").write_text(f"name: x\nprotocol: displacement\nchannels: {{{columns}}}\n")
+    (tmp_path / "experiments.csv").write_text("id\nE01\n")
+    rows = [{"t": k / 10, "u": np.sin(k / 10), "F": np.tanh(np.sin(k / 10))} for k in range(60)]
+    rows[30][channel] = np.nan
+    lines = ["t,u,F", *(",".join(str(row[name]) for name in row) for row in rows)]
+    (tmp_path / "records" / "E01.csv").write_text("\n".join(lines))
+    (tmp_path / "study.yaml").write_text(
+        "study: x\nmodel: {parameters: {A: {uniform: [1.0e5, 1.0e7]}, beta: {uniform: [20.0, 2000.0]}, gamma: 0.0, n: 1.0}}\n"
+        "experiments: {campaign: .}\nobserve: histories\nsteps: [calibrate]\n"
+    )
+    assert main([words[0], "study.yaml", *words[1:]]) == 2
+    said = capsys.readouterr()
+    assert "E01, " in said.err + said.out and "Traceback" not in said.err

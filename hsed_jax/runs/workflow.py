@@ -97,11 +97,11 @@ class Run:
     ):
         self.study = study
         self.built = Built(study, workspace=laboratory_folder(output), function=laboratory)
-        self.built.check()
         if self.built.measured is not None:
             stop_at_errors(self.built.measured, study.measurements.accepted(self.built.measured))
-            if progress:
-                print(forecast(self.built, self.built.measured), flush=True)
+        self.built.check()
+        if self.built.measured is not None and progress:
+            print(forecast(self.built, self.built.measured), flush=True)
         self.store = RunFolder(output, study.written(), resume=resume, force=force)
         self.progress = progress
         self.figures = True
