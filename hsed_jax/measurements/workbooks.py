@@ -74,7 +74,12 @@ def _rows(where: str, sheet: Any) -> list[tuple[int, tuple[Any, ...]]]:
     sheet.reset_dimensions()  # what a sheet says of its size may be anything
     rows, width = [], 0
     for number, cells in enumerate(sheet.iter_rows(values_only=True), start=1):
-        ask(where, parts=max(0, number - _LAST_ROW + 1))
+        if number > _LAST_ROW:
+            raise UserError(
+                f"{where}: it has rows beyond {_LAST_ROW:,}; a sheet has none there, so that the file is damaged"
+            )
+        if not cells:
+            continue
         while cells and cells[-1] is None:
             cells = cells[:-1]
         if cells:
