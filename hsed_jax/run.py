@@ -13,7 +13,6 @@ from hsed_jax.exit_status import ended
 from hsed_jax.interruptions import Interrupted, ended_in_time
 
 if TYPE_CHECKING:
-    from hsed_jax.config.schema import Study
     from hsed_jax.runs.ask_tell import AskTell
     from hsed_jax.runs.workflow import Run
 
@@ -158,32 +157,16 @@ def _add_design(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--output", metavar="DIR", help="run folder (default: runs/<study>)")
 
 
-def _trusted(study: "Study", options: Any) -> "Study":
-    """A study that is only looked at: it may not execute its files, unless the user trusts them.
-
-    Raises:
-        UserError: it would, and the user did not say so.
-    """
-    from hsed_jax.plain import shown
-
-    if study.code and not options.trust:
-        raise UserError(
-            f"{options.study}: it names code of its own ({', '.join(map(shown, study.code))}), which this command would execute; "
-            "say --trust if you trust it"
-        )
-    return study
-
-
 def _effects(options: Any) -> int:
     from hsed_jax.physics.effects import EFFECTS
     from hsed_jax.reporting.catalogue import catalogue, entry
 
     effects = EFFECTS
     if options.study:
-        from hsed_jax.config.load import load_study
+        from hsed_jax.config.load import load_trusted
         from hsed_jax.study.own_effects import catalogue_of
 
-        effects = catalogue_of(_trusted(load_study(options.study), options))
+        effects = catalogue_of(load_trusted(options.study, trust=options.trust))
     if not options.name:
         print(catalogue(effects))
         return 0
@@ -195,9 +178,9 @@ def _effects(options: Any) -> int:
 
 
 def _check(options: Any) -> int:
-    from hsed_jax.config.load import load_study
+    from hsed_jax.config.load import load_trusted
 
-    study = _trusted(load_study(options.study, options.overrides), options)
+    study = load_trusted(options.study, options.overrides, trust=options.trust)
     # A wrong key is told before what calculates is loaded.
     from hsed_jax.measurements import check_campaign, overview, stop_at_errors
     from hsed_jax.study.build import Built
