@@ -189,6 +189,7 @@ def _check(options: Any) -> int:
     from hsed_jax.study.records import forecast, thinning_notes
 
     built, accepted = Built(study), frozenset()
+    _ = built.catalogue  # effects of its own, which may be wrong, come before the data
     if built.measured is not None:
         # Before anything is computed from the data: steps of a time that is no number are none.
         findings, accepted = check_campaign(built.measured), study.measurements.accepted(built.measured)
