@@ -1,5 +1,6 @@
 """Faults put into clean data are found, by experiment and time; clean data give no finding."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -196,6 +197,20 @@ def test_the_overview_shows_data_in_the_units_that_they_were_declared_in():
     energy = np.trapezoid(loop["force"], loop["elongation"])  # 1 J is 1 kN mm
     assert float(row["dissipated energy [kN mm]"]) == pytest.approx(energy, rel=1e-3)
     assert row["peak_force [kN]"] == "10" and row["samples"] == "2000"
+
+
+def test_the_overview_of_a_window_is_of_the_window():
+    whole = campaign_of(clean(noise=0))
+    (experiment,) = whole
+    last = float(experiment.record.time[-1])
+    parts = [replace(experiment, id=id, window=w) for id, w in (("early", (0.0, last / 2)), ("late", (last / 2, last)))]
+    table = overview(replace(whole, experiments=(experiment, *parts)))
+    first, early, late = (dict(zip(table.heads, row, strict=True)) for row in table.rows)
+    assert first["samples"] == "2000" and {early["samples"], late["samples"]} <= {"1000", "1001"}
+    energies = [float(row["dissipated energy [kN mm]"]) for row in (first, early, late)]
+    assert late["initial stiffness [kN/mm]"] == "–"  # it begins in the middle of a loop
+    assert float(early["initial stiffness [kN/mm]"]) == pytest.approx(1.0, rel=0.2)
+    assert energies[1] != energies[2] and energies[0] == pytest.approx(energies[1] + energies[2], rel=0.02)
 
 
 def test_quantities_out_of_range_are_doubted():
