@@ -13,7 +13,6 @@ from hsed_jax.exit_status import ended
 from hsed_jax.interruptions import Interrupted, ended_in_time
 
 if TYPE_CHECKING:
-    from hsed_jax.config.schema import Study
     from hsed_jax.runs.ask_tell import AskTell
     from hsed_jax.runs.workflow import Run
 
@@ -158,32 +157,16 @@ def _add_design(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--output", metavar="DIR", help="run folder (default: runs/<study>)")
 
 
-def _trusted(study: "Study", options: Any) -> "Study":
-    """A study that is only looked at: it may not execute its files, unless the user trusts them.
-
-    Raises:
-        UserError: it would, and the user did not say so.
-    """
-    from hsed_jax.plain import shown
-
-    if study.code and not options.trust:
-        raise UserError(
-            f"{options.study}: it names code of its own ({', '.join(map(shown, study.code))}), which this command would execute; "
-            "say --trust if you trust it"
-        )
-    return study
-
-
 def _effects(options: Any) -> int:
     from hsed_jax.physics.effects import EFFECTS
     from hsed_jax.reporting.catalogue import catalogue, entry
 
     effects = EFFECTS
     if options.study:
-        from hsed_jax.config.load import load_study
+        from hsed_jax.config.load import load_trusted
         from hsed_jax.study.own_effects import catalogue_of
 
-        effects = catalogue_of(_trusted(load_study(options.study), options))
+        effects = catalogue_of(load_trusted(options.study, trust=options.trust))
     if not options.name:
         print(catalogue(effects))
         return 0
@@ -195,9 +178,9 @@ def _effects(options: Any) -> int:
 
 
 def _check(options: Any) -> int:
-    from hsed_jax.config.load import load_study
+    from hsed_jax.config.load import load_trusted
 
-    study = _trusted(load_study(options.study, options.overrides), options)
+    study = load_trusted(options.study, options.overrides, trust=options.trust)
     # A wrong key is told before what calculates is loaded.
     from hsed_jax.measurements import check_campaign, overview, stop_at_errors
     from hsed_jax.study.build import Built
@@ -205,14 +188,17 @@ def _check(options: Any) -> int:
     from hsed_jax.study.plausible import frequency_doubts
     from hsed_jax.study.records import forecast, thinning_notes
 
-    built = Built(study)
-    built.check()
+    built, accepted = Built(study), frozenset()
+    _ = built.catalogue  # effects of its own, which may be wrong, come before the data
     if built.measured is not None:
+        # Before anything is computed from the data: steps of a time that is no number are none.
         findings, accepted = check_campaign(built.measured), study.measurements.accepted(built.measured)
         for finding in findings:
             print(f"{finding}{' (accepted)' if (finding.experiment, finding.kind) in accepted else ''}")
         if any(finding.level == "error" for finding in findings):
             raise UserError(f"{options.study}: the data have errors, listed above; nothing is repaired silently")
+    built.check()
+    if built.measured is not None:
         print(overview(built.measured))
         for note in (*thinning_notes(built, built.measured), *frequency_doubts(built, built.measured)):
             print(note)
@@ -316,13 +302,16 @@ def _report(options: Any) -> int:
     from hsed_jax.left_out import LeftOut
     from hsed_jax.reporting.report import report_page
     from hsed_jax.reporting.side_by_side import comparison_page
-    from hsed_jax.runs.folder import read_run, write_page
+    from hsed_jax.runs.folder import write_page
+    from hsed_jax.runs.reading import holding, read_run
 
     folders = [Path(run) for run in options.runs]
     runs, left_out = [read_run(folder) for folder in folders], LeftOut()
     alone = len(runs) == 1
     output = Path(options.output) if options.output else folders[0] / "report.html" if alone else Path("runs.html")
-    write_page(report_page(runs[0], left_out) if alone else comparison_page(runs), output)
+    with holding(", ".join(options.runs)):
+        page = report_page(runs[0], left_out) if alone else comparison_page(runs)
+    write_page(page, output)
     for sentence in left_out.sentences:
         print(f"warning: {sentence}", file=sys.stderr)
     print(f"wrote {output}")

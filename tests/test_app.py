@@ -2,6 +2,7 @@
 
 import http.client
 import json
+import re
 import shutil
 import signal
 import subprocess
@@ -23,7 +24,7 @@ from hsed_jax.app.explore import Explorer
 from hsed_jax.app.folder import Folder, checked_name
 from hsed_jax.app.jobs import Job
 from hsed_jax.errors import UserError
-from hsed_jax.measurements import check_campaign, read_campaign, write_campaign
+from hsed_jax.measurements import Found, check_campaign, read_campaign, write_campaign
 from hsed_jax.run import main
 
 PEAKS = (0, 8, -8, 8, -8, 16, -16, 16, -16, 28, -28, 28, -28, 40, -40, 40, -40, 0)
@@ -117,9 +118,9 @@ def test_a_second_drop_of_the_same_name_leaves_the_first_alone(folder):
     ids=["comma", "blanks", "decimal comma", "words left out"],
 )
 def test_columns_of_numbers_are_found_in_text(folder, name, content, columns):
-    (found,) = tables(landed(folder, {name: content.encode()})).values()
-    assert list(found) == columns
-    assert_allclose(list(found.values())[-1], [0, 2.5])
+    (found,) = tables(landed(folder, {name: content.encode()})).records.values()
+    assert list(found.columns) == columns
+    assert_allclose(list(found.columns.values())[-1], [0, 2.5])
 
 
 def workbook(path, sheets):
@@ -136,12 +137,12 @@ def test_sheets_of_a_workbook_are_records(folder, tmp_path_factory):
         tmp_path_factory.mktemp("made") / "b.xlsx",
         {"north": rows, "south": [["u", "F"], [0, 0], [1, 2]], "notes": [["nothing", "here"]]},
     )
-    found = tables(landed(folder, {"frame.xlsx": content}))
-    assert {id: list(columns) for id, columns in found.items()} == {
+    found = tables(landed(folder, {"frame.xlsx": content})).records
+    assert {id: list(one.columns) for id, one in found.items()} == {
         "frame_north": ["Time [s]", "Disp [mm]", "Load [kN]"],
         "frame_south": ["u", "F"],
     }
-    assert_allclose(found["frame_north"]["Load [kN]"], [0, 10, 15])
+    assert_allclose(found["frame_north"].columns["Load [kN]"], [0, 10, 15])
     choice = guess(found["frame_north"])
     assert choice.columns == {"elongation": "Disp [mm]", "force": "Load [kN]", "time": "Time [s]"}
 
@@ -151,8 +152,8 @@ def test_a_matrix_of_matlab_is_columns(folder, tmp_path_factory):
 
     path = tmp_path_factory.mktemp("made") / "m.mat"
     savemat(path, {"data": np.array([[0.0, 0.0], [1.0, 2.0], [2.0, 3.0]]), "who": "me"})
-    (found,) = tables(landed(folder, {"m.mat": path.read_bytes()})).values()
-    assert list(found) == ["data(:,1)", "data(:,2)"]
+    (found,) = tables(landed(folder, {"m.mat": path.read_bytes()})).records.values()
+    assert list(found.columns) == ["data(:,1)", "data(:,2)"] and list(found.faults) == ["who"]
 
 
 @pytest.mark.parametrize(
@@ -176,8 +177,59 @@ def test_a_bad_file_is_one_message_that_names_it(folder, name, content, message)
 def test_a_word_among_numbers_of_a_sheet_is_named(folder, tmp_path_factory):
     rows = [["u", "F"], [0, 0], [1, "broken"], [2, 3]]
     content = workbook(tmp_path_factory.mktemp("made") / "b.xlsx", {"one": rows})
-    with pytest.raises(UserError, match="sheet 'one', row 3, column 2 holds 'broken'"):
-        tables(landed(folder, {"b.xlsx": content}))
+    found = tables(landed(folder, {"b.xlsx": content}))
+    said = "sheet 'one', row 3, column 2 holds 'broken'; a number is wanted in every row"
+    assert found.records["b"].faults == {"F": said}
+    assert found.left_out == [f"record 'b': column 'F' is left out: {said}"]
+
+
+def test_a_hidden_sheet_is_no_record_and_said(folder, tmp_path_factory):
+    import openpyxl
+
+    path = tmp_path_factory.mktemp("made") / "b.xlsx"
+    rows = [["u", "F"], [0, 0], [1, 2]]
+    workbook(path, {"north": rows, "south": rows, "raw": rows})
+    book = openpyxl.load_workbook(path)
+    book["raw"].sheet_state = "hidden"
+    book.save(path)
+    found = tables(landed(folder, {"b.xlsx": path.read_bytes()}))
+    assert list(found.records) == ["b_north", "b_south"]
+    assert found.left_out == ["b.xlsx: sheet 'raw' is hidden and is left out"]
+
+
+def test_a_file_that_cannot_be_read_is_said_and_costs_no_other(folder):
+    found = tables(landed(folder, {"a.csv": b"u,F\n0,0\n1,2\n", "a.txt": b"u F\n0 0\n1 3\n", "b.mat": b"broken"}))
+    assert list(found.records) == ["a", "a-2"]  # of one stem, and two records all the same
+    assert len(found.left_out) == 1 and found.left_out[0].startswith("b.mat: cannot be read as a MATLAB file")
+    assert found.left_out[0].endswith("the file is left out")
+
+
+# What took another column in place of the force or of the time.
+SPOILT = {
+    "an error of a spreadsheet": (
+        "t,u,F,u2\n0,0,0,5\n1,1,#N/A,6\n2,2,4,7\n",
+        "F",
+        "row 3, column 'F': '#N/A' is an error",
+    ),
+    "a word": ("t,u,F,u2\n0,0,0,5\n1,1,off,6\n2,2,4,7\n", "F", "row 3, column 'F': 'off' is not a number"),
+    "clock times": ("t,u,F\n12:00:01,0,0\n12:00:02,1,1\n", "t", "'12:00:01' is a date or a time of day"),
+    "a second time": ("t,u,F,t\n0,0,0,0\n1,1,1,1\n", "t", "the header names column 't' 2 times"),
+    "a footer": ("t,u,F\n0,0,0\n1,1,1\nMax,1,1\n", "t", "row 4, column 't': 'Max' is not a number"),
+    "a last cell of text": ('t,u,F\n1,2,"x"\n', "F", "row 2, column 'F': 'x' is not a number"),
+}
+
+
+@pytest.mark.parametrize("case", SPOILT)
+def test_no_other_column_is_taken_for_one_that_cannot_be_read(folder, case):
+    text, name, said = SPOILT[case]
+    found = tables(landed(folder, {"a.csv": text.encode()}))
+    (spoilt,) = found.records.values()
+    choice = guess(spoilt)
+    assert {"elongation": "u", "force": "F", "time": "t"}.items() <= choice.columns.items()
+    assert said in spoilt.faults[name]
+    assert any(f"column {name!r} is left out" in line and said in line for line in found.left_out)
+    with pytest.raises(UserError, match=re.escape(said)):
+        campaign_of("a", found.records, choice)
 
 
 def campaign_files(records):
@@ -193,8 +245,7 @@ def campaign_files(records):
 
 def test_the_files_of_a_campaign_are_laid_out_as_its_table_says(folder):
     where = landed(folder, campaign_files({"E01": "", "E02": "raw/second.csv"}))
-    lay_out(folder, where)
-    campaign = read_campaign(where)
+    campaign = lay_out(folder, where)
     assert [e.id for e in campaign] == ["E01", "E02"]
     assert_allclose(campaign["E02"].record["force"], [0, 2000, 3000])
 
@@ -225,6 +276,11 @@ def test_a_campaign_whose_records_lie_elsewhere_is_not_read(folder, tmp_path_fac
 # What the columns are.
 
 
+def table(**columns):
+    """Columns of numbers, and nothing that is wrong."""
+    return Found(columns, {}, list(columns))
+
+
 @pytest.mark.parametrize(
     ("columns", "found", "units"),
     [
@@ -242,23 +298,23 @@ def test_a_campaign_whose_records_lie_elsewhere_is_not_read(folder, tmp_path_fac
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
 def test_columns_and_units_are_guessed_from_names(columns, found, units):
-    choice = guess({name: np.arange(3.0) for name in columns})
+    choice = guess(table(**{name: np.arange(3.0) for name in columns}))
     assert (choice.protocol, dict(choice.columns)) == ("displacement", found)
     assert (choice.units["elongation"], choice.units["force"]) == units
 
 
 def test_a_shaken_record_is_guessed_as_one():
-    choice = guess({name: np.arange(3.0) for name in ("Time [s]", "ground acc [g]", "disp [mm]")})
+    choice = guess(table(**{name: np.arange(3.0) for name in ("Time [s]", "ground acc [g]", "disp [mm]")}))
     assert choice.protocol == "ground_motion"
     assert choice.units["ground_acceleration"] == "g"
 
 
 def chosen(**changes):
     u, force = specimen()
-    table = {"u": u, "F": force}
+    columns = table(u=u, F=force)
     units = {"time": "s", "elongation": "mm", "force": "kN"}
     settings = {"protocol": "displacement", "columns": {"elongation": "u", "force": "F"}, "units": units, **changes}
-    return campaign_of("column", {"A": table, "B": table}, Choice(**settings))
+    return campaign_of("column", {"A": columns, "B": columns}, Choice(**settings))
 
 
 def test_a_choice_is_a_campaign_in_si():
@@ -307,9 +363,12 @@ def finished(tmp_path_factory):
     root = tmp_path_factory.mktemp("finished")
     run = root / "runs" / "column"
     u, force = specimen(eta=0.0, samples=100)
-    table = {"u": u, "F": force}
+    raw = {"u": u, "F": force}
     columns, units = {"elongation": "u", "force": "F"}, {"elongation": "mm", "force": "kN"}
-    write_campaign(campaign_of("column", {"column": table}, Choice("displacement", columns, units)), run / "campaign")
+    write_campaign(
+        campaign_of("column", {"column": Found(raw, {}, list(raw))}, Choice("displacement", columns, units)),
+        run / "campaign",
+    )
     assert main(["init", str(run / "campaign"), "--output", str(run / "study.yaml")]) == 0
     (run / "provenance.json").write_text("{}")
     (run / "report.html").write_text("<!doctype html><title>made</title><p>a report</p>")
@@ -545,9 +604,9 @@ def test_files_are_looked_at_while_choosing_and_tabs_know_nothing_of_each_other(
     drop(page, ("notes.txt", "text/plain", "the words\nof somebody\n"))
     page.get_by_role("alert").get_by_text("notes.txt, row 2").wait_for()
     assert not (root / "notes").exists()
-    page.get_by_text("notes.txt", exact=True).wait_for(state="detached")
 
     drop(page, ("raw.csv", "text/csv", RAW))
+    page.get_by_role("status").get_by_text("notes.txt, row 2").wait_for()
     page.get_by_text("The checks of the data found nothing to doubt").wait_for()
     page.get_by_text("the weight of").wait_for()
     assert (root / "raw" / "dropped" / "raw.csv").read_text() == RAW
@@ -573,6 +632,35 @@ def test_files_are_looked_at_while_choosing_and_tabs_know_nothing_of_each_other(
     assert read_campaign(root / "raw")["raw"].record["force"].max() > 8e4
     assert other.get_by_text("Fit a model to raw").count() == 0
     assert not (root / "second" / "campaign.yaml").exists()
+
+
+# As they come, one after the other and each some time after the last one.
+ARRIVING = [("campaign.yaml", "experiments.csv", "E01.csv"), ("E01.csv", "experiments.csv", "campaign.yaml"),
+            ("experiments.csv", "E01.csv", "campaign.yaml")]  # fmt: skip
+
+
+@pytest.mark.parametrize("order", ARRIVING, ids=" ".join)
+def test_the_files_of_a_campaign_come_when_they_come(server, opened, order):
+    files = campaign_files({"E01": ""})
+    page, before = opened(server), set(server.root.iterdir())
+    for name in order:
+        drop(page, (name, "text/plain", files[name].decode()))
+        page.wait_for_timeout(1500)
+    page.get_by_text("1 record of").wait_for()
+    (made,) = set(server.root.iterdir()) - before
+    assert [e.id for e in read_campaign(made)] == ["E01"]
+
+
+def test_a_record_that_is_none_is_said_and_the_page_goes_on(server, opened):
+    page = opened(server)
+    drop(page, ("one_row.csv", "text/csv", 't,u,F\n1,2,"x"\n'))
+    page.get_by_role("alert").get_by_text("row 2, column 'F': 'x' is not a number").wait_for()
+    page.get_by_label("column of the force").select_option("(none)")
+    page.get_by_role("alert").get_by_text("choose the column of the force").wait_for()
+    page = opened(server)
+    drop(page, ("spoilt.csv", "text/csv", SPOILT["an error of a spreadsheet"][0]))
+    page.get_by_role("alert").get_by_text("'#N/A' is an error of the spreadsheet").wait_for()
+    assert page.get_by_label("column of the force").input_value() == "F"
 
 
 def test_a_run_that_there_is_can_be_played_with(server, opened):

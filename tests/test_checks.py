@@ -1,5 +1,6 @@
 """Faults put into clean data are found, by experiment and time; clean data give no finding."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,9 @@ from hsed_jax.measurements import (
     overview,
     read_campaign,
     stop_at_errors,
+    write_campaign,
 )
+from hsed_jax.run import main
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 SIGMA = {"elongation": 2e-5, "force": 50.0}
@@ -196,6 +199,20 @@ def test_the_overview_shows_data_in_the_units_that_they_were_declared_in():
     assert row["peak_force [kN]"] == "10" and row["samples"] == "2000"
 
 
+def test_the_overview_of_a_window_is_of_the_window():
+    whole = campaign_of(clean(noise=0))
+    (experiment,) = whole
+    last = float(experiment.record.time[-1])
+    parts = [replace(experiment, id=id, window=w) for id, w in (("early", (0.0, last / 2)), ("late", (last / 2, last)))]
+    table = overview(replace(whole, experiments=(experiment, *parts)))
+    first, early, late = (dict(zip(table.heads, row, strict=True)) for row in table.rows)
+    assert first["samples"] == "2000" and {early["samples"], late["samples"]} <= {"1000", "1001"}
+    energies = [float(row["dissipated energy [kN mm]"]) for row in (first, early, late)]
+    assert late["initial stiffness [kN/mm]"] == "–"  # it begins in the middle of a loop
+    assert float(early["initial stiffness [kN/mm]"]) == pytest.approx(1.0, rel=0.2)
+    assert energies[1] != energies[2] and energies[0] == pytest.approx(energies[1] + energies[2], rel=0.02)
+
+
 def test_quantities_out_of_range_are_doubted():
     found = findings(clean(), peak_force=5e3, peak_elongation=30.0)
     assert [(f.level, f.channel) for f in found] == [("doubt", "peak_elongation")]
@@ -231,3 +248,48 @@ def test_measured_campaigns_have_no_errors(name):
     # Friction holds the damper's force before the earthquakes: the only doubt, and a true one.
     expected = {("kocaeli", "force"), ("imperial_valley", "force")} if name == "friction_damper" else set()
     assert {(f.experiment, f.channel) for f in found} == expected
+
+
+@pytest.mark.parametrize("samples", [2, 7])
+def test_a_record_of_a_few_samples_is_no_history(samples):
+    time = np.arange(float(samples))
+    record = Record(time, {"elongation": 0.001 * np.sin(time), "force": 2000 * np.sin(time)})
+    channels = {name: Channel(name, unit) for name, unit in (("elongation", "m"), ("force", "N"))}
+    campaign = Campaign("x", "displacement", channels=channels, experiments=(Experiment("E01", record=record),))
+    with pytest.raises(UserError, match=f"the record has {samples} samples; a history that is fitted has 8 at least"):
+        stop_at_errors(campaign)
+
+
+def test_fewer_samples_than_parameters_are_one_clear_message(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("hsed_jax.measurements.checks.SAMPLES", 2)
+    record = Record(np.arange(2.0), {"elongation": np.array([0, 0.001]), "force": np.array([0, 2000.0])})
+    channels = {name: Channel(name, unit) for name, unit in (("elongation", "mm"), ("force", "kN"))}
+    write_campaign(
+        Campaign("x", "displacement", channels=channels, experiments=(Experiment("E01", record=record),)), tmp_path
+    )
+    assert main(["init", str(tmp_path)]) == 0
+    assert main(["run", str(tmp_path / "study.yaml"), "--output", str(tmp_path / "run"), "steps=[calibrate]"]) == 2
+    assert "has no curvature at its maximum" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words", [["check"], ["run", "--output", "run"], ["sweep", "--set", "seed=1,2", "--output", "sweep"]]
+)
+@pytest.mark.parametrize("channel", ["t", "u", "F"])
+def test_a_missing_sample_is_an_error_of_the_data_in_every_command(tmp_path, monkeypatch, capsys, words, channel):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "records").mkdir()
+    columns = "time: {column: t, unit: s}, elongation: {column: u, unit: mm}, force: {column: F, unit: kN}"
+    (tmp_path / "campaign.yaml").write_text(f"name: x\nprotocol: displacement\nchannels: {{{columns}}}\n")
+    (tmp_path / "experiments.csv").write_text("id\nE01\n")
+    rows = [{"t": k / 10, "u": np.sin(k / 10), "F": np.tanh(np.sin(k / 10))} for k in range(60)]
+    rows[30][channel] = np.nan
+    lines = ["t,u,F", *(",".join(str(row[name]) for name in row) for row in rows)]
+    (tmp_path / "records" / "E01.csv").write_text("\n".join(lines))
+    (tmp_path / "study.yaml").write_text(
+        "study: x\nmodel: {parameters: {A: {uniform: [1.0e5, 1.0e7]}, beta: {uniform: [20.0, 2000.0]}, gamma: 0.0, n: 1.0}}\n"
+        "experiments: {campaign: .}\nobserve: histories\nsteps: [calibrate]\n"
+    )
+    assert main([words[0], "study.yaml", *words[1:]]) == 2
+    said = capsys.readouterr()
+    assert "E01, " in said.err + said.out and "Traceback" not in said.err

@@ -18,6 +18,7 @@ from hsed_jax.physics.scales import Scales
 from hsed_jax.reporting import diagnosis_figures, style
 from hsed_jax.reporting.diagnosis_figures import before_after, error_fall, parameters_before_after, ranking
 from hsed_jax.reporting.inline_svg import inline
+from hsed_jax.reporting.worth import worth
 from hsed_jax.runs.figures import diagnosis_drawings
 from hsed_jax.runs.outcome import Outcome
 from hsed_jax.runs.results import _ranking
@@ -62,7 +63,7 @@ def texts(picture):
     return [text.get_text() for text in picture.figure.findobj(matplotlib.text.Text) if text.get_text()]
 
 
-def test_a_bar_is_the_gain_and_named_effects_and_look_alikes_stand_out():
+def test_a_bar_is_how_far_the_evidence_is_behind_and_named_effects_and_look_alikes_stand_out():
     found = diagnosis(
         [candidate("pinching", 800.0, 0.97), candidate("slip", 790.5, 0.03), candidate("gap", -2.0, 1e-9)],
         ["pinching"],
@@ -71,11 +72,17 @@ def test_a_bar_is_the_gain_and_named_effects_and_look_alikes_stand_out():
     picture = ranking(found)
     (panel,) = picture.figure.axes
     bars = {container.get_label(): container for container in panel.containers}
-    assert [bar.get_width() for container in bars.values() for bar in container] == [800.0, 790.5, -2.0]
+    # 802 nats behind are cut, where those that matter can be seen.
+    ends = [bar.get_x() + bar.get_width() for container in bars.values() for bar in container]
+    assert ends == [0.0, -9.5, -30.0]
+    assert panel.get_xscale() == "linear" and panel.get_xlim() == (-30.0, 0.0)
+    (cut, _) = panel.get_lines()
+    assert cut.get_ydata().tolist() == [-2.0]
     assert list(bars) == ["named", "look-alike of what is named", "other candidates"]
     assert bars["look-alike of what is named"][0].get_hatch()
     assert [tick.get_text() for tick in panel.get_yticklabels()] == ["pinching", "slip", "gap"]
-    assert {"0.970", "0.030", "< 0.001", "800.0", "790.5", "−2.0"} <= set(texts(picture))
+    assert {"0.970", "0.030", "< 0.001", "0.0", "−9.5", "−802.0"} <= set(texts(picture))
+    assert "gains 800 nats" in picture.caption and "among the listed formulas" in picture.caption
     assert "pinching or slip" in picture.caption
     assert "pinching with a gain of 800 and a probability of 0.970" in picture.alt
 
@@ -87,6 +94,29 @@ def test_hatched_bars_stand_in_a_page(tmp_path):
     _, svg = style.save(ranking(found), tmp_path, "ranking")
     drawn = inline("ranking", svg.read_text(encoding="utf-8")).svg
     assert '<pattern id="ranking-' in drawn and "url(#ranking-" in drawn
+
+
+def test_candidates_are_seen_beside_the_model_without_any_of_them():
+    (panel,) = ranking(
+        diagnosis([candidate("pinching", 4.0, 0.6), candidate("slip", 3.0, 0.3)], ["pinching"])
+    ).figure.axes
+    assert panel.get_xlim() == (-1.1, 0.0) and "no effect added" not in panel.get_legend_handles_labels()[1]
+    picture = ranking(diagnosis([candidate("pinching", 4.0, 0.6), candidate("slip", -3.0)], ["pinching"]))
+    (panel,) = picture.figure.axes
+    assert panel.get_xlim() == pytest.approx((-7.7, 0.0))
+    (none,) = (line for line in panel.get_lines() if line.get_label() == "no effect added")
+    assert_allclose(none.get_xdata(), -4.0)
+
+
+def test_a_named_effect_never_carries_a_probability_of_nothing():
+    picture = ranking(diagnosis([candidate("pinching", 4.0, 1e-7), candidate("slip", 3.0, 1e-7)], ["pinching"]))
+    assert "by prediction" in texts(picture) and "< 0.001" in texts(picture)
+    assert "probability of by prediction" not in picture.alt
+
+
+@pytest.mark.parametrize(("probability", "right"), [(0.9995, 0.95), (0.99, 0.95), (0.95, 0.7), (0.6, 0.5), (0.3, None)])
+def test_what_a_probability_is_worth_where_the_formula_is_not_listed(probability, right):
+    assert worth(probability) == right
 
 
 def test_the_best_candidates_are_shown_the_named_ones_first():
@@ -191,7 +221,7 @@ def test_quantities_are_scattered_before_and_after():
 def test_intervals_of_the_parameters_in_the_unit_of_their_axis_with_the_truth():
     picture = parameters_before_after(POSTERIOR, IMPROVED, {"A": "N/m", "beta": "1/m"}, {"A": 5e5, "gap.delta": 1.0})
     first, second = picture.figure.axes
-    assert (first.get_xlabel(), second.get_xlabel()) == ("$A$ [kN/m]", r"$\beta$ [1/m]")
+    assert (first.get_xlabel(), second.get_xlabel()) == ("A [kN/m]", "beta [1/m]")
     truth, *rest = first.get_lines()
     assert_allclose(truth.get_xdata(), 500)
     assert_allclose([line.get_xdata() for line in rest[::3]], [[390, 410], [490, 520]])

@@ -133,7 +133,7 @@ def test_an_export_is_not_written_through_a_link(tmp_path, capsys, monkeypatch):
     (tmp_path / "elsewhere").mkdir()
     (run / "export").symlink_to(tmp_path / "elsewhere")
     monkeypatch.setattr("hsed_jax.exports.export.calibrated", lambda *arguments, **settings: None)
-    monkeypatch.setattr("hsed_jax.exports.export._scripts", lambda model: {"specimen.py": ""})
+    monkeypatch.setattr("hsed_jax.exports.export._files", lambda model, kind: {"specimen.py": ""})
     assert main(["export", str(run), "--opensees"]) == 2
     assert "is a symbolic link" in capsys.readouterr().err and not list((tmp_path / "elsewhere").iterdir())
 

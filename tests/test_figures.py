@@ -145,12 +145,12 @@ def test_it_draws_without_a_warning_and_says_what_it_shows(case):
     [
         ("motions", 2, {"Time [s]", "Ground acceleration $a_g$ [m/s$^{2}$]", "Pseudo-acceleration $S_a$ [m/s$^{2}$]"}),
         ("loops", 2, {r"Elongation $\Delta u$ [mm]", "Force $r$ [kN]", "Time [s]", "Energy $e$ [kJ]"}),
-        ("maps", 4, {"$V_{P}$ [m/s]", "$T_{P}$ [s]", "$A$ [kN/m]", r"$\beta$ [N$^{1-n}$/m]"}),
+        ("maps", 4, {"V_P [m/s]", "T_P [s]", "A [kN/m]", "beta [N$^{1-n}$/m]"}),
         ("improvement", 1, {"Iteration", r"$\max_x\, E[I(x)]$ [–]"}),
-        ("order", 2, {"$a$ [m]", "$b$ [m]", "Order (0 first, 1 last)"}),
-        ("order, one input", 1, {"$a$ [m]", "Experiment"}),
-        ("order, three inputs", 4, {"$a$ [m]", "$b$ [m]", "$c$ [m]"}),
-        ("estimates", 3, {"Iteration", "$A$ [kN/m]", r"$\beta$ [N$^{1-n}$/m]", r"$\delta_\eta$ [–]"}),
+        ("order", 2, {"a [m]", "b [m]", "Order (0 first, 1 last)"}),
+        ("order, one input", 1, {"a [m]", "Experiment"}),
+        ("order, three inputs", 4, {"a [m]", "b [m]", "c [m]"}),
+        ("estimates", 3, {"Iteration", "A [kN/m]", "beta [N$^{1-n}$/m]", "stiffness_\ndegradation.\ndelta [–]"}),
         ("responses", 6, {"Force $r$ [kN]", r"Elongation $\Delta u$ [mm]", "Energy $e$ [kJ]", "Time [s]", "another"}),
     ],
 )
@@ -219,6 +219,7 @@ def test_units_are_scaled_for_reading(unit, largest, expected):
 def test_symbols_come_from_where_the_parameter_is_declared():
     assert style.symbol("beta") == r"$\beta$"
     assert style.symbol("stiffness_degradation.delta") == r"$\delta_\eta$"
+    assert style.label("stiffness_degradation.delta", "1") == "stiffness_\ndegradation.\ndelta [–]"
     assert style.symbol("T_P") == "$T_{P}$"
     assert style.symbol("no_such.thing") == "no such.thing"
     assert style.symbol("amplitude_scale") == "amplitude scale"

@@ -174,7 +174,8 @@ def test_the_checker_catches_private_jax():
             },
         ),
         (
-            "import hsed_jax.runs.folder, hsed_jax.reporting.report, hsed_jax.reporting.side_by_side, hsed_jax.study.own_effects",
+            "import hsed_jax.runs.reading, hsed_jax.reporting.report\n"
+            "import hsed_jax.reporting.side_by_side, hsed_jax.study.own_effects",
             {"scipy.stats", "scipy.interpolate", "numpyro", "diffrax", "optimistix", "tinygp", "pint", "altair"},
         ),
     ],

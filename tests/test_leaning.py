@@ -16,7 +16,7 @@ from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Channel, Noise, write_campaign
 from hsed_jax.reporting.digest import verdict
 from hsed_jax.run import main
-from hsed_jax.runs.folder import read_run
+from hsed_jax.runs.reading import read_run
 from hsed_jax.study.build import Built
 from hsed_jax.study.candidates import problem_of
 from hsed_jax.study.possible import possible_of

@@ -1,12 +1,15 @@
 """Where the model fails: virtual specimens with one known flaw each, made by NumPy, and the sentence that must name it."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
 
 import hsed_jax as hx
+from hsed_jax.criticism.coordinates import Samples
 from hsed_jax.criticism.cycles import absorbed_energy, branches, half_cycles
-from hsed_jax.criticism.locate import locate
+from hsed_jax.criticism.locate import Place, _best_limit, _best_word, locate
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.inference.maximum import maximise
 from hsed_jax.measurements import Campaign, Experiment, Record
@@ -315,6 +318,25 @@ def test_a_misfit_at_large_inputs_is_found_there_in_declared_units():
     assert "at V_P above" in location.sentences[0] and "cm/s" in location.sentences[0]
     assert "30 % of the measured values; the model is too strong there" in location.sentences[0].replace("29 %", "30 %")
     assert location.samples is None
+
+
+def test_a_place_holds_more_of_the_error_than_its_share_of_the_motion():
+    # A third of the samples is right, which tells most; a reader asks where the model is wrong.
+    sizes = np.repeat([0.01, 1.0, 1.2], 30)
+    signed = sizes * np.tile([1.0, -1.0], 45)
+    share, even = signed**2 / (signed @ signed), np.full(90, 1 / 90)
+    words = np.repeat(["right", "wrong", "worse"], 30)
+    samples = Samples(share, even, signed, np.zeros(90, dtype=int), {"time": np.arange(90.0)}, {"part": words})
+    place = _best_word("part", words, samples)
+    assert place.part == "worse" and place.error_share > 1.5 * place.motion_share and place.is_concentrated
+    late = _best_limit("time", "s", samples.numbers["time"], samples)
+    assert late.part == "above" and late.error_share > late.motion_share
+
+
+def test_the_larger_part_of_an_even_misfit_is_no_place():
+    place = Place("time", "above", 2.0, "s", 0.97, 0.93, 0.95, 0.1, 0.1)
+    assert not place.is_concentrated and not place.way
+    assert replace(place, bias=0.8).way == "; the model is too strong there"
 
 
 def test_a_misfit_of_noise_alone_is_found_nowhere():

@@ -9,7 +9,7 @@ import pytest
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.reporting.page_tables import residual_table, samples_table
 from hsed_jax.run import main
-from hsed_jax.runs.folder import read_run
+from hsed_jax.runs.reading import read_run
 
 ROWS, SAMPLES = 50_000, 100
 STIFFNESS, STRENGTH, CUBIC = 2e7, 1e5, 5e7  # N/m, N, N/m³

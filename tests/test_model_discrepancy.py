@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
+from hsed_jax.analysis.calibration import calibrate_built
 from hsed_jax.config.load import load_study
 from hsed_jax.criticism.compare import compare
 from hsed_jax.criticism.prediction import Band, Prediction, learned_misfit, predict
@@ -21,7 +22,7 @@ from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.predict import Predictor
 from hsed_jax.inference.priors import Prior
 from hsed_jax.inference.watch import Watch
-from hsed_jax.measurements import Campaign, Experiment
+from hsed_jax.measurements import Campaign, Channel, Experiment, Record
 from hsed_jax.physics.simulator import Conditions
 from hsed_jax.reporting.band_figures import band_parts, nested
 from hsed_jax.study.build import Built
@@ -246,6 +247,29 @@ def test_a_relative_discrepancy_is_one_of_the_logarithm():
 
 
 PAPER = "configs/paper.yaml"
+
+
+def test_a_discrepancy_of_one_shaken_record_is_refused_with_the_reason():
+    told = ["error={relative: 0.05, discrepancy: true}", "observe=histories", "steps=[calibrate]"]
+    with pytest.raises(UserError, match=r"of one experiment nothing tells how far another one would be.*inflate: true"):
+        Built(load_study(PAPER, [*told, "design.initial=1"])).check()
+    Built(load_study(PAPER, [*told, "design.initial=2"])).check()
+    Built(load_study(PAPER, [told[0], "steps=[calibrate]", "design.initial=1"])).check()
+    # The motion of a component test is imposed: the next one has its own.
+    Built(load_study("configs/cyclic.yaml", [*told, "design.initial=1"])).check()
+
+
+def test_a_calibration_on_one_shaken_record_is_refused_before_it_begins():
+    told = ["error={relative: 0.05, discrepancy: true}", "observe=histories", "steps=[calibrate]", "design.initial=2"]
+    study = load_study(PAPER, told)
+    record = Record(np.linspace(0, 1, 5), {"ground_acceleration": np.zeros(5), "force": np.ones(5)})
+    channels = {
+        name: Channel(name, unit) for name, unit in (("time", "s"), ("ground_acceleration", "m/s^2"), ("force", "N"))
+    }
+    campaign = Campaign("one", "ground_motion", inputs={"V_P": "m/s", "T_P": "s"}, channels=channels)
+    campaign = campaign.add(Experiment("E1", {"V_P": 2.0, "T_P": 1.0}, record=record))
+    with pytest.raises(UserError, match="of one experiment nothing tells"):
+        calibrate_built(Built(study), campaign)
 
 
 @pytest.mark.parametrize(

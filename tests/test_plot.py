@@ -231,7 +231,7 @@ def test_the_posterior_shows_the_draws_the_map_and_the_truth_in_one_unit():
     (area,) = histogram.patches
     edges = area.get_data().edges
     assert_allclose([edges[0], edges[-1]], 1e-3 * draws[[draws[:, 0].argmin(), draws[:, 0].argmax()], 0])
-    assert axes[3].get_xlabel() == "$A$ [kN/m]" and axes[-1].get_xlabel() == "error.force [–]"
+    assert axes[3].get_xlabel() == "A [kN/m]" and axes[-1].get_xlabel() == "error.force [–]"
     entries = [text.get_text() for text in axes[0].figure.legends[0].get_texts()]
     assert entries == ["draws", "MAP", "true value"]
 

@@ -1,13 +1,13 @@
 """Files as laboratories write them: every format, every spreadsheet's habits, the real campaigns."""
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, read_at2, read_campaign, write_at2, write_campaign
+from hsed_jax.measurements.records import read_columns
 
 G = 9.80665
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -184,15 +184,14 @@ def test_scalars_for_channels_are_no_record(tmp_path):
         read_campaign(folder)
 
 
-def test_an_array_that_memory_cannot_hold_is_not_read(tmp_path, monkeypatch):
+def test_an_array_beyond_the_budget_is_not_read(tmp_path):
     import h5py
 
-    monkeypatch.setattr("psutil.virtual_memory", lambda: SimpleNamespace(total=2**34))
     folder = folder_with(tmp_path, "E01.h5")
     with h5py.File(tmp_path / "records" / "E01.h5", "w") as file:
         for name in arrays():
             file.create_dataset(name, shape=(2_000_000_000,), dtype=float, chunks=(1024,))
-    with pytest.raises(UserError, match=r"E01\.h5: 'F', declared with shape .* would take 59\.6 GiB of memory"):
+    with pytest.raises(UserError, match=r"E01\.h5: 6,000,000,000 numbers would be read; at most 12,000,000 are: thin"):
         read_campaign(folder)
 
 
@@ -410,3 +409,51 @@ def test_measured_campaigns(tmp_path, name, samples, elongation, force):
     assert len(campaign.train) and len(campaign.test)
     write_campaign(campaign, tmp_path)
     assert read_campaign(tmp_path) == campaign
+
+
+# Thousands separators.
+
+AMBIGUOUS = {
+    "tab and comma": "t\tF\n0\t964\n1\t1,288\n2\t2,001\n",
+    "semicolon and comma": "t;F\n0;964\n1;1,288\n",
+    "semicolon and point": "t;F\n0;964\n1;1.288\n",
+    "tab and point": "t\tF\n0\t-964\n1\t-1.288\n",
+    "every number": "t;F\n1,288;1,288\n2,001;2,002\n",
+    "another column with another mark": "t;F\n0,5;964\n1,5;1.288\n",
+}
+DECIMAL = {
+    "less than one": ("t;F\n0;0,964\n1;1,288\n", [0.964, 1.288]),
+    "two decimals": ("t;F\n0;9,64\n1;1,288\n", [9.64, 1.288]),
+    "four digits before": ("t;F\n0;9640,125\n1;1,288\n", [9640.125, 1.288]),
+    "an exponent": ("t;F\n0;9,640e2\n1;1,288\n", [964, 1.288]),
+    "another column": ("t;F;u\n0;964;0,01\n1;1,288;0,02\n", [964, 1.288]),
+    "a column that nobody asked for": ("t\tF\tu\n0\t964\t0.01\n1\t1.288\t0.02\n", [964, 1.288]),
+    "commas between the columns": ("t,F\n0,964\n1,1.288\n", [964, 1.288]),
+}
+
+
+@pytest.mark.parametrize("case", AMBIGUOUS)
+def test_what_may_be_thousands_is_not_read_as_decimals(tmp_path, case):
+    (tmp_path / "a.csv").write_text(AMBIGUOUS[case])
+    with pytest.raises(
+        UserError, match=r"row \d, column '[tF]': '-?1[.,]288' is -?1\.288 with a decimal (comma|point) and -?1288"
+    ):
+        read_columns(tmp_path / "a.csv", ["F"] if "another column" in case else ["t", "F"])
+
+
+@pytest.mark.parametrize("case", DECIMAL)
+def test_three_decimals_are_read_where_a_number_of_the_file_tells(tmp_path, case):
+    text, expected = DECIMAL[case]
+    (tmp_path / "a.csv").write_text(text)
+    np.testing.assert_array_equal(read_columns(tmp_path / "a.csv", ["F"])["F"], expected)
+
+
+def test_a_table_of_experiments_with_thousands_is_refused(tmp_path):
+    (tmp_path / "campaign.yaml").write_text(
+        "name: x\nprotocol: displacement\nquantities: {peak_force: {column: Fmax, unit: N}}\n"
+    )
+    (tmp_path / "experiments.csv").write_text("id;Fmax\nE01;964\nE02;1,288\n")
+    with pytest.raises(
+        UserError, match=r"experiments\.csv, row 3, column 'Fmax': '1,288' is 1\.288 with a decimal comma"
+    ):
+        read_campaign(tmp_path)

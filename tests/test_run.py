@@ -28,8 +28,9 @@ from hsed_jax.reporting import design_figures
 from hsed_jax.run import run_main
 from hsed_jax.runs.ask_tell import AskTell
 from hsed_jax.runs.conduct import Conduct
-from hsed_jax.runs.folder import RunFolder, read_run
+from hsed_jax.runs.folder import RunFolder
 from hsed_jax.runs.progress import Progress
+from hsed_jax.runs.reading import read_run
 from hsed_jax.runs.workflow import Run, run
 from hsed_jax.study.build import Built
 

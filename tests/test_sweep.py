@@ -410,7 +410,7 @@ def test_the_figure_has_a_line_for_each_combination_of_the_other_keys():
     picture = comparison(table, ["seed", "effect"], True, {"A": "N/m"})
     estimates, errors = picture.figure.axes
     assert [line.get_xydata()[:, 1].tolist() for line in estimates.lines] == [[101, 103, 105], [100, 102, 104]]
-    assert estimates.get_ylabel() == "$A$ [kN/m]" and estimates.get_xlabel() == "seed"
+    assert estimates.get_ylabel() == "A [kN/m]" and estimates.get_xlabel() == "seed"
     assert errors.get_ylabel() == "Test error [–]"
     texts = [text.get_text() for text in picture.figure.legends[0].get_texts()]
     assert texts == ["effect = pinching", "effect = slip"]

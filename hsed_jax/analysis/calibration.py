@@ -29,7 +29,7 @@ from hsed_jax.physics.response import Response
 from hsed_jax.physics.simulator import AbstractModel, Conditions
 from hsed_jax.programs import program
 from hsed_jax.study.build import Built
-from hsed_jax.study.discrepancies import support_of
+from hsed_jax.study.discrepancies import check_told, support_of
 from hsed_jax.study.plausible import frequency_doubts
 from hsed_jax.study.possible import possible_of
 from hsed_jax.study.records import thinning_notes
@@ -138,6 +138,7 @@ def calibrate_built(
         watch: follows it.
     """
     study = built.study
+    check_told(built, len(campaign.train))
     found = fit(
         built.posterior,
         built.data(campaign, campaign.train.experiments, size),

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from hsed_jax.app.drops import Columns
 from hsed_jax.errors import UserError
-from hsed_jax.measurements import Campaign, Channel, Experiment, Record, parse_unit
+from hsed_jax.measurements import Campaign, Channel, Experiment, Found, Record, parse_unit
 from hsed_jax.measurements.campaign import Protocol
 
 KINDS: dict[str, Protocol] = {"cycles imposed on the specimen": "displacement", "shaken by the ground": "ground_motion"}
@@ -56,30 +55,35 @@ class Choice:
     holds_out: bool = False
 
 
-def guess(columns: Columns) -> Choice:
-    """A first choice for a table, by the names of its columns; of two that say nothing, the second is the force."""
-    left, found = dict(columns), {}
+def guess(table: Found) -> Choice:
+    """A first choice for a table, by the names of its columns; of two that say nothing, the second is the force.
+
+    A column whose name fits and that holds something else than numbers is chosen all the same: another one in its place would be
+    fitted without a word.
+    """
+    left, found = list(table.names), {}
     for channel, words in _WORDS.items():
         for name in left:
             if re.fullmatch(words, _bare(name), re.IGNORECASE):
                 found[channel] = name
-                del left[name]
+                left.remove(name)
                 break
+    left = [name for name in left if name in table.columns]
     for channel in ("elongation", "force"):
         if channel not in found and left:
-            found[channel] = next(iter(left))
-            del left[found[channel]]
+            found[channel] = left.pop(0)
     protocol: Protocol = "ground_motion" if {"time", "ground_acceleration"} <= found.keys() else "displacement"
     found = {channel: found[channel] for channel in CHANNELS[protocol] if channel in found}
     units = {channel: _unit(channel, found.get(channel, "")) for channel in UNITS}
     return Choice(protocol, found, units)
 
 
-def campaign_of(name: str, tables: Mapping[str, Columns], choice: Choice) -> Campaign:
+def campaign_of(name: str, tables: Mapping[str, Found], choice: Choice) -> Campaign:
     """The campaign that a choice makes of tables.
 
     Raises:
-        UserError: a column is missing or stands for two things, or the units do not belong together.
+        UserError: a column is missing, holds something else than numbers or stands for two things, or the units do not belong
+            together.
     """
     channels = {
         channel: Channel(channel, choice.units[channel])
@@ -95,20 +99,22 @@ def campaign_of(name: str, tables: Mapping[str, Columns], choice: Choice) -> Cam
     if twice := next((column for column in chosen if chosen.count(column) > 1), None):
         raise UserError(f"column {twice!r} is chosen twice")
     header = Campaign(name, choice.protocol, channels=channels)
-    experiments = [e for id, columns in tables.items() for e in _experiments(header, id, columns, choice)]
+    experiments = [e for id, table in tables.items() for e in _experiments(header, id, table, choice)]
     if not any(e.split == "train" for e in experiments):
         raise UserError("every record is kept for testing; leave one to fit")
     return Campaign(name, choice.protocol, channels=channels, experiments=tuple(experiments))
 
 
-def _experiments(header: Campaign, id: str, columns: Columns, choice: Choice) -> list[Experiment]:
+def _experiments(header: Campaign, id: str, table: Found, choice: Choice) -> list[Experiment]:
     values: dict[str, Any] = {}
     for channel in header.channels:
         column = choice.columns[channel]
-        if column not in columns:
-            raise UserError(f"record {id!r} has no column {column!r}; its columns are {', '.join(columns)}")
+        if column in table.faults:
+            raise UserError(f"record {id!r}: {table.faults[column]}")
+        if column not in table.columns:
+            raise UserError(f"record {id!r} has no column {column!r}; its columns are {', '.join(table.columns)}")
         sign = -1.0 if channel in choice.turned else 1.0
-        values[channel] = sign * header.unit(channel).to_si(columns[column])
+        values[channel] = sign * header.unit(channel).to_si(table.columns[column])
     time = values.pop("time", None)
     try:
         record = Record(np.arange(len(next(iter(values.values())))) if time is None else time, values)

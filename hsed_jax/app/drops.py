@@ -1,26 +1,23 @@
 """What becomes of dropped files: a folder within the folder of the page, the files in it as they came."""
 
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from itertools import chain, count
 from pathlib import Path
-from zipfile import BadZipFile
-
-import numpy as np
-import pandas as pd
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 from hsed_jax.app.folder import Folder, checked_name, stem_of
 from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
-from hsed_jax.measurements import Campaign, numeric_columns, read_campaign
+from hsed_jax.measurements import Campaign, Found, numeric_columns, read_campaign
 from hsed_jax.measurements.tables import read_experiment_table
+from hsed_jax.measurements.workbooks import WORKBOOKS, read_workbook
 
 DROPPED = "dropped"
 """Where the files lie as they came."""
-WORKBOOKS = (".xlsx", ".xlsm")
 _CAMPAIGN = ("campaign.yaml", "experiments.csv")
-
-Columns = dict[str, np.ndarray]
 
 
 def landed(folder: Folder, files: Mapping[str, bytes], where: Path | None = None) -> Path:
@@ -60,28 +57,46 @@ def taken_back(folder: Folder, where: Path, names: Iterable[str]) -> None:
         where.rmdir()
 
 
-def is_campaign(where: Path) -> bool:
-    """Whether what was dropped is a campaign: it says itself what it is."""
-    return all((where / DROPPED / name).is_file() for name in _CAMPAIGN)
-
-
-def lay_out(folder: Folder, where: Path) -> None:
-    """Put the files of a dropped campaign where its table of experiments says that they are.
+def is_campaign(names: Collection[str]) -> bool:
+    """Whether files that were dropped are a campaign, which says itself what it is.
 
     Raises:
-        UserError: the table cannot be read, or names a place outside the campaign.
+        UserError: they are a part of one; the message says what is missing.
     """
+    missing = [name for name in _CAMPAIGN if name not in names]
+    if len(missing) == 1:
+        raise UserError(f"these are files of a campaign; drop its {missing[0]}, too")
+    return not missing
+
+
+def lay_out(folder: Folder, where: Path) -> Campaign:
+    """Put the files of a dropped campaign where its table of experiments says that they are, and read it.
+
+    Raises:
+        UserError: it cannot be read, is not complete, or names a place outside the campaign; nothing was put anywhere.
+    """
+    # Of a campaign that is not complete yet nothing is left: the next file of it may be on its way.
+    with TemporaryDirectory(prefix="campaign-") as name, _as_dropped(Path(name), where.name):
+        trial = Path(name)
+        _put(where, trial)
+        read_campaign(trial)
+    _put(where, folder.inside(where))
+    return read_campaign(where)
+
+
+def _put(where: Path, target: Path) -> None:
+    """Copy dropped files to their places in a folder."""
     dropped = where / DROPPED
     for name in _CAMPAIGN:
-        shutil.copyfile(dropped / name, folder.inside(where, name))
-    table = read_experiment_table(where / "experiments.csv")
+        shutil.copyfile(dropped / name, target / name)
+    table = read_experiment_table(target / "experiments.csv")
     said = [table.text(row, "record").replace("\\", "/") for row in range(len(table.rows))]
     places = {Path(name).name: name for name in said if name}
     for file in sorted(dropped.iterdir()):
         if file.name in _CAMPAIGN:
             continue
-        place = folder.inside(where, places.get(file.name, f"records/{file.name}"))
-        if not place.is_relative_to(where):
+        place = (target / places.get(file.name, f"records/{file.name}")).resolve()
+        if not place.is_relative_to(target.resolve()):
             raise UserError(f"experiments.csv names the record {places[file.name]!r}, which is outside the campaign")
         place.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(file, place)
@@ -102,66 +117,68 @@ def read_within(folder: Folder, name: str) -> tuple[Path, Campaign]:
     return where, read_campaign(where)
 
 
-def tables(where: Path) -> dict[str, Columns]:
-    """Columns of numbers by the name of a record: of every file that was dropped, and of every sheet of a workbook.
+class Dropped(NamedTuple):
+    """What was dropped.
+
+    Attributes:
+        records: what every file has, and every sheet of a workbook, by the name of a record.
+        notes: what of these files was left out.
+        refused: what is wrong with files that cannot be read.
+    """
+
+    records: dict[str, Found]
+    notes: list[str]
+    refused: list[str]
+
+    @property
+    def left_out(self) -> list[str]:
+        """What of the files is not used, and why."""
+        return [*(f"{said}; the file is left out" for said in self.refused), *self.notes]
+
+
+def tables(where: Path) -> Dropped:
+    """What the files that were dropped have.
 
     Raises:
-        UserError: a file has none; the message names it.
+        UserError: none of them has columns of numbers; the message names the first one.
     """
-    found: dict[str, Columns] = {}
+    dropped = Dropped({}, [], [])
     for file in sorted((where / DROPPED).iterdir()):
-        if file.suffix.lower() in WORKBOOKS:
-            found |= _sheets(file)
-        else:
-            with _as_dropped(file):
-                found[stem_of(file.name)] = numeric_columns(file)
-    return found
+        stem = stem_of(file.name)
+        try:
+            with _as_dropped(file, file.name):
+                if file.suffix.lower().lstrip(".") in WORKBOOKS:
+                    sheets, hidden = read_workbook(file)
+                    of_file = [
+                        (f"{stem}_{stem_of(title)}" if len(sheets) > 1 else stem, sheets[title]) for title in sheets
+                    ]
+                    dropped.notes.extend(f"{file.name}: sheet {title!r} is hidden and is left out" for title in hidden)
+                else:
+                    of_file = [(stem, numeric_columns(file))]
+        except UserError as mistake:
+            dropped.refused.append(str(mistake))
+            continue
+        for name, table in of_file:
+            dropped.records[_fresh(name, dropped.records)] = table
+    if not dropped.records:
+        raise UserError(dropped.refused[0] if dropped.refused else "nothing was dropped")
+    for id, table in dropped.records.items():
+        dropped.notes.extend(
+            f"record {id!r}: column {name!r} is left out: {said}" for name, said in table.faults.items()
+        )
+    return dropped
+
+
+def _fresh(name: str, taken: Collection[str]) -> str:
+    """A name that no other record has: `test.csv` and `test.txt` are two."""
+    numbered = (f"{name}-{number}" for number in count(2))
+    return next(one for one in chain([name], numbered) if one not in taken)
 
 
 @contextmanager
-def _as_dropped(file: Path) -> Iterator[None]:
-    """Within, a message names a file as it was dropped, not where it lies."""
+def _as_dropped(place: Path, name: str) -> Iterator[None]:
+    """Within, a message names a file or folder as it was dropped, not where it lies."""
     try:
         yield
     except UserError as error:
-        raise UserError(str(error).replace(str(file), file.name)) from None
-
-
-def _sheets(file: Path) -> dict[str, Columns]:
-    """Sheets with columns of numbers; above them the last row is their names, and one below it their units."""
-    try:
-        sheets = pd.read_excel(file, sheet_name=None, header=None, engine="openpyxl")
-    except (OSError, ValueError, KeyError, BadZipFile) as error:
-        raise UserError(f"{file.name}: cannot be read as a workbook ({error})") from None
-    found, stem = {}, stem_of(file.name)
-    for title, sheet in sheets.items():
-        if columns := _columns_of(sheet, f"{file.name}, sheet {title!r}"):
-            found[stem if len(sheets) == 1 else f"{stem}_{stem_of(str(title))}"] = columns
-    if not found:
-        raise UserError(f"{file.name}: no sheet has two columns of numbers side by side")
-    return found
-
-
-def _columns_of(sheet: pd.DataFrame, where: str) -> Columns:
-    """Columns of numbers of a sheet; none where fewer than two stand side by side."""
-    numbers = sheet.map(lambda cell: isinstance(cell, int | float) and not isinstance(cell, bool) and cell == cell)
-    filled = numbers.sum(axis=1) >= 2
-    if not filled.any():
-        return {}
-    first, last = int(np.argmax(filled)), len(filled) - int(np.argmax(filled[::-1]))
-    columns: Columns = {}
-    for position in range(sheet.shape[1]):
-        cells = sheet.iloc[first:last, position]
-        if not bool(numbers.iloc[first, position]):
-            continue
-        is_number = numbers.iloc[first:last, position].to_numpy()
-        if not is_number.all():
-            row = first + int(np.argmin(is_number))
-            cell = sheet.iat[row, position]
-            said = "is empty" if pd.isna(cell) else f"holds {str(cell)[:40]!r}"
-            raise UserError(f"{where}, row {row + 1}, column {position + 1} {said}; a number is wanted in every row")
-        above = [str(sheet.iat[row, position]).strip() for row in range(max(0, first - 2), first)]
-        heads = [head for head in above if head and head != "nan"]
-        name = heads[0] + (f" [{heads[1].strip('[]()')}]" if len(heads) > 1 else "") if heads else str(position + 1)
-        columns[name if name not in columns else f"{name} ({position + 1})"] = cells.to_numpy(dtype=float)
-    return columns if len(columns) >= 2 else {}
+        raise UserError(str(error).replace(str(place), name)) from None

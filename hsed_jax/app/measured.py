@@ -9,18 +9,16 @@ import numpy as np
 import panel as pn
 
 from hsed_jax.app.choices import CHANNELS, KINDS, UNITS, Choice, campaign_of, guess
-from hsed_jax.app.drops import Columns, is_campaign, landed, lay_out, read_within, tables, taken_back
-from hsed_jax.app.pieces import Loops, attempt, error, html, note, warnings, widget
+from hsed_jax.app.drops import Dropped, is_campaign, landed, lay_out, read_within, tables, taken_back
+from hsed_jax.app.pieces import Loops, attempt, error, html, note, told, warnings, widget
 from hsed_jax.app.session import Session
 from hsed_jax.errors import UserError
-from hsed_jax.measurements import Campaign, check_campaign, overview, read_campaign, write_campaign
+from hsed_jax.measurements import Campaign, check_campaign, overview, write_campaign
 from hsed_jax.physics.pairs import ELONGATION_AND_FORCE
 from hsed_jax.reporting.style import readable
 
 GRAVITY = 9.80665
 """[m/s²]"""
-# Files that are dropped together come one after the other.
-_TOGETHER = 0.6
 _NONE = "(none)"
 _TITLES = {"time": "time", "ground_acceleration": "ground acceleration", "elongation": "elongation", "force": "force"}
 
@@ -32,8 +30,13 @@ class Measured:
         self._session = session
         self._where: Path | None = None
         self._landed: Path | None = None
+        self._looking = asyncio.Lock()
+        # What was dropped, and what of it lies in the folder.
+        self._given: dict[str, bytes] = {}
         self._taken: dict[str, bytes] = {}
-        self._tables: dict[str, Columns] = {}
+        # Content and fault of files that can be used for nothing.
+        self._refused: dict[str, tuple[bytes, str]] = {}
+        self._found = Dropped({}, [], [])
         self._campaign: Campaign | None = None
         self._is_declared = False
         self._is_filling = False
@@ -96,7 +99,7 @@ class Measured:
         self._form = pn.Column(self._kind, *self._rows.values(), self._turned, self._tests, self._holds_out)
 
     def _clear(self) -> None:
-        self._where, self._landed, self._tables, self._campaign = None, None, {}, None
+        self._where, self._landed, self._found, self._campaign = None, None, Dropped({}, [], []), None
         self._fresh_dropper()
         there = self._session.folder.campaigns()
         self._existing.options = {"(choose)": "", **{name: name for name in there}}
@@ -106,43 +109,59 @@ class Measured:
             self._below.visible = False
 
     def _fresh_dropper(self) -> None:
-        self._taken = {}
+        self._given, self._taken, self._refused = {}, {}, {}
         self._dropper = widget(pn.widgets.FileDropper, multiple=True, sizing_mode="stretch_width", min_height=90)
         self._dropper.param.watch(self._dropped, "value")
         self._landing[:] = [self._dropper]
 
-    async def _dropped(self, _: Any) -> None:
-        await asyncio.sleep(_TOGETHER)
-        given = {
-            name: content.encode() if isinstance(content, str) else content
-            for name, content in self._dropper.value.items()
-        }
-        files = {name: content for name, content in given.items() if self._taken.get(name) != content}
-        if not files:
-            return
-        self._taken |= files
-        found = await attempt(self._messages, self._land, files)
-        if found is None:
-            # What is wrong is said; it can be dropped again, or something else.
-            self._fresh_dropper()
-        else:
-            self._show(*found)
+    async def _dropped(self, event: Any) -> None:
+        """Look at all that has come so far: files that are dropped together come one after the other."""
+        async with self._looking:
+            if event.obj is not self._dropper:
+                return
+            given = {
+                name: content.encode() if isinstance(content, str) else content
+                for name, content in self._dropper.value.items()
+            }
+            if given == self._given:
+                return
+            self._given = given
+            if not given:
+                self._clear()
+                return
+            found = await attempt(self._messages, self._land, given)
+            with told(self._messages):
+                if found is not None:
+                    self._show(*found)
+            if found is None or self._messages.object:
+                self._campaign, self._below.visible = None, False
 
-    def _land(self, files: dict[str, bytes]) -> tuple[dict[str, Columns], Campaign | None]:
-        folder = self._session.folder
-        where = landed(folder, files, self._landed)
+    def _land(self, given: dict[str, bytes]) -> tuple[Dropped, Campaign | None]:
+        """Put what was dropped into the folder and read it.
+
+        Raises:
+            UserError: it cannot be read, or is a part of a campaign; with the next file it is looked at again.
+        """
+        folder, declares = self._session.folder, is_campaign(given)
+        # A record of a campaign need not be one that can be read by itself; of other files, one that cannot be is left out.
+        used = given if declares else {n: c for n, c in given.items() if self._refused.get(n, ("",))[0] != c}
+        if not used:
+            raise UserError(self._refused[next(iter(given))][1])
+        new = {name: content for name, content in used.items() if self._taken.get(name) != content}
+        where = landed(folder, new, self._landed)
+        taken_back(folder, where, self._taken.keys() - used.keys())
         try:
-            if is_campaign(where):
-                lay_out(folder, where)
-                found = {}, read_campaign(where)
-            else:
-                found = tables(where), None
-        except UserError:
-            # What cannot be read is no measurement: the next drop begins as if it had not come.
-            taken_back(folder, where, files)
+            declared = lay_out(folder, where) if declares else None
+            found = Dropped({}, [], []) if declares else tables(where)
+        except UserError as mistake:
+            taken_back(folder, where, new)
+            if not declares:
+                self._refused |= {name: (content, str(mistake)) for name, content in new.items()}
             raise
+        found.refused.extend(said for name, (_, said) in self._refused.items() if name in given and not declares)
+        self._taken = used
         self._where = self._landed = where
-        return found
+        return found, declared
 
     async def _open(self, event: Any) -> None:
         if not event.new:
@@ -152,30 +171,30 @@ class Measured:
             # What is dropped from now on is other measurements.
             self._fresh_dropper()
             self._landed, (self._where, campaign) = None, found
-            self._show({}, campaign)
+            self._show(Dropped({}, [], []), campaign)
 
-    def _show(self, found: dict[str, Columns], declared: Campaign | None) -> None:
+    def _show(self, found: Dropped, declared: Campaign | None) -> None:
         """Show what has come: a campaign says itself what it is, of tables a first guess is made."""
-        self._tables, self._is_declared = found, declared is not None
+        self._found, self._is_declared = found, declared is not None
         self._below.visible, self._form.visible = True, declared is None
         if declared is not None:
             self._look_at(declared)
             return
-        first = next(iter(found.values()))
+        first = next(iter(found.records.values()))
         choice = guess(first)
         self._is_filling = True
         for channel, columns in self._columns.items():
-            columns.options = [_NONE, *first]
+            columns.options = [_NONE, *first.names]
             columns.value = choice.columns.get(channel, _NONE)
             self._units[channel].value = choice.units[channel]
         self._kind.value = choice.protocol
-        self._turned.value, self._tests.options, self._tests.value = [], list(found), []
-        self._tests.visible = len(found) > 1
+        self._turned.value, self._tests.options, self._tests.value = [], list(found.records), []
+        self._tests.visible = len(found.records) > 1
         self._is_filling = False
         self._chosen()
 
     def _chosen(self, *_: Any) -> None:
-        if self._is_filling or not self._tables:
+        if self._is_filling or not self._found.records:
             return
         wanted = CHANNELS[self._kind.value]
         for channel, row in self._rows.items():
@@ -191,11 +210,11 @@ class Measured:
         )
         assert self._where is not None
         try:
-            self._look_at(campaign_of(self._where.name, self._tables, choice))
+            self._look_at(campaign_of(self._where.name, self._found.records, choice))
         except UserError as mistake:
             self._campaign, self._go.disabled = None, True
-            self._loops.pane.visible = False
-            self._facts.object = error(str(mistake))
+            self._loops.show(False)
+            self._facts.object = error(str(mistake)) + warnings(self._found.left_out)
 
     def _look_at(self, campaign: Campaign) -> None:
         """Draw the loops and say what is doubtful, with the checks of every command."""
@@ -211,12 +230,12 @@ class Measured:
         if shown:
             x, y = campaign.unit("elongation").text, campaign.unit("force").text
             self._loops.measured(shown, f"{pair.elongation} [{x}]", f"{pair.force} [{y}]")
-        self._loops.pane.visible = bool(shown)
+        self._loops.show(bool(shown))
         findings = check_campaign(campaign)
         faults = [str(finding) for finding in findings if finding.level == "error"]
         # One doubt stops every command, too.
         stops = faults + [str(finding) for finding in findings if finding.kind == "sign"]
-        doubts = warnings(str(finding) for finding in findings if str(finding) not in stops)
+        doubts = warnings([*self._found.left_out, *(str(finding) for finding in findings if str(finding) not in stops)])
         hint = "" if self._is_declared else " Turn a sign, or choose another column, on the left."
         wrong = "".join(error(line + hint * (line not in faults)) for line in stops)
         fine = "" if findings else '<p class="good">The checks of the data found nothing to doubt.</p>'

@@ -2,7 +2,8 @@
 
 import asyncio
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -59,14 +60,11 @@ def widget(kind: Callable[..., Any], **settings: Any) -> Any:
     return kind(stylesheets=[WIDGETS], **settings)
 
 
-async def attempt(messages: pn.pane.HTML, work: Callable[..., Any], *arguments: Any) -> Any:
-    """Do something that takes a while on a thread; a mistake of the user is shown, and so is a defect of ours.
-
-    Returns:
-        What it returns; None where it failed.
-    """
+@contextmanager
+def told(messages: pn.pane.HTML) -> Iterator[None]:
+    """Within, a mistake of the user is shown and not raised, and so is a defect of ours."""
     try:
-        found = await asyncio.to_thread(work, *arguments)
+        yield
     except UserError as mistake:
         messages.object = error(str(mistake))
     except Exception as defect:
@@ -74,7 +72,16 @@ async def attempt(messages: pn.pane.HTML, work: Callable[..., Any], *arguments: 
         messages.object = error(
             f"a defect of the page: {type(defect).__name__}: {defect}; what was done is in the folder"
         )
-    else:
+
+
+async def attempt(messages: pn.pane.HTML, work: Callable[..., Any], *arguments: Any) -> Any:
+    """Do something that takes a while on a thread, with `told`.
+
+    Returns:
+        What it returns; None where it failed.
+    """
+    with told(messages):
+        found = await asyncio.to_thread(work, *arguments)
         messages.object = ""
         return found
     return None
@@ -103,6 +110,14 @@ class Loops:
         plot.legend.background_fill_alpha = 0.7
         self._plot = plot
         self.pane = pn.pane.Bokeh(plot, sizing_mode="stretch_width", height=height)
+
+    def show(self, is_shown: bool) -> None:
+        """Show the figure, or leave its place to what stands below."""
+
+        def change() -> None:
+            self.pane.visible = is_shown
+
+        self._with_lock(change)
 
     def measured(self, loops: Iterable[tuple[np.ndarray, np.ndarray]], x: str, y: str) -> None:
         """Draw what was measured, x and y of each record, and label the axes."""

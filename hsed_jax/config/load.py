@@ -50,6 +50,25 @@ def load_study(source: str | Path | dict[str, Any], overrides: Sequence[str] = (
     return study
 
 
+def load_trusted(file: str, overrides: Sequence[str] = (), *, trust: bool) -> Study:
+    """Read a study that is only looked at: it may not execute its files, unless the user trusts them.
+
+    Arguments:
+        file, overrides: as `load_study`.
+        trust: whether the user said so.
+
+    Raises:
+        UserError: as `load_study`; it would execute code, and the user did not say so.
+    """
+    study = load_study(file, overrides)
+    if study.code and not trust:
+        raise UserError(
+            f"{file}: it names code of its own ({', '.join(map(shown, study.code))}), which this command would execute; "
+            "say --trust if you trust it"
+        )
+    return study
+
+
 def _override(content: dict[str, Any], override: str) -> dict[str, Any]:
     path, equals, text = override.partition("=")
     said = _brief(override)

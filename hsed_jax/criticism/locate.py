@@ -1,10 +1,10 @@
 r"""Where the misfit lives, as a ranked list of plain sentences.
 
 For every coordinate the part of the data is sought that tells most about the residual: how large it is there, and which way it
-goes.  With p the share of the squared error in a part, q the share of the samples or the share that a misfit in proportion to
-the motion would have there, whichever is closer to p, and R² the share of the squared error that the two means of the signed
-residual (predicted less measured, in the direction of what was measured) inside and outside the part explain beyond their
-common mean, the part is worth
+goes, of parts that hold more of the error than their share of the motion.  With p the share of the squared error in a part, q
+the share of the samples or the share that a misfit in proportion to the motion would have there, whichever is closer to p, and
+R² the share of the squared error that the two means of the signed residual (predicted less measured, in the direction of what
+was measured) inside and outside the part explain beyond their common mean, the part is worth
 
 $$I = \tfrac12\Big[p\log\frac pq + (1-p)\log\frac{1-p}{1-q}\Big] - \tfrac12\log(1-R^2)$$
 
@@ -38,6 +38,8 @@ _READABLE = {
 _SMALLEST_PART = 0.05
 _LEAST = 0.02
 _CLEAR = 0.3
+# Of the squared error, beyond a place's share of the motion.
+_MORE = 0.05
 
 
 @dataclass(frozen=True)
@@ -81,10 +83,16 @@ class Place:
     def sentence(self) -> str:
         """The place in plain words."""
         share = f"{100 * self.error_share:.0f} % of the squared error is {self._where}"
-        return f"{share}, which holds {100 * self.motion_share:.0f} % of the {self.items}{self._way}"
+        return f"{share}, which holds {100 * self.motion_share:.0f} % of the {self.items}{self.way}"
 
     @property
-    def _way(self) -> str:
+    def is_concentrated(self) -> bool:
+        """Whether it holds more of the error than its share of the motion, by something that matters."""
+        return self.error_share - self.motion_share >= _MORE
+
+    @property
+    def way(self) -> str:
+        """Which way the model errs there, in words; empty where that is not clear."""
         there, elsewhere = self._too(self.bias), self._too(self.bias_elsewhere)
         if not there:
             return ""
@@ -197,6 +205,7 @@ def locate(prediction: Prediction, campaign: Campaign) -> Location:
         found.append(_best_limit(name, unit.text, values[samples.experiment], samples))
     # What noise alone would reach, with some three hundred parts to choose from.
     least = max(_LEAST, (np.log(samples.share.size) + 3) / samples.share.size)
+    found = [place for place in found if place is not None and (place.is_concentrated or place.way)]
     places = [
         replace(
             place,
@@ -206,7 +215,7 @@ def locate(prediction: Prediction, campaign: Campaign) -> Location:
             pair=campaign.pair,
         )
         for place in found
-        if place is not None and place.information > least
+        if place.information > least
     ]
     return Location(sorted(places, key=lambda place: -place.information), samples if histories else None)
 
@@ -246,9 +255,11 @@ def _best(name: str, unit: str, parts: list, known: np.ndarray, samples: Samples
             continue
         one, other = signed[inside], signed[~inside]
         p, even = float(one @ one) / total, float(expected[inside].sum()) / float(expected.sum())
+        if p <= even:
+            continue  # large for the motion that it holds, and no place of the misfit
         explained = signed.size * q * (1 - q) * (one.mean() - other.mean()) ** 2 / total
         # What the samples or the motion explain is no finding.
-        where = min(_divergence(p, q), _divergence(p, even)) if (p > q) == (p > even) else 0.0
+        where = min(_divergence(p, q), _divergence(p, even)) if p > q else 0.0
         # Rounded: a part and its complement tell the same.
         information = round(0.5 * where - 0.5 * float(np.log1p(-min(explained, 1 - 1e-12))), 9)
         if best is None or (information, p / even) > (best.information, best.error_share / best.motion_share):

@@ -1,5 +1,6 @@
 """`hx.export` and `hsed export`: files for other programs and for papers."""
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,7 @@ from hsed_jax.exports.calibrated import Calibrated, calibrated
 from hsed_jax.exports.counterparts import material
 from hsed_jax.exports.scripts import python_script, tcl_script
 from hsed_jax.exports.table import latex, markdown, rows
+from hsed_jax.runs.reading import holding
 
 if TYPE_CHECKING:
     from hsed_jax.analysis.calibration import Calibration
@@ -46,7 +48,8 @@ def export(
     """
     if kind not in KINDS:
         raise UserError(f"kind: {kind!r} is none of {', '.join(KINDS)}")
-    model = calibrated(source, before=before)
+    with holding(source) if isinstance(source, str | Path) else nullcontext():
+        files = _files(calibrated(source, before=before), kind)
     folder = (
         Path(output)
         if output is not None
@@ -54,11 +57,6 @@ def export(
         if isinstance(source, str | Path)
         else Path("export")
     )
-    if kind == "opensees":
-        files = _scripts(model)
-    else:
-        table = rows(model)
-        files = {"parameters.md": markdown(table), "parameters.tex": latex(table)}
     if output is None and folder.is_symlink():
         raise UserError(f"{folder} is a symbolic link, and the files would go elsewhere; say where to (--out)")
     try:
@@ -68,6 +66,13 @@ def export(
     except OSError as error:
         raise UserError(f"{folder} cannot be written to ({error.strerror}); choose another folder (--out)") from None
     return [folder / name for name in files]
+
+
+def _files(model: Calibrated, kind: str) -> dict[str, str]:
+    if kind == "opensees":
+        return _scripts(model)
+    table = rows(model)
+    return {"parameters.md": markdown(table), "parameters.tex": latex(table)}
 
 
 def _scripts(model: Calibrated) -> dict[str, str]:

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from hsed_jax.errors import UserError
 from hsed_jax.inference.expansion import Expansion, expand
 from hsed_jax.inference.likelihood import LOG_2PI, Data
 from hsed_jax.inference.posterior import Posterior
@@ -98,6 +99,9 @@ def maximise(posterior: Posterior, data: Data, starts: Float[Array | np.ndarray,
         posterior: of the study.
         data: measured outputs.
         starts: unconstrained starting points.
+
+    Raises:
+        UserError: the posterior has no curvature at its maximum.
     """
     race = _begun(posterior, data, np.asarray(starts))
     _descend(posterior, data, race, _RACE)
@@ -135,7 +139,10 @@ class _Search:
         damped = np.asarray(self.here.bend) + self._damping * np.eye(self.u.size)
         if not (np.isfinite(damped).all() and np.isfinite(self.here.slope).all()):
             return np.full(self.u.size, np.nan)
-        return np.linalg.solve(damped, np.asarray(self.here.slope))
+        try:
+            return np.linalg.solve(damped, np.asarray(self.here.slope))
+        except np.linalg.LinAlgError:  # numbers beyond the digits of a double
+            return np.full(self.u.size, np.nan)
 
     def promise(self, step: Float[np.ndarray, " p"]) -> float:
         """What the quadratic expects of a step [nats]."""
@@ -219,8 +226,14 @@ def _mode(posterior: Posterior, data: Data, search: _Search) -> Maximum:
     if posterior.population.levels:
         u, found = center, at_center
     theta, to_theta = map(np.asarray, _physical(posterior, jax.device_put(u)))
-    covariance = to_theta @ np.linalg.inv(found.curvature) @ to_theta.T
-    whitening = np.linalg.inv(np.linalg.cholesky(at_center.curvature)).T
+    try:
+        covariance = to_theta @ np.linalg.inv(found.curvature) @ to_theta.T
+        whitening = np.linalg.inv(np.linalg.cholesky(at_center.curvature)).T
+    except np.linalg.LinAlgError:
+        raise UserError(
+            f"the posterior of {', '.join(posterior.names)} has no curvature at its maximum: there are fewer measurements than "
+            "parameters, or they are fitted to the last digit; measure more, or say how wrong the measurements are (error)"
+        ) from None
     log_evidence = at_center.log_density + 0.5 * u.size * LOG_2PI + np.linalg.slogdet(whitening)[1]
     known = (u, theta, found.log_posterior, covariance, log_evidence, center, whitening, search.is_settled)
     return Maximum._make([*jax.device_put(known), ()])

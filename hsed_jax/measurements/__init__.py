@@ -17,6 +17,7 @@ from hsed_jax.measurements.histories import read_history as read_history
 from hsed_jax.measurements.overview import overview as overview
 from hsed_jax.measurements.pairs import pair_of as pair_of
 from hsed_jax.measurements.readers import read_campaign as read_campaign
+from hsed_jax.measurements.records import Found as Found
 from hsed_jax.measurements.records import numeric_columns as numeric_columns
 from hsed_jax.measurements.thinning import half_cycles as half_cycles
 from hsed_jax.measurements.units import Unit as Unit

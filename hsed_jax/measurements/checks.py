@@ -38,6 +38,7 @@ PLATEAU = 4  # equal samples at an extreme
 STUCK = 20  # equal samples elsewhere
 JUMP = 5  # a step of the elongation this many times as long as nearly all others
 NOISE_FACTOR = 3  # estimated against declared
+SAMPLES = 8  # fewer measured samples are no history: even their noise cannot be told
 QUIET = 10  # samples before the motion that a base line needs
 
 
@@ -76,7 +77,8 @@ def check_campaign(campaign: Campaign) -> list[Finding]:
         campaign: Not changed.
 
     Returns:
-        Findings by experiment, in order.  Errors are NaN, backward or duplicate time and constant channels; doubts are
+        Findings by experiment, in order.  Errors are fewer than eight measured samples in the window, NaN, backward or
+        duplicate time and constant channels; doubts are
         gaps in time, jumps of an elongation without time, clipped or stuck channels, absurd magnitudes, impossible energy
         (a flipped sign), noise unlike the declared one, and a base line that is not zero before the motion.
     """
@@ -134,7 +136,8 @@ def _experiment(campaign: Campaign, experiment: Experiment) -> Iterator[Finding]
             yield Finding("doubt", id, name, None, _absurd(abs(value), dimension.si, low, high), "unit")
     if record is None:
         return
-    errors = list(_time(id, record)) + [f for name in record.channels for f in _finite(id, record, name)]
+    errors = [*_length(experiment, record), *_time(id, record)]
+    errors += [f for name in record.channels for f in _finite(id, record, name)]
     yield from errors
     if any(finding.level == "error" for finding in errors):
         return  # what follows needs a time that runs and numbers that are numbers
@@ -154,6 +157,15 @@ def _experiment(campaign: Campaign, experiment: Experiment) -> Iterator[Finding]
         yield from _jumps(campaign.pair, id, record)
     yield from _base_lines(campaign.pair, id, record)
     yield from _energy(campaign.pair, id, record)
+
+
+def _length(experiment: Experiment, record: Record) -> Iterator[Finding]:
+    measured = [name for name in record.channels if not is_driver(name)]
+    count = int(experiment.in_window.sum())
+    if measured and count < SAMPLES:
+        where = "record" if experiment.window is None else "window"
+        message = f"the {where} has {count} samples; a history that is fitted has {SAMPLES} at least"
+        yield Finding("error", experiment.id, measured[0], None, message)
 
 
 def _time(id: str, record: Record) -> Iterator[Finding]:

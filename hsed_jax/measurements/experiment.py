@@ -205,6 +205,14 @@ class Experiment:
         return (self.record.time >= start) & (self.record.time <= end)
 
     @property
+    def scored(self) -> Record | None:
+        """The part of the record to fit or score; None without one."""
+        if self.record is None or self.window is None:
+            return self.record
+        inside = self.in_window
+        return Record(self.record.time[inside], {name: values[inside] for name, values in self.record.channels.items()})
+
+    @property
     def _slack(self) -> float:
         # A table says 0.3 where the record's third step of 0.1 is 0.30000000000000004.
         return 0.0 if self.record is None else 1e-9 * float(np.ptp(self.record.time))

@@ -11,7 +11,10 @@ from hsed_jax.tables import Table
 
 
 def overview(campaign: Campaign) -> Table:
-    """Largest magnitude of every channel and quantity, initial stiffness and dissipated energy of completed experiments."""
+    """Largest magnitude of every channel and quantity, initial stiffness and dissipated energy of completed experiments.
+
+    Of a record that is fitted or scored in part it is that part; one that begins later has no initial stiffness.
+    """
     channels = [name for name in campaign.channels if name != "time"]
     owners = loops(campaign.channels)
     heads = ["experiment", *(["samples"] if channels else [])]
@@ -23,13 +26,14 @@ def overview(campaign: Campaign) -> Table:
         heads += [f"initial stiffness{of} [{force}{over}]", f"dissipated energy{of} [{force}{times}]"]
     rows = []
     for experiment in campaign.completed:
-        record = experiment.record
+        record = experiment.scored
         cells = [_number(campaign, name, _peak(record, name)) for name in channels]
         cells += [_number(campaign, name, experiment.quantities.get(name)) for name in campaign.quantities]
         if channels:
             cells.insert(0, "–" if record is None else str(len(record)))
         for owner in owners:
-            cells += ["–", "–"] if record is None else _loop(campaign, record, owner)
+            is_virgin = record is not None and experiment.in_window[0]
+            cells += ["–", "–"] if record is None else _loop(campaign, record, owner, is_virgin)
         rows.append([experiment.id, *cells])
     return Table("the data in declared units, channels by their largest magnitude:", heads, rows)
 
@@ -42,12 +46,12 @@ def _number(campaign: Campaign, name: str, value: float | None) -> str:
     return "–" if value is None else f"{campaign.unit(name).from_si(value):.4g}"
 
 
-def _loop(campaign: Campaign, record: Record, owner: str) -> list[str]:
+def _loop(campaign: Campaign, record: Record, owner: str, is_virgin: bool) -> list[str]:
     """Stiffness and energy of a specimen in the units of its force and elongation."""
     if owner not in loops(record.channels):
         return ["–", "–"]
     names = {name: named(owner, name) for name in ("elongation", "force")}
     declared = {name: campaign.unit(channel).from_si(record[channel]) for name, channel in names.items()}
-    stiffness = initial_stiffness(Record(record.time, declared))
+    stiffness = initial_stiffness(Record(record.time, declared)) if is_virgin else np.nan
     energy = float(np.trapezoid(declared["force"], declared["elongation"]))
     return [f"{stiffness:.4g}" if np.isfinite(stiffness) else "–", f"{energy:.4g}"]

@@ -1,15 +1,15 @@
 """Tables as spreadsheets and data loggers write them: numbers out, every fault with its row and column."""
 
 import csv
-import io
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from hsed_jax.errors import UserError
+from hsed_jax.measurements.budget import ask, ask_of_file
 from hsed_jax.plain import shown
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
@@ -18,6 +18,8 @@ _COMMA_NUMBER = re.compile(r"[+-]?(\d+,\d*|,\d+)([eEdD][+-]?\d+)?")
 _SPREADSHEET_ERROR = re.compile(r"#([A-Z0-9/]+[!?]|N/A|NV|N/D|#+)")
 _LINE_WITH_ERROR = re.compile(r"#([A-Z0-9/]+[!?]|N/A|NV|N/D)(\s*[,;\t ]|\s*$)|##+\s*[,;\t]")
 _DATE = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}.*|\d{1,2}[- ][A-Za-z]{3}.*|\d{1,2}:\d{2}.*")
+# What may be a number with three decimals as well as one with thousands separators.
+_EITHER = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}([.,' \u00a0\u202f]\d{3})+([.,]\d*)?")
 
 
@@ -70,9 +72,37 @@ class Table:
         return self.rows[row][self.position(column)].strip() if column in self.columns else ""
 
     def uses_decimal_comma(self, columns: Iterable[str]) -> bool:
-        """Return whether the numbers in these columns are written with a decimal comma."""
+        """Return whether the numbers in these columns are written with a decimal comma.
+
+        Raises:
+            UserError: The mark in them may separate thousands as well, and no number of the file tells.
+        """
+        if not self.decimal_comma:
+            return False
         positions = [self.position(c) for c in columns]
-        return self.decimal_comma and any(_COMMA_NUMBER.fullmatch(r[i].strip()) for r in self.rows for i in positions)
+        comma = any("," in row[i] and _COMMA_NUMBER.fullmatch(row[i].strip()) for row in self.rows for i in positions)
+        mark, pattern = (",", _COMMA_NUMBER) if comma else (".", _NUMBER)
+        doubtful = next(self._marked(positions, mark, _EITHER), None)
+        if doubtful is not None:
+            every = range(len(self.columns))
+            is_decimal = (not _EITHER.fullmatch(cell) for *_, cell in self._marked(every, mark, pattern))
+            if not any(is_decimal):
+                row, position, cell = doubtful
+                number = cell.replace(",", ".")
+                raise UserError(
+                    f"{self.where(row, self.columns[position])}: {shown(cell)} is {number} with a decimal "
+                    f"{'comma' if comma else 'point'} and {number.replace('.', '')} with thousands separators, and no other "
+                    "number of the file tells which; write numbers without thousands separators, one at least with more or "
+                    "fewer than three decimals"
+                )
+        return comma
+
+    def _marked(self, positions: Iterable[int], mark: str, pattern: re.Pattern) -> Iterator[tuple[int, int, str]]:
+        """Cells with a mark that are of a pattern: row, position, text."""
+        for i, row in enumerate(self.rows):
+            for position in positions:
+                if mark in row[position] and pattern.fullmatch(cell := row[position].strip()):
+                    yield i, position, cell
 
     def number(self, row: int, column: str, comma: bool) -> float:
         """Return a cell as a number; `comma` says that the decimal mark is a comma.
@@ -90,17 +120,22 @@ class Table:
         """
         columns = list(columns)
         comma = self.uses_decimal_comma(columns)
-        values = {}
-        for column in columns:
-            position = self.position(column)
-            cells = [row[position].strip() for row in self.rows]
-            try:
-                if comma or not set("".join(cells)) <= set("0123456789+-.eE"):
-                    raise ValueError
-                values[column] = np.array([float(cell) for cell in cells])
-            except ValueError:
-                values[column] = np.array([self._number(i, column, cell, comma) for i, cell in enumerate(cells)])
-        return values
+        return {column: self.vector(column, comma) for column in columns}
+
+    def vector(self, column: str, comma: bool) -> np.ndarray:
+        """Return a whole column as numbers, (rows,); `comma` says that the decimal mark is a comma.
+
+        Raises:
+            UserError: The column is missing, or a cell is not a number.
+        """
+        position = self.position(column)
+        cells = [row[position].strip() for row in self.rows]
+        try:
+            if comma or not set("".join(cells)) <= set("0123456789+-.eE"):
+                raise ValueError
+            return np.array([float(cell) for cell in cells])
+        except ValueError:
+            return np.array([self._number(i, column, cell, comma) for i, cell in enumerate(cells)])
 
     def _number(self, row: int, column: str, cell: str, comma: bool) -> float:
         if _SPECIAL.fullmatch(cell):
@@ -205,13 +240,13 @@ def read_text(path: Path) -> str:
     """Read a text file in the encodings that spreadsheets write.
 
     Raises:
-        UserError: The file cannot be read, is empty, or is a workbook.
+        UserError: The file cannot be read, is empty or beyond the budget, or is a workbook.
     """
+    ask_of_file(path, whole=True)
     try:
         data = path.read_bytes()
-    except (OSError, ValueError) as error:  # a ValueError for a name with NUL in it
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise UserError(f"{path}: cannot be read ({reason})") from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror})") from None
     if data.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):
         raise UserError(f"{path}: this is a spreadsheet workbook, not text; save it as CSV")
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
@@ -234,15 +269,20 @@ def _is_comment(line: str) -> bool:
 
 def _without_preamble(path: Path, text: str) -> tuple[str, int, str]:
     """Return the text from the first row that is neither blank nor comment, the rows before it, the last comment."""
-    lines = io.StringIO(text, newline="").readlines()
-    comment = ""
-    for skipped, line in enumerate(lines):
+    comment, start = "", 0
+    for skipped, line in enumerate(_lines(text)):
         bare = line.strip()
         if _is_comment(bare):
             comment = bare.lstrip("#%/ \t")
         elif bare.strip(",;") and not re.fullmatch(r"sep=.", bare):  # Excel's own first line names the separator
-            return "".join(lines[skipped:]), skipped, comment
+            return text[start:], skipped, comment
+        start += len(line)
     raise UserError(f"{path}: the file has no data")
+
+
+def _lines(text: str) -> Iterator[str]:
+    """Lines with their ends, as a spreadsheet counts them; one at a time, as a list of them takes as much memory again."""
+    return (found[0] for found in re.finditer(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+", text))
 
 
 def _cells(line: str, delimiter: str | None) -> list[str]:
@@ -255,15 +295,17 @@ def _cells(line: str, delimiter: str | None) -> list[str]:
 
 
 def _header(text: str, delimiter: str | None) -> list[str]:
-    return [cell.strip() for cell in _cells(text.splitlines()[0], delimiter)]
+    return [cell.strip() for cell in _cells(next(_lines(text)).rstrip("\r\n"), delimiter)]
 
 
 def _split(path: Path, text: str, delimiter: str | None, skipped: int) -> tuple[str | None, list[list[str]], list[int]]:
     """Return the delimiter, the cells by row, and the row numbers of a spreadsheet."""
+    lines = text.count("\n") + text.count("\r")
+    ask(path, cells=lines + (text.count(delimiter) if delimiter else sum(1 for _ in re.finditer(r"\S+", text))))
     if delimiter is None:
-        rows = [line.split() for line in text.splitlines()]
+        rows = [line.split() for line in _lines(text)]
     else:
-        rows, reader = [], csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
+        rows, reader = [], csv.reader(_lines(text), delimiter=delimiter, strict=True)
         try:
             rows.extend(reader)
         except csv.Error as error:
@@ -286,4 +328,4 @@ def _fitted(path: Path, number: int, row: list[str], width: int) -> list[str]:
         raise UserError(
             f"{path}, row {number}: {count} cells where the header has {width}; every row has one per column"
         )
-    return row[:width]
+    return row if len(row) == width else row[:width]

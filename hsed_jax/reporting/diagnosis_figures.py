@@ -17,8 +17,11 @@ from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
 from hsed_jax.reporting.misfit_figures import hysteresis_loops, words_of_loop
 from hsed_jax.reporting.style import Picture
+from hsed_jax.reporting.worth import EXPLAINED
+from hsed_jax.reporting.worth import shown as probability_text
 
 _SHOWN = 12
+_BEHIND = 30.0  # nats
 _90 = 1.6448536  # standard deviations on both sides hold 90 %
 _DASHES = (0, (4, 1.6))
 _PALE = "#9ecae1"
@@ -30,7 +33,9 @@ _MEASURED = {**style.MEASURED, "label": "measured", "linewidth": 0.9}
 
 @style.in_house_style
 def ranking(diagnosis: Diagnosis) -> Picture:
-    """The best candidates: log-evidence gain as bars, probability beside them; what is named and its look-alikes stand out.
+    """The best candidates: how far the evidence of each is behind that of the best, and its probability.
+
+    What is named and its look-alikes stand out.
 
     Arguments:
         diagnosis: `ranking` with at least one candidate.
@@ -46,24 +51,33 @@ def ranking(diagnosis: Diagnosis) -> Picture:
     }
     kinds = [_kind(candidate, diagnosis, alike) for candidate in shown]
     places = -np.arange(len(shown), dtype=float)
+    best = max(candidate.log_evidence_gain for candidate in shown)
+    behind = np.asarray([candidate.log_evidence_gain - best for candidate in shown])
+    # What is further behind than any odds that matter is cut, or it would leave nothing of the others.
+    left = -_BEHIND if behind.min() < -_BEHIND else 1.1 * min(behind.min(), -1.0)
     for kind, (text, look) in enumerate(looks.items()):
         own = [i for i, k in enumerate(kinds) if k == kind]
         if own:
-            panel.barh(places[own], [shown[i].log_evidence_gain for i in own], height=0.68, label=text, **look)
-    panel.set_xscale("symlog", linthresh=1.0, linscale=0.5)
+            # From the left, so that the best has the longest bar.
+            panel.barh(places[own], np.maximum(behind[own] - left, 0.0), height=0.68, left=left, label=text, **look)
+    cut = behind < left
+    panel.plot(np.full(cut.sum(), left), places[cut], "<", color=style.DARK_GREY, ms=5, clip_on=False, zorder=3)
     panel.axvline(0.0, color=style.BLACK, linewidth=0.8)
+    if left < -best <= 0.0:
+        panel.axvline(-best, color=style.DARK_GREY, linestyle=":", linewidth=1.3, label="no effect added", zorder=1)
+    panel.set_xlim(left, 0.0)
     panel.set_yticks(places, [style.words(called(c.effect, _means(c))) for c in shown])
     panel.tick_params(axis="y", length=0)
     for tick, kind in zip(panel.get_yticklabels(), kinds, strict=True):
         tick.set_fontweight("bold" if kind == 0 else "normal")
     panel.grid(False, axis="y")
     panel.set_ylim(places[-1] - 0.6, 0.6)
-    panel.set_xlabel("Log-evidence gain [nats], logarithmic beyond ±1")
+    panel.set_xlabel("Log evidence behind the best [nats]")
     for place, *texts in [
-        (0.9, "gain", "probability"),
+        (0.9, "behind", "probability"),
         *(
-            (p, f"{c.log_evidence_gain:,.1f}".replace(",", "\u2009"), _probability(c.probability))
-            for p, c in zip(places, shown, strict=True)
+            (p, f"{far:,.1f}".replace(",", "\u2009"), probability_text(c.probability, c.effect in diagnosis.effects))
+            for p, far, c in zip(places, behind, shown, strict=True)
         ),
     ]:
         for text, right in zip(texts, (48, 108), strict=True):
@@ -76,13 +90,14 @@ def ranking(diagnosis: Diagnosis) -> Picture:
     first = shown[0]
     return Picture(
         figure,
-        "Candidates for what is missing: how much the logarithm of the evidence gains with each of them, and the "
-        "probability that it takes part."
+        "Candidates for what is missing: how far the logarithm of the evidence of each is behind that of the best, which gains "
+        f"{style.amount(best)} nats, and the probability that it takes part.  {EXPLAINED}"
+        + (f"  Arrows: more than {_BEHIND:.0f} nats behind." if cut.any() else "")
         + (f"  The noise hides from one another: {groups}." if groups else "")
         + (f"  {rest} weaker candidates are not shown." if rest else ""),
         f"{len(shown)} horizontal bars. Verdict: {diagnosis.verdict.replace('_', ' ')}. First is "
         f"{first.effect.replace('_', ' ')} with a gain of {style.amount(first.log_evidence_gain)} and a probability of "
-        f"{_probability(first.probability)}.",
+        f"{probability_text(first.probability)}.",
     )
 
 
@@ -100,10 +115,6 @@ def _means(candidate: Candidate) -> dict[str, float]:
 
 def _kind(candidate: Candidate, diagnosis: Diagnosis, alike: set[str]) -> int:
     return 0 if candidate.effect in diagnosis.effects else 1 if candidate.effect in alike else 2
-
-
-def _probability(value: float) -> str:
-    return "< 0.001" if value < 0.001 else "> 0.999" if value > 0.999 else f"{value:.3f}"
 
 
 @style.in_house_style

@@ -5,7 +5,10 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from hsed_jax.criticism.prediction import error_cell
-from hsed_jax.reporting.finished import FinishedRun
+from hsed_jax.physics.effects import called
+from hsed_jax.reporting import style
+from hsed_jax.reporting.finished import SPLITS, FinishedRun
+from hsed_jax.reporting.worth import AMONG, shown, worth
 
 _QUOTED = 5  # doubts of the data
 
@@ -24,8 +27,12 @@ def _cautions(run: FinishedRun) -> Iterator[str]:
 
 def _found(run: FinishedRun) -> str:
     summary = run.summary
+    if improved := _improved(summary):
+        # What is ambiguous stays so, however far the error fell.
+        unsure = summary.get("diagnosis", {}).get("verdict", "missing_effects") != "missing_effects"
+        return f"{improved} {diagnosed(run)}" if unsure else improved
     if "diagnosis" in summary:
-        return sentence(summary["diagnosis"]["sentence"])
+        return diagnosed(run)
     if "comparison" in summary:
         comparison = summary["comparison"]
         error, floor = error_text(comparison["train"]), comparison["train"]["noise_floor"]
@@ -46,6 +53,54 @@ def _found(run: FinishedRun) -> str:
         count = len(run.campaign.train)
         return f"Calibrated on {count} experiment{'s' if count > 1 else ''}: {said} (SI).{only}"
     return "There is nothing to judge yet."
+
+
+def diagnosed(run: FinishedRun) -> str:
+    """What the diagnosis found, in one sentence; empty where there was none."""
+    return sentence(run.summary["diagnosis"]["sentence"]) if "diagnosis" in run.summary else ""
+
+
+def _improved(summary: Mapping[str, Any]) -> str:
+    """How far the error fell, and whether noise is what is left; empty where no effect was added."""
+    improvement = summary.get("improvement", {})
+    first, *rest = improvement.get("steps", [{}])
+    if not rest:
+        return ""
+    last, comparison = rest[-1], improvement["comparison"]
+    key, which = "error_train", "the fitted experiments"
+    if "test" in comparison:
+        key, which = "error_test", "experiments that were not used"
+    sizes = last.get("parameters", {})
+    added = " and ".join(style.words(called(effect, sizes)) for effect in last["effects"])
+    errors = f"{error_text(first, key)} to {error_text(last, key)}"
+    said = f"With {added} the error on {which} goes from {errors} (noise {improvement['noise_floor']:.3f})."
+    if "p_value" not in comparison:
+        return f"{said} Whether noise is what is left cannot be said: no noise is declared."
+    return f"{said} What is left is {'noise' if comparison['adequate'] else 'more than noise'}."
+
+
+def by_channel(comparisons: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """The error of each output, which the error over all of them may hide: a row per split and output.
+
+    Arguments:
+        comparisons: as in `summary.json`, of the model as it was (`before`) and of the improved one (`after`), if there is one.
+
+    Returns:
+        Split, output, error by model, and the `share` of the squared error of the last model that the output has.
+    """
+    rows, models = [], list(comparisons)
+    for split in SPLITS:
+        parts = {model: comparisons[model][split]["per_output"] for model in models if split in comparisons[model]}
+        if not parts:
+            continue
+        last = parts[[*parts][-1]]
+        squares = {output: errors.get("nrmse", math.inf) ** 2 for output, errors in last.items()}
+        total = sum(squares.values())
+        for output, square in squares.items():
+            errors = {model: own[output].get("nrmse", math.inf) for model, own in parts.items() if output in own}
+            share = square / total if math.isfinite(total) and total > 0 else math.nan
+            rows.append({"split": split, "output": output, **errors, "share": share})
+    return rows
 
 
 def key_figures(run: FinishedRun) -> list[dict[str, Any]]:
@@ -69,7 +124,12 @@ def key_figures(run: FinishedRun) -> list[dict[str, Any]]:
     if diagnosis:
         by_name = {candidate["effect"]: candidate for candidate in diagnosis["ranking"]}
         for effect in diagnosis["effects"]:
-            add(f"probability_{effect}", f"probability of {effect.replace('_', ' ')}", by_name[effect]["probability"])
+            probability = by_name[effect]["probability"]
+            label = f"probability of {effect.replace('_', ' ')} {AMONG}"
+            if right := worth(probability):
+                label += f"; where its formula is not listed, right in about {100 * right:.0f} %"
+            text = shown(probability, is_named=True)
+            found.append({"key": f"probability_{effect}", "label": label, "value": probability, "text": text})
     if "design" in summary:
         add("experiments", "experiments", len(summary["design"]["inputs"]), "{:d}")
         improvement = summary["design"]["max_expected_improvement"]

@@ -15,10 +15,22 @@ from hsed_jax.plain import dump_yaml
 from hsed_jax.reporting import page_tables as tables
 from hsed_jax.reporting import style
 from hsed_jax.reporting.asked import asked
-from hsed_jax.reporting.digest import diverged, error_text, key_figures, sentence, verdict, warnings
+from hsed_jax.reporting.digest import (
+    by_channel,
+    diagnosed,
+    diverged,
+    error_text,
+    key_figures,
+    sentence,
+    verdict,
+    warnings,
+)
 from hsed_jax.reporting.finished import FinishedRun
 from hsed_jax.reporting.inline_svg import InlineFigure, inline
 from hsed_jax.reporting.page import number, render
+from hsed_jax.reporting.worth import AMONG, EXPLAINED, worth_text
+from hsed_jax.reporting.worth import shown as probability_text
+from hsed_jax.tables import cell
 
 _SHOWN = 12
 _STILL = {
@@ -59,12 +71,15 @@ def report_page(run: FinishedRun, left_out: LeftOut | None = None) -> str:
         "asked": made("list of what was asked", lambda run: asked(run.study, run.campaign), []),
         "notes": [sentence(note) for note in run.summary.get("comparison", {}).get("notes", [])],
         "verdict": made("verdict", verdict, ""),
+        "diagnosed": made("verdict of the diagnosis", diagnosed, ""),
+        "channels": made("table of the outputs", _channels, no_table),
         "doubtful": bool(diverged(run)),
         "scales": made("list of scales", _scales, ""),
         "falls": made("table of the fall of the error", _falls, []),
         "figures": made("list of key figures", key_figures, []),
         "stills": {section: list(_stills(run, names, left_out)) for section, names in _STILL.items()},
         "ranking": made("table of effects", _ranking, no_table | {"named": [], "rest": 0}),
+        "explained": EXPLAINED,
         "learned": sentence(run.summary.get("discovery", {}).get("sentence", "")),
         "places": made("table of places", _places, no_table),
         "experiments": made("table of experiments", _experiments, no_table | {"words": 3}),
@@ -201,7 +216,8 @@ def _ranking(run: FinishedRun) -> dict[str, Any]:
         "effect",
         "family",
         "size (90 % interval)",
-        "probability",
+        f"probability {AMONG}",
+        "right, where unlisted",
         "log-evidence gain",
         "error, fitted",
         "error, not used",
@@ -211,8 +227,9 @@ def _ranking(run: FinishedRun) -> dict[str, Any]:
         named.append(candidate["effect"] in diagnosis["effects"])
         known = [(name, e) for name, e in candidate["estimate"].items() if "q05" in e]
         sizes = [_size(name, e) for name, e in known[: None if named[-1] else 1]]
-        forms = {"probability": "{:.3f}", "log_evidence_gain": "{:.1f}"}
-        numbers = [form.format(candidate[key]) if key in candidate else "–" for key, form in forms.items()]
+        probability = candidate.get("probability", 0.0)
+        numbers = [probability_text(probability, named[-1]), worth_text(probability)]
+        numbers += [f"{candidate['log_evidence_gain']:.1f}" if "log_evidence_gain" in candidate else "–"]
         numbers += [error_cell(candidate.get(key)) for key in ("error_train", "error_test")]
         means = {name: e["mean"] for name, e in candidate["estimate"].items() if "mean" in e}
         rows.append([style.words(called(candidate["effect"], means)), candidate["family"], "; ".join(sizes), *numbers])
@@ -247,6 +264,18 @@ def _falls(run: FinishedRun) -> list[tuple[str, str, str]]:
         )
         for step in steps
     ]
+
+
+def _channels(run: FinishedRun) -> dict[str, Any]:
+    """The error of each output, before and after: heads and rows; none of a single output, whose error is that of all."""
+    found, models = by_channel(run.comparisons), list(run.comparisons)
+    heads = ["split", "output", *(tables.SERIES[model] for model in models), "share of the squared error left"]
+    rows = [
+        [row["split"], run.campaign.pair.called(row["output"]), *(error_cell(row.get(model)) for model in models),
+         f"{cell(100 * row['share'], '.0f')} %"]
+        for row in found
+    ]  # fmt: skip
+    return {"heads": heads, "rows": rows if len({row["output"] for row in found}) > 1 else []}
 
 
 def _scales(run: FinishedRun) -> str:

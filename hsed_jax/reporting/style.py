@@ -226,8 +226,11 @@ def history_label(name: str, unit: str, pair: Pair = ELONGATION_AND_FORCE) -> st
 
 
 def label(name: str, unit: str) -> str:
-    """Axis label of an input or a parameter: ``$V_{P}$ [m/s]``."""
-    return f"{symbol(name)} [{unit_text(unit)}]"
+    """Axis label of an input or a parameter: its name as studies and tables have it, in lines of some 16 letters."""
+    lines = [""]
+    for part in re.split(r"(?<=[._])", plain(name)):
+        lines = [*lines, part] if lines[-1] and len(lines[-1] + part) > 16 else [*lines[:-1], lines[-1] + part]
+    return "\n".join(lines) + f" [{unit_text(unit)}]"
 
 
 def symbol(name: str) -> str:

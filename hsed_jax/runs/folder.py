@@ -18,14 +18,13 @@ import numpy as np
 
 from hsed_jax.drafts import create, extend, first_link, write_netcdf, write_whole
 from hsed_jax.errors import UserError
-from hsed_jax.measurements import read_campaign
-from hsed_jax.plain import dump_yaml, parse_yaml
-from hsed_jax.runs.provenance import begin_session, end_session, read_provenance
+from hsed_jax.plain import dump_yaml
+from hsed_jax.runs.provenance import begin_session, end_session
+from hsed_jax.runs.reading import mapping
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from hsed_jax.reporting.finished import FinishedRun
 
 # What a run leaves, and so what another may replace; everything else in its folder is the user's.
 _OF_A_RUN = (
@@ -84,7 +83,7 @@ class RunFolder:
             written = self.path / "study.yaml"
             is_begun = resume and written.exists()
             if is_begun:
-                self._agree(_mapping(written), dict(study))
+                self._agree(mapping(written), dict(study))
             begin_session(self._provenance, study.get("seed"))
             if not is_begun:
                 write_whole(written, dump_yaml(dict(study)))
@@ -247,68 +246,6 @@ class RunFolder:
 def laboratory_folder(path: str | Path) -> Path:
     """The folder of a run in which its laboratory works; known before there is a run."""
     return Path(path) / "laboratory"
-
-
-def read_run(path: str | Path, known: "xr.DataTree | None" = None) -> "FinishedRun":
-    """Read back what a run folder holds.
-
-    Arguments:
-        path: of the folder.
-        known: what `results.nc` holds, from who has just written it: to read it back takes a second.
-
-    Raises:
-        UserError: there is no run, it has come to nothing yet, or a file is damaged.
-    """
-    import xarray as xr
-
-    from hsed_jax.reporting.finished import FinishedRun
-
-    folder = Path(path)
-    if not (folder / "study.yaml").is_file():
-        raise UserError(f"{folder} is no run folder; a run is made by: hsed run STUDY.yaml --output {folder}")
-    if not (folder / "summary.json").is_file():
-        raise UserError(
-            f"{folder}: the run has no results yet; go on with it: hsed run STUDY.yaml --output {folder} --resume"
-        )
-    results = folder / "results.nc"
-    try:
-        tree = xr.load_datatree(results, engine="h5netcdf") if known is None and results.is_file() else known
-    except (OSError, ValueError, KeyError) as error:
-        raise UserError(f"{results}: this is no file of results ({error})") from None
-    return FinishedRun(
-        folder,
-        _mapping(folder / "study.yaml", "study", "model", "steps"),
-        _mapping(folder / "summary.json", "study", "status"),
-        read_provenance(folder / "provenance.json").model_dump(exclude_unset=True),
-        read_campaign(folder / "campaign"),
-        tree,
-        {path.stem: _text(path) for path in sorted((folder / "figures").glob("*.svg"))},
-    )
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"{path}: cannot be read as text ({error})") from None
-
-
-def _mapping(path: Path, *keys: str) -> dict[str, Any]:
-    """A mapping in YAML or JSON that has these keys.
-
-    Raises:
-        UserError: it is something else.
-    """
-    text = _text(path)
-    try:
-        content = json.loads(text) if path.suffix == ".json" else parse_yaml(text, str(path))
-    except (ValueError, RecursionError, UserError):
-        content = None
-    if not isinstance(content, dict) or any(key not in content for key in keys):
-        raise UserError(
-            f"{path}: it is damaged: a mapping of {', '.join(keys) or 'keys'} is wanted; restore it from a copy"
-        )
-    return content
 
 
 def write_page(page: str, path: str | Path) -> None:

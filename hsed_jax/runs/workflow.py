@@ -27,9 +27,10 @@ from hsed_jax.left_out import LeftOut
 from hsed_jax.measurements import Campaign, stop_at_errors, write_campaign
 from hsed_jax.physics.scales import Scales
 from hsed_jax.runs.conduct import Asked, Conduct
-from hsed_jax.runs.folder import RunFolder, laboratory_folder, read_run
+from hsed_jax.runs.folder import RunFolder, laboratory_folder
 from hsed_jax.runs.outcome import Outcome, summary
 from hsed_jax.runs.progress import Progress
+from hsed_jax.runs.reading import read_run
 from hsed_jax.runs.requests import Requests
 from hsed_jax.study.build import Built
 from hsed_jax.study.records import forecast
@@ -96,11 +97,11 @@ class Run:
     ):
         self.study = study
         self.built = Built(study, workspace=laboratory_folder(output), function=laboratory)
-        self.built.check()
         if self.built.measured is not None:
             stop_at_errors(self.built.measured, study.measurements.accepted(self.built.measured))
-            if progress:
-                print(forecast(self.built, self.built.measured), flush=True)
+        self.built.check()
+        if self.built.measured is not None and progress:
+            print(forecast(self.built, self.built.measured), flush=True)
         self.store = RunFolder(output, study.written(), resume=resume, force=force)
         self.progress = progress
         self.figures = True

@@ -39,6 +39,7 @@ from hsed_jax.physics.structures import OWNER, Structure
 from hsed_jax.physics.timeline import Timeline
 from hsed_jax.study import laboratories, levels, observed, pairs, parts, structures
 from hsed_jax.study.designs import design_of, settings_of
+from hsed_jax.study.discrepancies import check_told
 from hsed_jax.study.elements import elements_of, placed
 from hsed_jax.study.excitations import excitation_of, protocol_of
 from hsed_jax.study.limits import limits_of
@@ -366,9 +367,18 @@ class Built:
             check_scales(self)
             for part in self._needed(performs):
                 getattr(self, part)
+            check_told(self, self._experiments)
         except UserError as error:
             file = f"{self.study.file}: " if self.study.file is not None else ""
             raise UserError(f"{file}{error}") from None
+
+    @property
+    def _experiments(self) -> int:
+        """How many experiments a calibration will have."""
+        if self.measured is not None:
+            return len(self.measured.train)
+        design = self.study.design
+        return design.initial + ("design" in self.study.steps) * design.iterations
 
     def _check_effects(self) -> None:
         """Refuse effects that cannot be added to the model."""

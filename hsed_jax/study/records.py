@@ -24,7 +24,7 @@ _PROGRAM, _TILE, _CHUNK, _SEARCH, _BATCH = 0.7e9, 64 * 32, 256 * 24, 1500 * 8, 0
 def thinning_notes(built: "Built", campaign: Campaign) -> list[str]:
     """What the records of a campaign lost by thinning, in a sentence each; nothing of those that are as they were."""
     full = campaign.completed.experiments
-    pairs = [(a.id, a.record, b.record) for a, b in zip(full, built.taken(full), strict=True) if a is not b]
+    pairs = [(a.id, a.scored, b.scored) for a, b in zip(full, built.taken(full), strict=True) if a is not b]
     return [f"{id} is {loss(a, b)}" for id, a, b in pairs if a is not None and b is not None]
 
 

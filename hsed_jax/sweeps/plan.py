@@ -12,6 +12,7 @@ from scipy.stats import qmc
 from hsed_jax.config.load import load_study
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
+from hsed_jax.measurements import stop_at_errors
 from hsed_jax.memory import check_memory
 from hsed_jax.study import parts
 from hsed_jax.study.build import Built
@@ -67,6 +68,8 @@ class Plan:
                 built = Built(study, campaigns.get(where))
                 # Points have the measurements in common, as a rule, and reading them takes the longest.
                 campaigns[where] = built.measured
+                if built.measured is not None:
+                    stop_at_errors(built.measured, study.measurements.accepted(built.measured))
                 built.check()
             except UserError as error:
                 raise UserError(f"{self._about(number)}: {error}") from None

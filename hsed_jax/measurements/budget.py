@@ -1,0 +1,57 @@
+"""One budget for every reader of measurements: what a file asks for is counted before it is read.
+
+A file of some kilobytes can declare, or unpack to, more than a machine holds.  Every reader asks first, so that no file takes
+more than about half a gigabyte of RAM.
+"""
+
+import stat
+from pathlib import Path
+
+from hsed_jax.errors import UserError
+
+_ONE_BY_ONE = "save it as Parquet or HDF5, of which only the columns of the channels are read"
+# A number is 8 bytes, and up to four copies of it are made on the way into a record; a cell of text is an object of some 70.
+_MOST = {
+    "bytes": (2**26, _ONE_BY_ONE),
+    "cells": (5_000_000, _ONE_BY_ONE),
+    "numbers": (12_000_000, "thin the record, or split it into several experiments"),
+    "parts": (10_000, "keep the channels of one record in it, and nothing else"),
+}
+MOST = {kind: most for kind, (most, _) in _MOST.items()}
+"""What is read of one file: bytes of it where it is read whole, unpacked; cells of text; numbers of binary columns; parts, which
+are variables, data sets, groups, columns and sheets."""
+
+
+def ask(where: object, **asked: int) -> None:
+    """Refuse what goes beyond the budget.
+
+    Arguments:
+        where: the file, and the place in it, for the message.
+        asked: how many of a kind (`MOST`) would be read at least.
+
+    Raises:
+        UserError: it is more than is read; with both numbers and what to do.
+    """
+    for kind, count in asked.items():
+        most, advice = _MOST[kind]
+        if count > most:
+            raise UserError(f"{where}: {count:,} {kind} would be read; at most {most:,} are: {advice}")
+
+
+def ask_of_file(path: Path, *, whole: bool) -> None:
+    """Refuse what is no file; where it is read whole, also one beyond the budget.
+
+    Raises:
+        UserError: it is missing, empty, no file, or too large.
+    """
+    try:
+        about = path.stat()
+    except (OSError, ValueError) as error:  # a ValueError for a name with NUL in it
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise UserError(f"{path}: cannot be read ({reason})") from None
+    if not stat.S_ISREG(about.st_mode):
+        raise UserError(f"{path}: cannot be read (it is no file)")
+    if not about.st_size:
+        raise UserError(f"{path}: the file is empty")
+    if whole:
+        ask(path, bytes=about.st_size)

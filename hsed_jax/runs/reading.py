@@ -1,0 +1,118 @@
+"""A run folder read back, be it whole, damaged, or somebody else's."""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hsed_jax.errors import UserError
+from hsed_jax.measurements import read_campaign
+from hsed_jax.plain import parse_yaml
+from hsed_jax.runs.provenance import read_provenance
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from hsed_jax.reporting.finished import FinishedRun
+
+# A run packs nothing; a file that declares many times its size is damaged, or was made to fill the memory.
+_LEAST_BYTES, _MOST_UNPACKED = 2**24, 8
+
+
+def read_run(path: str | Path, known: "xr.DataTree | None" = None) -> "FinishedRun":
+    """Read back what a run folder holds.
+
+    Arguments:
+        path: of the folder.
+        known: what `results.nc` holds, from who has just written it: to read it back takes a second.
+
+    Raises:
+        UserError: there is no run, it has come to nothing yet, or a file is damaged.
+    """
+    from hsed_jax.reporting.finished import FinishedRun
+
+    folder = Path(path)
+    if not (folder / "study.yaml").is_file():
+        raise UserError(f"{folder} is no run folder; a run is made by: hsed run STUDY.yaml --output {folder}")
+    if not (folder / "summary.json").is_file():
+        raise UserError(
+            f"{folder}: the run has no results yet; go on with it: hsed run STUDY.yaml --output {folder} --resume"
+        )
+    results = folder / "results.nc"
+    tree = _tree(results) if known is None and results.is_file() else known
+    return FinishedRun(
+        folder,
+        mapping(folder / "study.yaml", "study", "model", "steps"),
+        mapping(folder / "summary.json", "study", "status"),
+        read_provenance(folder / "provenance.json").model_dump(exclude_unset=True),
+        read_campaign(folder / "campaign"),
+        tree,
+        {path.stem: _text(path) for path in sorted((folder / "figures").glob("*.svg"))},
+    )
+
+
+@contextmanager
+def holding(path: str | Path) -> Iterator[None]:
+    """Within, what is made of the files of a run fails in one message where they do not hold what a run writes.
+
+    Raises:
+        UserError: they do not; with what was missed in them.
+    """
+    try:
+        yield
+    except (OSError, UserError):
+        raise
+    except Exception as error:  # a number in place of a list can lead to anything
+        said = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise UserError(
+            f"{path}: its files do not hold what this version of a run writes ({said}); restore summary.json and results.nc from "
+            "a copy, or make them again: hsed run STUDY.yaml --resume"
+        ) from error
+
+
+def _tree(results: Path) -> "xr.DataTree":
+    """What `results.nc` holds."""
+    import h5py
+    import xarray as xr
+
+    declared = 0
+
+    def count(name: str, node: Any) -> None:
+        nonlocal declared
+        declared += node.nbytes if isinstance(node, h5py.Dataset) else 0
+
+    try:
+        with h5py.File(results, "r") as file:
+            file.visititems(count)
+        if declared > _LEAST_BYTES + _MOST_UNPACKED * results.stat().st_size:
+            raise ValueError(f"{declared} bytes are declared in a file of {results.stat().st_size}")
+        return xr.load_datatree(results, engine="h5netcdf")
+    except Exception as error:  # HDF5 and its readers raise whatever damaged bytes lead to
+        said = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise UserError(f"{results}: this is no file of results ({said}); restore it from a copy") from None
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"{path}: cannot be read as text ({error})") from None
+
+
+def mapping(path: Path, *keys: str) -> dict[str, Any]:
+    """Read a mapping in YAML or JSON that has these keys.
+
+    Raises:
+        UserError: it is something else.
+    """
+    text = _text(path)
+    try:
+        content = json.loads(text) if path.suffix == ".json" else parse_yaml(text, str(path))
+    except (ValueError, RecursionError, UserError):
+        content = None
+    if not isinstance(content, dict) or any(key not in content for key in keys):
+        raise UserError(
+            f"{path}: it is damaged: a mapping of {', '.join(keys) or 'keys'} is wanted; restore it from a copy"
+        )
+    return content
