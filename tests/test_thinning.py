@@ -111,18 +111,17 @@ def test_steps_longer_than_the_yield_elongation_are_divided():
 
 
 def test_an_interval_of_a_larger_change_has_more_steps_and_samples_are_at_their_ends():
-    elongation = np.array([0.0, 0.001, 0.011, 0.012, -0.02, -0.0201])
-    record = Record(np.arange(6) * 0.5, {"elongation": elongation, "force": elongation})
-    grid = Grid(8, 1, change=0.001, steps=63)
-    np.testing.assert_array_equal(grid.divisions(record), [1, 10, 4, 32, 1])
-    campaign = campaign_of(long_record())
-    recorded = conditions_of(Experiment("E01", record=record), campaign, grid, None).recorded
-    np.testing.assert_array_equal(recorded.ends, [0, 1, 11, 15, 47, 48, 63, 63])
+    elongation = np.array([0.0, 0.001, 0.002, 0.012, 0.022, 0.023, 0.024, 0.0236])
+    record = Record(np.cumsum([0.0, 1, 1, 10, 10, 1, 1, 1]), {"elongation": elongation, "force": elongation})
+    grid = Grid(10, 1, change=0.001, steps=63)
+    # In one of the intervals beside the largest elongation it turns.
+    np.testing.assert_array_equal(grid.divisions(record), [1, 1, 10, 10, 1, 1, 8])
+    recorded = conditions_of(Experiment("E01", record=record), campaign_of(long_record()), grid, None).recorded
+    np.testing.assert_array_equal(recorded.ends, [0, 1, 2, 12, 22, 23, 24, 32, 63, 63])
     lengths = np.asarray(recorded.step_length)
-    assert np.count_nonzero(lengths) == 48 and lengths.sum() == pytest.approx(2.5)
-    np.testing.assert_allclose(
-        np.asarray(recorded.forcing.samples.elongation)[::2][recorded.ends[:6]], elongation, atol=1e-15
-    )
+    assert np.count_nonzero(lengths) == 32 and lengths.sum() == pytest.approx(25.0)
+    path = np.asarray(recorded.forcing.samples.elongation)
+    np.testing.assert_allclose(path[::2][recorded.ends[:8]], elongation, atol=1e-15)
 
 
 @pytest.mark.whole

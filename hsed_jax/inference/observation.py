@@ -7,7 +7,7 @@ Outputs are columns; columns that share an error (all samples of a channel) form
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 import equinox as eqx
 import jax
@@ -22,11 +22,13 @@ from hsed_jax.physics.excitations import AbstractExcitation, Applied, Imposed, T
 from hsed_jax.physics.outputs import driven_mass, is_driver
 from hsed_jax.physics.simulator import AbstractModel, Conditions, Recorded
 
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline
+
 # Where two estimates of a slope differ by this share of the slopes nearby, the motion has a corner.
 _CORNER = 0.2
-# Steps of the two intervals of samples between which an imposed elongation turns, where one of them changes it by this share of the
-# largest change of a step.
-_AT_A_TURN, _TURN = 4, 0.25
+# Steps between samples between which an imposed elongation turns, where its path is this share of the largest change of a step.
+_AT_A_TURN, _TURN = 8, 0.01
 
 Excite = Callable[[Mapping[str, Any]], AbstractExcitation] | None
 Respond = Callable[[Mapping[str, Any], Conditions], tuple[Float[Array, " J"], Array]]
@@ -58,15 +60,16 @@ class Grid:
         """Steps of each interval of a record, (len(record) − 1,)."""
         if self.change is None:
             return np.full(len(record) - 1, self.every)
-        changes = np.nan_to_num(np.diff(record["elongation"]))
+        if not (len(record) > 1 and np.isfinite(record["elongation"]).all() and np.all(np.diff(record.time) > 0)):
+            return np.ones(len(record) - 1, dtype=int)  # who asks for the motion is told
+        shares = np.arange(_AT_A_TURN + 1) / _AT_A_TURN
+        moved = np.diff(_curve(record)(record.time[:-1, None] + np.diff(record.time)[:, None] * shares), axis=1)
+        path = np.abs(moved).sum(axis=1)
         # With a tolerance: the intervals of a ramp have equal numbers of steps.
-        divisions = np.maximum(np.ceil(np.abs(changes) / self.change - 1e-9), 1).astype(int)
-        # The motion turns beside a sample, where the force of a spring has a kink; what noise turns is less than this.
-        turns = np.flatnonzero(
-            (changes[1:] * changes[:-1] < 0) & (np.maximum(*np.abs([changes[1:], changes[:-1]])) > _TURN * self.change)
-        )
-        for at in (turns, turns + 1):
-            divisions[at] = np.maximum(divisions[at], _AT_A_TURN)
+        divisions = np.maximum(np.ceil(path / self.change - 1e-9), 1).astype(int)
+        # Where the motion turns the force of a spring has a kink.  What noise turns is little.
+        turns = (moved[:, 1:] * moved[:, :-1] < 0).any(axis=1) & (path > _TURN * self.change)
+        divisions[turns] = np.maximum(divisions[turns], _AT_A_TURN)
         return divisions
 
 
@@ -317,13 +320,7 @@ def _between(record: Record, times: np.ndarray, name: str) -> np.ndarray:
 
 
 def _imposed(record: Record, times: np.ndarray, name: str) -> Imposed:
-    """The measured elongation between its samples, by cubics.
-
-    Their slopes are those of a spline, which finds the rate and the reversals of a smooth motion between the samples; where
-    the motion has a corner a spline would swing, and the slopes are Akima's (modified), for which a ramp stays straight.
-    """
-    from scipy.interpolate import Akima1DInterpolator, CubicHermiteSpline, CubicSpline
-
+    """The measured elongation between its samples, and its rate."""
     if "elongation" not in record.channels:
         raise UserError(f"experiment {name!r}: the protocol is displacement, but its record has no elongation")
     if len(record) < 2:
@@ -332,6 +329,19 @@ def _imposed(record: Record, times: np.ndarray, name: str) -> Imposed:
         raise UserError(
             f"experiment {name!r}: an imposed elongation must be finite numbers at increasing times (hsed check says where)"
         )
+    curve = _curve(record)
+    inside = np.minimum(times, record.time[-1])
+    return Imposed(curve(inside), curve.derivative()(inside))
+
+
+def _curve(record: Record) -> "CubicHermiteSpline":
+    """The measured elongation between its samples, by cubics.
+
+    Their slopes are those of a spline, which finds the rate and the reversals of a smooth motion between the samples; where
+    the motion has a corner a spline would swing, and the slopes are Akima's (modified), for which a ramp stays straight.
+    """
+    from scipy.interpolate import Akima1DInterpolator, CubicHermiteSpline, CubicSpline
+
     time, elongation = record.time, record["elongation"]
     slopes = Akima1DInterpolator(time, elongation, method="makima")(time, 1)
     if len(record) >= 4:
@@ -339,9 +349,7 @@ def _imposed(record: Record, times: np.ndarray, name: str) -> Imposed:
         secants = np.pad(np.abs(np.diff(elongation) / np.diff(time)), 2, mode="edge")
         nearby = np.max([secants[k : k + len(time)] for k in range(4)], axis=0)
         slopes = np.where(np.abs(smooth - slopes) < _CORNER * nearby, smooth, slopes)
-    curve = CubicHermiteSpline(time, elongation, slopes)
-    inside = np.minimum(times, record.time[-1])
-    return Imposed(curve(inside), curve.derivative()(inside))
+    return CubicHermiteSpline(time, elongation, slopes)
 
 
 def stacked(conditions: Sequence[Conditions]) -> Conditions:
