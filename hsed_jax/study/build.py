@@ -332,10 +332,9 @@ class Built:
     @cached_property
     def limits(self) -> Limits | None:
         """What specimen and actuator can bear; None where the study sets no limit."""
-        entry = self.study.design.limits
-        return (
-            None if entry is None else limits_of(entry, self.planned_simulator, tuple(self.parameters[0]), self.space)
-        )
+        if (entry := self.study.design.limits) is None:
+            return None
+        return limits_of(entry, self.planned_simulator, tuple(self.parameters[0]), self.space)
 
     def perform(self) -> Campaign:
         """The laboratory's experiments at the initial design, and of a virtual one those for testing."""
@@ -369,8 +368,7 @@ class Built:
                 getattr(self, part)
             check_told(self)
         except UserError as error:
-            file = f"{self.study.file}: " if self.study.file is not None else ""
-            raise UserError(f"{file}{error}") from None
+            raise UserError(f"{self.study.file}: {error}" if self.study.file is not None else str(error)) from None
 
     def _check_effects(self) -> None:
         """Refuse effects that cannot be added to the model."""
