@@ -43,6 +43,7 @@ class Case(NamedTuple):
 CASES = [
     *(Case(n, error) for n in (10, 20, 43) for error in ("", "inflate", "discrepancy")),
     *(Case(20, error, 0.0) for error in ("", "discrepancy")),
+    Case(2, "discrepancy", observe="histories"),
     *(Case(6, error, observe="histories") for error in ("", "inflate", "discrepancy")),
     *(Case(6, error, 0.0, "histories") for error in ("", "discrepancy")),
 ]

@@ -1,9 +1,11 @@
-"""Do intervals cover, do p-values keep their promise, are there false alarms, and how small an effect is seen?
+"""Do intervals cover, p-values keep their promise, draws have their tails; are there false alarms; how small an effect is seen?
 
-    python benchmarks/intervals.py [--campaigns N] [--only intervals p_values alarms power] [--processes P] [--resume]
+    python benchmarks/intervals.py [--campaigns N] [--only intervals p_values alarms power tails] [--processes P] [--resume]
                                   [--markdown]
 
 Campaigns of the paper's structure with a known truth, under noises of several kinds; nothing of the noise is told but its size.
+The tails are those of a posterior of eight parameters that lean on their bounds, of two component tests, by NUTS against a long
+reference (`peers/ensemble.py`), in ten campaigns.
 Results go to `intervals.json` beside this file, from which `--markdown` prints the tables; `--resume` adds the campaigns that
 they lack, which is right as long as the package is the same.
 """
@@ -27,6 +29,37 @@ TRUE = {"A": 5e5, "beta": 1.0}
 ETA = 2e-5
 # Campaigns that one job looks at.
 CHUNK = 10
+# Steps of the reference of the tails, and its campaigns.
+_STEPS, _TAILS = 4000, 10
+LEANING = {
+    "study": "tails",
+    "excitation": {"imposed": {"amplitudes": [0.05, 0.1, "a"], "cycles": 1, "rate": 0.2}},
+    "inputs": {"a": {"uniform": [0.15, 0.25], "unit": "m"}},
+    "model": {
+        "spring": "bouc_wen",
+        "parameters": {
+            "A": {"uniform": [2.0e5, 9.0e5]},
+            "beta": {"uniform": [0.5, 2.0]},
+            "gamma": {"uniform": [-0.5, 0.5]},
+            "n": {"uniform": [0.9, 1.2]},
+        },
+        "effects": {
+            name: {} for name in ("stiffness_degradation", "strength_degradation", "hardening", "viscous_damping")
+        },
+    },
+    "experiments": {
+        "virtual": {
+            "parameters": {"A": 5.0e5, "beta": 1.0, "gamma": 0.0, "n": 1.0},
+            "effects": {"stiffness_degradation": {"eta": 1.0e-6}},
+            "noise": {"relative": 0.03},
+        }
+    },
+    "observe": "histories",
+    "steps": ["calibrate"],
+    "design": {"initial": 2},
+    "calibration": {"sampler": "nuts"},
+}
+"""Whose posterior of eight parameters leans on several bounds."""
 
 
 class Noise(NamedTuple):
@@ -171,12 +204,54 @@ def diagnoses(case: Case, seeds: Sequence[int]) -> dict[str, list]:
     return {"verdict": verdicts, "effects": named, "p": values}
 
 
+def tails(case: Case, seeds: Sequence[int]) -> dict[str, list]:
+    """By parameter, standard deviation and 5 % quantile of the draws, and of the reference; and their effective number."""
+    import jax
+    from peers.ensemble import walk
+
+    import hsed_jax as hx
+    from hsed_jax.analysis.calibration import calibrate_built, campaign_of
+    from hsed_jax.physics.batch import TILE
+    from hsed_jax.study.build import Built
+
+    @jax.jit
+    def heights(posterior, data, u):
+        return jax.lax.map(lambda one: posterior.log_density(one, data), u, batch_size=TILE)
+
+    found: dict[str, list] = {"draws": [], "reference": [], "ess": []}
+    for seed in seeds:
+        study = hx.load_study({**LEANING, "seed": seed})
+        campaign = campaign_of(study)
+        fit = calibrate_built(Built(study, campaign), campaign).fit
+        posterior, data, maximum = fit.posterior, fit.data, fit.maximum
+
+        def log_density(u, posterior=posterior, data=data):
+            return np.nan_to_num(np.asarray(heights(posterior, data, u)), nan=-np.inf)
+
+        frame = np.asarray(maximum.whitening)
+        reference = walk(log_density, np.asarray(maximum.start), frame @ frame.T, _STEPS, seed)
+        of_reference = jax.vmap(posterior.constrain)(reference.reshape(-1, len(posterior.names)))
+        for key, draws in (("draws", fit.chains.theta), ("reference", of_reference)):
+            table = np.asarray(draws).reshape(-1, len(posterior.names))
+            found[key].append(
+                {
+                    n: [float(x.std()), float(np.quantile(x, 0.05))]
+                    for n, x in zip(posterior.names, table.T, strict=True)
+                }
+            )
+        found["ess"].append(float(fit.convergence.ess_bulk.min()))
+    return found
+
+
 PARTS = {
     "intervals": (intervals, INTERVALS),
     "p_values": (p_values, TRUE_MODEL),
     "alarms": (diagnoses, TRUE_MODEL),
     "power": (diagnoses, POWER),
+    "tails": (tails, [Case(Noise("histories", 0.03), 2, 0.0)]),
 }
+MOST = {"tails": _TAILS}
+"""Campaigns of the parts that have fewer."""
 
 
 def measured(
@@ -193,7 +268,13 @@ def measured(
             for first in range(0, campaigns, CHUNK)
             for part in parts
             for case, row in zip(PARTS[part][1], found[part], strict=True)
-            if (seeds := [s for s in range(first, min(first + CHUNK, campaigns)) if s not in row["seeds"]])
+            if (
+                seeds := [
+                    s
+                    for s in range(first, min(first + CHUNK, campaigns, MOST.get(part, campaigns)))
+                    if s not in row["seeds"]
+                ]
+            )
         }
         for job in as_completed(asked):
             row, seeds = asked[job]
@@ -242,7 +323,30 @@ def tables(results: dict[str, list[dict]]) -> str:
         if r is results["power"][0]:
             lines += ["| eta [1/J] | campaigns | p < 0.01 | named |", "| --- | --- | --- | --- |"]
         lines.append(f"| {r['eta']:.0e} | {len(r['p'])} | {seen[0]} | {seen[1]} |")
+    if rows := results.get("tails"):
+        lines += ["", *_of_tails(rows[0])]
     return "\n".join(lines)
+
+
+def _of_tails(row: dict) -> list[str]:
+    """Of each parameter over the campaigns, the draws' sd over the reference's, and how far their 5 % quantiles are apart."""
+    lines = [
+        "| parameter | sd over the reference's | 5 % quantile less the reference's, in sd |",
+        "| --- | --- | --- |",
+    ]
+    for name in row["reference"][0]:
+        own, true = (np.asarray([one[name] for one in row[key]]) for key in ("draws", "reference"))
+        ratio, apart = own[:, 0] / true[:, 0], (own[:, 1] - true[:, 1]) / true[:, 0]
+        told = (
+            f"{np.median(x):{form}} ({x.min():{form}} to {x.max():{form}})"
+            for x, form in ((ratio, ".2f"), (apart, "+.2f"))
+        )
+        lines.append(f"| {name} | {' | '.join(told)} |")
+    return [
+        *lines,
+        "",
+        f"Effective draws: {np.median(row['ess']):.0f} ({min(row['ess']):.0f} to {max(row['ess']):.0f}).",
+    ]
 
 
 def main() -> None:

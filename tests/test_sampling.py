@@ -13,6 +13,7 @@ from hsed_jax.inference import maximum as search
 from hsed_jax.inference.emulator import emulate
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.importance import Weighted, resampled, weighted
+from hsed_jax.inference.moves import moved
 from hsed_jax.inference.nuts import Chains, Settings, convergence
 from hsed_jax.inference.priors import Prior
 from hsed_jax.inference.sampling import _mixed, draw, weigh_around
@@ -87,6 +88,51 @@ def test_where_a_polynomial_is_not_enough_nuts_asks_the_simulator(seed):
     assert theta.mean() == pytest.approx(mean, abs=4 * error) and theta.std() == pytest.approx(sd, abs=4 * error)
 
 
+def test_chains_that_diverge_are_moved_on_by_the_simulator_and_the_divergences_are_told():
+    # A thin bent ridge: the emulator is exact there, and its chains still diverge and hardly reach the ends.
+    posterior, data, maximum = ridge(1.0, thin=0.2)
+    chains = draw(posterior, data, maximum, jnp.asarray(0.5), jax.random.key(1), SHORT)
+    assert chains.emulator_error is not None
+    judged = convergence(chains)
+    # Of the chains themselves 1000 draws were worth 4, and their standard deviation was below a half.
+    assert judged.ess_bulk.min() > 500 and judged.divergences > 10
+    a, rest = np.moveaxis(straight(chains, 1.0).reshape(-1, 2), -1, 0)
+    # Along a bent ridge steps are slow, and draws that hardly change look settled a little early.
+    assert 0.8 < a.std() < 1.09 and abs(a.mean()) < 0.2
+    assert rest.std() == pytest.approx(0.2, rel=0.09)
+    theta, heights = (np.asarray(values)[0, ::50] for values in (chains.theta, chains.log_density))
+    expected = jax.vmap(lambda t: posterior.log_density(posterior.unconstrain(t), data))(theta)
+    np.testing.assert_allclose(heights, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("dimensions", [1, 8])
+def test_draws_that_lack_a_tail_grow_one(dimensions):
+    # Exponential in one coordinate, of which the draws have nothing beyond the median; normal in the others.
+    random = np.random.default_rng(0)
+    points = random.standard_normal((2000, dimensions))
+    points[:, 0] = -np.log(random.uniform(0.5, 1, 2000))
+
+    def heights(x):
+        return np.where(x[:, 0] > 0, -x[:, 0], -np.inf) - 0.5 * np.sum(x[:, 1:] ** 2, axis=1)
+
+    found = moved(heights, points, heights(points), random, Watch(), "moves")
+    assert found.settled
+    np.testing.assert_array_equal(found.height, heights(found.points))
+    tail = found.points[:, 0]
+    assert np.quantile(tail, [0.5, 0.95]) == pytest.approx([0.693, 3.0], rel=0.12)
+    assert tail.std() == pytest.approx(1, abs=0.12)
+    np.testing.assert_allclose(found.points[:, 1:].std(axis=0), 1, atol=0.07)
+
+
+def test_draws_that_cannot_be_moved_do_not_settle():
+    points = np.random.default_rng(0).standard_normal((500, 2))
+    found = moved(
+        lambda x: np.full(len(x), -np.inf), points, np.zeros(500), np.random.default_rng(1), Watch(), "moves", 0.0
+    )
+    assert not found.settled
+    np.testing.assert_array_equal(np.sort(found.points, axis=0), np.sort(points, axis=0))
+
+
 # --- in blocks ---------------------------------------------------------------------------------------------------
 
 
@@ -156,7 +202,8 @@ def test_weights_that_cannot_be_relied_on_leave_it_to_nuts():
     weighted = weigh_around(posterior, data, maximum, 1000, np.random.default_rng(0))
     assert not weighted.reliable
     chains = drawn(posterior, data, maximum, SHORT._replace(sampler="auto"))
-    assert chains.sampler == "nuts" and chains.doubt is None
+    # Neither chains nor the steps that follow get round it soon, and that is said.
+    assert chains.sampler == "nuts" and "did not settle" in (chains.doubt or "")
     # Who asks for them gets them, and is told.
     chains = drawn(posterior, data, maximum, SHORT._replace(sampler="importance"))
     assert chains.sampler == "importance" and "Pareto shape" in str(chains.doubt)

@@ -7,6 +7,10 @@ shape of the weights and what they leave of the draws say whether they may be be
 Of where no draw is they say nothing, and a polynomial may end a posterior that goes on.  Metropolis steps from the draws, some
 of them long, look there: what the simulator would accept and the emulator has no share in is missing.
 
+Where chains of the emulator diverge or go round slowly, weights take what they lack for what the posterior lacks: a tail that a
+chain hardly visits has a few draws, and its weights are as good as any.  Then the simulator moves the draws on, until they
+settle (`hsed_jax.inference.moves`).
+
 Where the posterior is not where its mode would have it, the first emulator is wrong.  Short chains then say where the next one
 has to be right, and in which frame it is drawn from.
 """
@@ -21,11 +25,12 @@ from scipy.special import softmax
 
 from hsed_jax.inference.blocks import follow
 from hsed_jax.inference.emulator import Design, Emulator, degree_for, emulate, simulations
-from hsed_jax.inference.heights import heights, simulated
+from hsed_jax.inference.heights import constrained, heights, simulated
 from hsed_jax.inference.importance import TELLING, Proposal, Weighted, flattened, systematic, weighted
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.maximum import Maximum
-from hsed_jax.inference.nuts import Chains, Settings, advance, arrived, begin
+from hsed_jax.inference.moves import moved
+from hsed_jax.inference.nuts import Chains, Settings, advance, arrived, begin, convergence
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.watch import Watch, fingerprint
 from hsed_jax.programs import program
@@ -36,6 +41,9 @@ _ACCURATE = 1.0
 _LOOKS, _LENGTH, _DEGREES = 400, 2.0, 3.0
 # Missing is where the emulator has less than so much of the density [nats], and this share of the steps may end there.
 _LESS, _MAY_MISS = 2.0, 0.01
+# Chains worth less than this share of their draws, and those of which more than this share diverges, have not been everywhere
+# as often as they should.
+_WORTHY, _MAY_DIVERGE = 0.1, 0.01
 # So many emulators learn, the first one from draws this much wider than the Gaussian around the mode.
 _ROUNDS, _SPREAD = 5, 1.3
 
@@ -171,6 +179,7 @@ def _weighed(
     Each chain is resampled by itself and keeps its order, so that R-hat and ESS say of it what they say of any chain, what the
     weights cost included.
     """
+    began = time.perf_counter()
     # Draw by draw, so that a budget leaves all chains equally long.
     points = np.swapaxes(u, 0, 1).reshape(-1, u.shape[-1])
     known = heights(posterior, data, points, watch, f"weights-of-{name}", seconds)
@@ -187,7 +196,26 @@ def _weighed(
         return None
     of_draws = chains.theta, height, chains.diverging, chains.steps
     kept = [np.asarray(values)[rows, chosen] for values in of_draws]
-    return Chains(*jax.device_put(kept), step_size=chains.step_size)
+    found = Chains(*jax.device_put(kept), step_size=chains.step_size)
+    if height.size < TELLING or not _needs_moves(found):
+        return found
+    left = _left(seconds, began)
+    on = moved(lambda points: heights(posterior, data, points), at, there, random, watch, f"moves-of-{name}", left)
+    theta = np.asarray(constrained(posterior, jax.device_put(on.points))).reshape(found.theta.shape)
+    arrays = theta, on.height.reshape(height.shape), np.asarray(found.diverging), np.asarray(found.steps)
+    doubt = None
+    if not on.settled:
+        doubt = (
+            "chains of NUTS diverged or mixed slowly, and the steps by the simulator that followed did not settle: tails may be "
+            "too short; more informative priors or data would help"
+        )
+    return Chains(*jax.device_put(arrays), step_size=chains.step_size, worth=float(on.worth), doubt=doubt)
+
+
+def _needs_moves(chains: Chains) -> bool:
+    """Whether chains of an emulator, weighed and resampled, have been anywhere less often than they should."""
+    judged, count = convergence(chains), chains.diverging.size
+    return judged.divergences > _MAY_DIVERGE * count or not judged.ess_bulk.min() >= _WORTHY * count
 
 
 def _missed(

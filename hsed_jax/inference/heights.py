@@ -122,6 +122,12 @@ def _over(
 
 
 @program
+def constrained(posterior: Posterior, u: Float[Array, "N p"]) -> Float[Array, "N p"]:
+    """θ of many points."""
+    return jax.vmap(posterior.constrain)(u)
+
+
+@program
 def _simulated(posterior: Posterior, data: Data, u: Float[Array, "S p"]) -> tuple[Array, Array, Array]:
     # The simulation is most of what there is to compile, so one program serves those who want no outputs, too.
     def one(u):

@@ -11,14 +11,13 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from hsed_jax.inference.chains import by_nuts
-from hsed_jax.inference.heights import heights
+from hsed_jax.inference.heights import constrained, heights
 from hsed_jax.inference.importance import Proposal, Weighted, resampled, weigh
 from hsed_jax.inference.likelihood import LOG_2PI, Data
 from hsed_jax.inference.maximum import Maximum
 from hsed_jax.inference.nuts import Chains, Settings, convergence
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.watch import Watch
-from hsed_jax.programs import program
 
 # Fields of `Chains` that are arrays.
 _ARRAYS = 5
@@ -157,11 +156,6 @@ def _gaussian(
     return start + w @ whitening.T, top - 0.5 * np.sum(w**2, axis=1)
 
 
-@program
-def _constrained(posterior: Posterior, u: Float[Array, "N p"]) -> Float[Array, "N p"]:
-    return jax.vmap(posterior.constrain)(u)
-
-
 def _independent(
     posterior: Posterior,
     u: Float[np.ndarray, "N p"],
@@ -173,7 +167,7 @@ def _independent(
     """Independent draws in the shape of chains."""
     shape = (settings.chains, settings.draws)
     arrays = (
-        np.asarray(_constrained(posterior, jax.device_put(u))).reshape(*shape, -1),
+        np.asarray(constrained(posterior, jax.device_put(u))).reshape(*shape, -1),
         height.reshape(shape),
         np.zeros(shape, dtype=bool),
         np.zeros(shape, dtype=int),

@@ -332,8 +332,7 @@ class Built:
     @cached_property
     def limits(self) -> Limits | None:
         """What specimen and actuator can bear; None where the study sets no limit."""
-        entry = self.study.design.limits
-        if entry is None:
+        if (entry := self.study.design.limits) is None:
             return None
         return limits_of(entry, self.planned_simulator, tuple(self.parameters[0]), self.space)
 
@@ -367,18 +366,9 @@ class Built:
             check_scales(self)
             for part in self._needed(performs):
                 getattr(self, part)
-            check_told(self, self._experiments)
+            check_told(self)
         except UserError as error:
-            file = f"{self.study.file}: " if self.study.file is not None else ""
-            raise UserError(f"{file}{error}") from None
-
-    @property
-    def _experiments(self) -> int:
-        """How many experiments a calibration will have."""
-        if self.measured is not None:
-            return len(self.measured.train)
-        design = self.study.design
-        return design.initial + ("design" in self.study.steps) * design.iterations
+            raise UserError(f"{self.study.file}: {error}" if self.study.file is not None else str(error)) from None
 
     def _check_effects(self) -> None:
         """Refuse effects that cannot be added to the model."""

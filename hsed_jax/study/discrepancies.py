@@ -19,15 +19,23 @@ if TYPE_CHECKING:
 _SPREAD = 128
 
 
-def check_told(built: "Built", experiments: int) -> None:
+def check_told(built: "Built", experiments: int | None = None) -> None:
     """Refuse a discrepancy of histories that nothing tells.
 
     Of one shaken experiment nobody knows how far the best parameters of another one are from its own.  Bands held 60 % of new
     records instead of 90 % there, intervals next to nothing (`benchmarks/discrepancy.py`).  A component test imposes the motion.
 
+    Arguments:
+        built: the study.
+        experiments: how many there are to calibrate on; by default those measured, or planned.
+
     Raises:
         UserError: there is one experiment of a structure.
     """
+    if experiments is None:
+        design, measured = built.study.design, built.measured
+        planned = design.initial + ("design" in built.study.steps) * design.iterations
+        experiments = planned if measured is None else len(measured.train)
     wrong = built.study.observe == "histories" and any(error.discrepancy for error in built.errors)
     if wrong and experiments == 1 and not built.component_test:
         raise UserError(
