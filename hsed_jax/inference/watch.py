@@ -5,12 +5,16 @@ A calculation is handed a `Watch` and knows of no bars and no files.
 
 import hashlib
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
+
+if TYPE_CHECKING:
+    from hsed_jax.inference.likelihood import Data
 
 
 class Watch:
@@ -21,6 +25,9 @@ class Watch:
 
     def count(self, done: int, total: int) -> None:
         """Hear how much of it is done."""
+
+    def fitted(self, predicted: np.ndarray, data: "Data", groups: np.ndarray) -> None:
+        """Hear what the most probable parameters predict (n, J) before anything is drawn; `groups`: the output of each column."""
 
     def keep(self, name: str, arrays: Sequence[np.ndarray]) -> None:
         """Keep what was reached under a name, in place of what was kept before."""

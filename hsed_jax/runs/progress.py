@@ -8,6 +8,9 @@ from types import TracebackType
 import numpy as np
 from tqdm import tqdm
 
+from hsed_jax.criticism.compare import normalised_error
+from hsed_jax.criticism.prediction import error_cell
+from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.watch import Watch
 from hsed_jax.runs.folder import RunFolder
 
@@ -54,6 +57,17 @@ class Progress(Watch):
             self._bar.bar_format = _COUNTED
             self._bar.reset(total)
         self._bar.update(done - self._bar.n)
+
+    def fitted(self, predicted: np.ndarray, data: Data, groups: np.ndarray) -> None:
+        """Say the error of the most probable parameters: whoever waits for it need not wait for the draws."""
+        if not self._bar.disable:
+            count = int(data.count)
+            used = np.asarray(data.weights)[:count] > 0
+            error = normalised_error(np.asarray(data.values)[:count], predicted[:count], used, groups)
+            self._bar.write(
+                f"{self._step}: the error on the fitted experiments is {error_cell(error)} at the most probable parameters; "
+                "their uncertainty follows"
+            )
 
     def keep(self, name: str, arrays: Sequence[np.ndarray]) -> None:
         """Keep what was reached in the run folder."""
