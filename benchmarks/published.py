@@ -1,11 +1,12 @@
 """What is learned from measured specimens that lie in a folder?  `python benchmarks/published.py [--data FOLDER]`
 
 Every campaign with a held-out part is taken as a stranger would take it: `hsed init` writes the study, `hsed run` calibrates
-the plain law, names what it lacks and adds it; nothing is told by hand, and no case by its name. With `--discover` it also learns
-what no name is for. Errors are those of the run's improvement, on all samples. Seconds are those of the whole run, to its report. Beside the error on the held-out part stand those of generic tools on the same samples: the same law by SciPy's least squares,
-and two black boxes that know the history of the elongation (`peers/generic.py`). Errors are root mean squares in units of
-what was measured, about its mean. The table ends with what `bouc_wen.py` found last, which has a published figure beside it: of
-the specimens none is known that is of a part nothing was fitted to.
+the plain law, names what it lacks and adds it; nothing is told by hand, and no case by its name. With `--discover` it also
+learns what no name is for. Errors are those of the run's improvement, on all samples. Seconds are those of the whole run, to
+its report. Beside the error on the held-out part stand those of generic tools on the same samples: the same law by SciPy's
+least squares, and two black boxes that know the history of the elongation (`peers/generic.py`). Errors are root mean squares
+in units of what was measured, about its mean. The table ends with what `bouc_wen.py` found last, which has a published
+figure beside it: of the specimens none is known that is of a part nothing was fitted to.
 """
 
 import argparse

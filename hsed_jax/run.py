@@ -350,6 +350,10 @@ def _said(done: "Run", step: str) -> Iterator[Any]:
         yield from (done.comparison, done.location)
     elif step == "diagnose" and done.diagnosis is not None:
         yield done.diagnosis
+        if done.diagnosis.effects:
+            from hsed_jax.reporting.worth import EXPLAINED
+
+            yield EXPLAINED
         if done.remaining is not None:
             yield f"with {' and '.join(done.diagnosis.effects)}: {done.remaining}"
     elif step == "discover" and done.discovery is not None:
@@ -358,6 +362,8 @@ def _said(done: "Run", step: str) -> Iterator[Any]:
         yield done.trail
         if done.improvement is not None:
             yield f"the improved model, {done.improvement.calibration}"
+            yield f"the improved model: {done.improvement.after}"
+            yield f"the improved model: {done.improved_location}"
 
 
 def _init(options: Any) -> int:

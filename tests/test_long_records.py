@@ -2,6 +2,8 @@
 
 import json
 import re
+from contextlib import redirect_stdout
+from io import StringIO
 
 import numpy as np
 import pytest
@@ -48,7 +50,9 @@ def run(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("hsed_jax.study.own_effects.EFFECTS", EFFECTS.only(["cubic_stiffness"]))
         words = ["run", str(folder / "wall" / "study.yaml"), *small, "--output", str(folder / "run")]
-        assert main(words) == 0
+        with redirect_stdout(StringIO()) as told:
+            assert main(words) == 0
+    (folder / "told.txt").write_text(told.getvalue())
     return folder / "run"
 
 
@@ -73,6 +77,17 @@ def test_the_tables_of_the_page_are_of_the_samples_that_were_kept(run):
     assert {"time [s]", "cycle", "elongation [mm]", "absorbed energy [kJ]"} <= {*residual["coordinate"]}
     assert max(residual["to"][i] for i, along in enumerate(residual["coordinate"]) if along == "time [s]") == 499.9
     assert {*samples["time"]} <= {*(0.01 * np.arange(ROWS)).round(2)}
+
+
+def test_the_terminal_says_the_error_before_the_draws_what_probabilities_are_and_where_the_improved_model_fails(run):
+    told = (run.parent / "told.txt").read_text()
+    found = told.index("improve: the error on the fitted experiments is 0.00")
+    assert found < told.index("the improved model, calibrated on 1 experiment")
+    assert "Probabilities are among the listed formulas." in told
+    assert (
+        told.count("the improved model: ") == 2
+        and "where" in json.loads((run / "summary.json").read_text())["improvement"]["comparison"]
+    )
 
 
 def test_the_report_is_written_again_from_its_folder(run):

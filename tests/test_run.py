@@ -18,12 +18,16 @@ import pytest
 import xarray as xr
 import yaml
 
+from hsed_jax.analysis.calibration import calibrate_built
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
+from hsed_jax.inference.likelihood import data_of
+from hsed_jax.inference.watch import Watch
 from hsed_jax.interruptions import Interrupted
 from hsed_jax.laboratories.base import ExperimentFailed
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.measurements import Experiment, read_campaign, write_campaign
+from hsed_jax.physics.simulator import Conditions
 from hsed_jax.reporting import design_figures
 from hsed_jax.run import run_main
 from hsed_jax.runs.ask_tell import AskTell
@@ -724,6 +728,34 @@ def test_progress_says_what_is_done_and_how_long_it_will_take(capsys):
     said = capsys.readouterr().err
     assert re.search(r"calibrate: draws of the posterior: +25% \|.*\| 10/40 \[00:00<00:\d\d\]", said)
     assert "nobody" not in said
+
+
+def test_the_error_of_the_most_probable_parameters_is_said_before_anything_is_drawn(capsys):
+    measured = np.asarray(
+        [[0.0, 2.0, 4.0, 2.0], [9.0, 9.0, 9.0, 9.0]]
+    )  # mean 2, RMS about it √2; the second row is padding
+    predicted = np.asarray([[1.0, 2.0, 3.0, 4.0], [0.0, 0.0, 0.0, 0.0]])
+    data = data_of(Conditions({}), measured, np.ones((2, 4), dtype=bool), np.ones((2, 4)), 1)
+    for show in (True, False):
+        with Progress("improve", show) as watch:
+            watch.fitted(predicted, data, np.zeros(4, dtype=int))
+        said = "improve: the error on the fitted experiments is 0.866 at the most probable parameters"
+        assert (said in capsys.readouterr().out) == show
+
+
+@pytest.mark.whole
+def test_a_fit_tells_what_it_found_before_it_draws(study, monkeypatch):
+    heard = []
+
+    class Heard(Watch):
+        def fitted(self, predicted, data, groups):
+            heard.append("fitted")
+
+    monkeypatch.setattr("hsed_jax.inference.fit.draw", lambda *_: heard.append("draws") or pytest.fail("stop"))
+    built = Built(load_study(study))
+    with pytest.raises(pytest.fail.Exception):
+        calibrate_built(built, built.perform(), watch=Heard())
+    assert heard == ["fitted", "draws"]
 
 
 def test_what_a_run_has_reached_is_read_back_and_garbage_is_not(tmp_path):

@@ -637,3 +637,11 @@ def test_a_wrong_address_is_told_within_ten_seconds():
     with pytest.raises(UserError, match="no Dask scheduler answers"), workers.remote_client("tcp://127.0.0.1:1"):
         pass
     assert time.perf_counter() - begin < 10
+
+
+def test_the_workers_of_this_machine_leave_nothing_in_its_temporary_folder(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with workers.local_client(1, 1) as client:
+        assert client.submit(int, 3).result() == 3
+        assert any(tmp_path.iterdir())  # theirs, while they are there
+    assert [*tmp_path.iterdir()] == []

@@ -1,10 +1,10 @@
 r"""Fits of many nested models at once: bounded Levenberg–Marquardt whose simulations are one batch.
 
-All models are the same large one, with all but a few parameters held at their neutral values.  Hence one compiled program
-serves every candidate, every start and every subset of the experiments; derivatives are differences between simulations, which
-cost one simulation each and also see an effect that has no derivative at its neutral value (a gap, a stop).  As long as steps
-gain what was expected of them, each mends the derivatives along itself instead (Broyden 1965), which costs none; nor does a fit that
-goes on, with other errors or without some of the experiments, from where another one ended.
+All models are the same large one, with all but a few parameters held at their neutral values. Hence one compiled program
+serves every candidate, every start and every subset of the experiments; derivatives are differences between simulations,
+which cost one simulation each and also see an effect that has no derivative at its neutral value (a gap, a stop). As long as
+steps gain what was expected of them, each mends the derivatives along itself instead (Broyden 1965), which costs none; nor
+does a fit that goes on, with other errors or without some of the experiments, from where another one ended.
 
 $$\varphi(x) = \tfrac12\sum_{ij} w_{ij}\Big(\frac{y_{ij}-f_{ij}(\theta(x))}{\sigma_{ij}}\Big)^2 - \sum_k\log p(x_k),
   \qquad x_k\in[l_k,u_k]$$

@@ -250,8 +250,10 @@ def fit(
         posterior, data, maximum, process = _most_probable(posterior, data, points, errors, support)
         kept = (posterior.declared, posterior.population, data.weights, data.memory, process, maximum)
         watch.keep(name, arrays_of(kept))
+    (there,) = expand(posterior, data, [np.asarray(maximum.u)])
+    watch.fitted(np.asarray(there.predicted), data, posterior.groups)
     chains = draw(posterior, data, maximum, jnp.asarray(0.8), key, settings, watch, seconds)
-    standardised = _standardised(declared, posterior, data, maximum)
+    standardised = np.asarray(_against_declared(declared, data, maximum.theta, there.predicted, there.ok))
     chi2, p_value = _left_unexplained(standardised, data, declared, _judged(standardised, data, declared, errors))
     is_inflated = any(error.inflate for error in errors)
     told: dict[str, Any] = {"chi2_per_datum": chi2, "p_value": p_value, "is_inflated": is_inflated}

@@ -5,13 +5,16 @@ A calculation is handed a `Watch` and knows of no bars and no files.
 
 import hashlib
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
+
+if TYPE_CHECKING:
+    from hsed_jax.inference.likelihood import Data
 
 
 class Watch:
@@ -25,6 +28,9 @@ class Watch:
 
     def lead(self, content: dict[str, Any]) -> None:
         """Hear what leads so far, in the words of `summary.json`."""
+
+    def fitted(self, predicted: np.ndarray, data: "Data", groups: np.ndarray) -> None:
+        """Hear what the most probable parameters predict (n, J) before anything is drawn; `groups`: the output of each column."""
 
     def keep(self, name: str, arrays: Sequence[np.ndarray]) -> None:
         """Keep what was reached under a name, in place of what was kept before."""

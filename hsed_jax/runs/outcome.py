@@ -42,6 +42,7 @@ class Outcome:
         drift: how far its estimates are from those over all inputs; None before its end.
         fit, comparison, location, diagnosis: results of the steps that ran.
         remaining: where the model with the named effects still fails.
+        improved_location: where the improved model does.
         discovery: what was learned that the catalogue does not hold.
         trail, improved, improved_comparison: the fall of the error, the improved model, and how far it is from the
             measurements.
@@ -72,6 +73,7 @@ class Outcome:
     trail: Trail | None
     improved: Fit | None
     improved_comparison: Comparison | None
+    improved_location: Location | None
     scales: Scales | None
 
     @property
@@ -139,6 +141,8 @@ def summary(outcome: Outcome) -> dict[str, Any]:
                 | _levels(outcome.improved)
                 | _doubts(outcome.improved)
             )
+            if outcome.improved_location is not None:
+                content["improvement"]["comparison"]["where"] = outcome.improved_location.summary()
     if state is not None:
         assert outcome.design is not None
         estimates = outcome.estimates.T.tolist()

@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from hsed_jax.criticism.compare import normalised_error
+from hsed_jax.criticism.prediction import error_cell
+from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.watch import Watch
 from hsed_jax.runs.folder import RunFolder
 
@@ -67,6 +70,17 @@ class Progress(Watch):
             before, after = content["error"]["before"], content["error"]["after"]
             named = " + ".join(content["effects"]) or "no effect"
             self._bar.set_postfix_str(f"so far {named}: error {before:.3f} -> {after:.3f}")
+
+    def fitted(self, predicted: np.ndarray, data: Data, groups: np.ndarray) -> None:
+        """Say the error of the most probable parameters: whoever waits for it need not wait for the draws."""
+        if not self._bar.disable:
+            count = int(data.count)
+            used = np.asarray(data.weights)[:count] > 0
+            error = normalised_error(np.asarray(data.values)[:count], predicted[:count], used, groups)
+            self._bar.write(
+                f"{self._step}: the error on the fitted experiments is {error_cell(error)} at the most probable parameters; "
+                "their uncertainty follows"
+            )
 
     def keep(self, name: str, arrays: Sequence[np.ndarray]) -> None:
         """Keep what was reached in the run folder."""

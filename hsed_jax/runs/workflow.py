@@ -81,7 +81,8 @@ class Run:
 
     Attributes:
         conduct: of the design, where it ran.
-        calibration, comparison, location, diagnosis, remaining, discovery, improvement: results of the steps that ran.
+        calibration, comparison, location, diagnosis, remaining, discovery, improvement, improved_location: results of the
+            steps that ran.
         left_out: sentences on the figures and tables that could not be made.
     """
 
@@ -120,6 +121,7 @@ class Run:
         self.remaining: Location | None = None
         self.discovery: Discovery | None = None
         self.improvement: Improvement | None = None
+        self.improved_location: Location | None = None
         self.trail: Trail | None = None
 
     @property
@@ -232,6 +234,7 @@ class Run:
             trail=self.trail,
             improved=None if self.improvement is None else self.improvement.calibration.fit,
             improved_comparison=None if self.improvement is None else self.improvement.after,
+            improved_location=self.improved_location,
             scales=self._scales,
         )
 
@@ -347,6 +350,7 @@ class Run:
             self.improvement = improve(self.calibration, effects=effects, watch=watch, **known)
         self.trail = self.improvement.trail
         self.improvement.write(self.store.improved)
+        self.improved_location = locate(self.improvement.calibration)
 
     def _to_add(self) -> tuple[list[str], dict[str, Any]]:
         """The effects to add, and what is known of them."""

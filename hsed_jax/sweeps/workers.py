@@ -9,6 +9,7 @@ import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from hsed_jax.backend import cores
@@ -106,7 +107,7 @@ def local_client(workers: int | None, tasks: int) -> "Iterator[Client]":
     from distributed import Client, LocalCluster
 
     available = cores()
-    settings = {
+    settings: dict[str, Any] = {
         "distributed.scheduler.allowed-failures": _DEATHS,
         # A worker has one study at a time: what dies with it is not counted against others.
         "distributed.scheduler.worker-saturation": 1.0,
@@ -114,6 +115,8 @@ def local_client(workers: int | None, tasks: int) -> "Iterator[Client]":
         "distributed.admin.tick.limit": "1h",
     }
     with ExitStack() as stack:
+        # What workers write goes with them; a last one may still be at it.
+        settings["temporary-directory"] = stack.enter_context(TemporaryDirectory(ignore_cleanup_errors=True))
         stack.enter_context(dask.config.set(settings))
         with _deaf():
             cluster = stack.enter_context(
