@@ -77,7 +77,7 @@ def _odd(problem: Problem, membership: Membership) -> list[str]:
     theta[problem.law] = models.box.theta(problem.start)[problem.law]
     used = train.used & membership.rows[:, :, None]
     rows = np.arange(len(train.values))
-    outputs, _ = models.lanes(np.repeat(theta[None], len(rows), axis=0), rows)
+    outputs, _ = models.batch(np.repeat(theta[None], len(rows), axis=0), rows)
     member = models.member(own, {k: float(v) for k, v in enumerate(theta) if k not in own})
     uses = range(len(membership.members))
     fits = models.fit(train.standard(outputs, used).target, [Task(member, problem.start, use) for use in uses])

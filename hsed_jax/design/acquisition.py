@@ -117,7 +117,7 @@ def _ratio_of_tails(nu: Float[Array, ""]) -> tuple[Float[Array, " q"], Float[Arr
     height = x * jnp.exp(-0.5 * (nu + 1.0) * jnp.log1p((2.0 * s[:, None] * x + x**2) / nu))
     values = (1.0 + s / _CENTRE) ** 2 * ((height * width) @ (_SHARES / (1.0 - _NODES) ** 2))
     # Not by the product of both matrices, whose entries are so large that they would cancel.
-    return _POWERS @ (_FITTED @ values), last
+    return jnp.asarray(_POWERS @ (_FITTED @ values)), last
 
 
 def improvement(kriging: Kriging, candidates: Float[Array, "M d"], key: PRNGKeyArray) -> Float[Array, " M"]:

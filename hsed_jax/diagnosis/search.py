@@ -76,7 +76,7 @@ class Search:
         path: the sets that were best, from none on.
         scores: Rao's score statistic of each candidate in the model as it is.
         predicted: what sets gained in the prediction of what was left out, where that ranked them.
-        on_round: called after each round.
+        on_round: called when models were judged and when a round has ended.
         missed: by how many nats the best fit of the model as it is beats the one from `start`.
     """
 
@@ -113,6 +113,7 @@ class Search:
 
     def run(self) -> None:
         """Search, from the model as it is."""
+        self.on_round()
         while True:
             self._report(f"models around {_text(self.best)}")
             around = self._neighbours()
@@ -126,6 +127,7 @@ class Search:
                 self._report("every effect beside any law")
                 self._fits.look_all_over(self.target)
                 self._judge()
+            self.on_round()
             before, self.best = self.best, self._next()
             self.on_round()
             if self.best == before:

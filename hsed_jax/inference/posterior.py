@@ -132,8 +132,10 @@ class Posterior(eqx.Module):
     def _errors(self) -> Columns:
         """What the errors of the columns are relative to."""
         members = (self.groups[:, None] == np.arange(len(self.outputs))).astype(float)
-        known = (np.asarray(each, dtype=bool)[self.groups] for each in (self._relative, self._of_measured))
-        return Columns(*known, members)
+        relative, of_measured = (
+            np.asarray(each, dtype=bool)[self.groups] for each in (self._relative, self._of_measured)
+        )
+        return Columns(relative, of_measured, members)
 
     def constrain(self, u: Float[Array, " p"]) -> Float[Array, " p"]:
         """θ(u)."""
