@@ -15,7 +15,7 @@ from hsed_jax.diagnosis.nested import NestedModels
 _FEW = 2
 _FOLDS = 6
 # Of a single record so many blocks of time; those before the first one that is predicted are too few to tell anything.
-_BLOCKS, _FIRST = 6, 2
+_BLOCKS, _FIRST = 5, 2
 # Share of the squared held-out error, less the noise, that an effect takes away; the first may take less, if that is all.
 # A textbook formula is off by a third of its effect: the last that is left beside an effect, if smaller, is no other physics.
 _MATERIAL, _FORMULA = 0.05, 0.1

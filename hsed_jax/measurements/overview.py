@@ -32,7 +32,7 @@ def overview(campaign: Campaign) -> Table:
         if channels:
             cells.insert(0, "–" if record is None else str(len(record)))
         for owner in owners:
-            is_virgin = record is not None and experiment.in_window[0]
+            is_virgin = record is not None and bool(experiment.in_window[0])
             cells += ["–", "–"] if record is None else _loop(campaign, record, owner, is_virgin)
         rows.append([experiment.id, *cells])
     return Table("the data in declared units, channels by their largest magnitude:", heads, rows)
