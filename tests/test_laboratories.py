@@ -163,12 +163,13 @@ def test_a_measured_ground_motion_is_kept_and_samples_are_its_own_where_peaks_ar
     units = {"time": "s", "ground_acceleration": "g", "force": "kN"}
     channels = {name: Channel(name, unit) for name, unit in units.items()}
     columns = {name: str(position) for position, name in enumerate(units, 1)}  # the file has no header
-    script = "open('record.txt', 'w').write('0.0 0.5 1.0\\n0.3 -0.5 2.0\\n')"
+    rows = [f"{0.3 * k:.1f} {0.5 * (-1) ** k} {k + 1.0}" for k in range(9)]
+    script = f"open('record.txt', 'w').write({chr(10).join(rows)!r})"
     lab = CommandLaboratory(("{python}", "-c", script), programme, Sensors(channels, {}, columns), 20.0, tmp_path)
     record = lab.perform(0, INPUTS).record
-    np.testing.assert_array_equal(record.time, [0.0, 0.3])
-    np.testing.assert_allclose(record["ground_acceleration"], [0.5 * 9.80665, -0.5 * 9.80665])
-    np.testing.assert_array_equal(record["force"], [1000.0, 2000.0])
+    np.testing.assert_allclose(record.time, 0.3 * np.arange(9))
+    np.testing.assert_allclose(record["ground_acceleration"], 0.5 * 9.80665 * (-1.0) ** np.arange(9))
+    np.testing.assert_array_equal(record["force"], 1000.0 * np.arange(1, 10))
 
 
 # --- what goes wrong ---------------------------------------------------------------------------------------------

@@ -139,7 +139,7 @@ def _peaks(force: np.ndarray, elongation: np.ndarray, cycles: np.ndarray) -> _Pe
             size = side * elongation[part]
             top = int(np.argmax(size))
             is_peak = size >= size[top] - near
-            is_peak[max(top - _BEFORE, 0) : top] = True
+            is_peak[max(top - _BEFORE, 0) : top + 1] = True
             at[row, number] = part.start + top
             forces[row, number] = side * np.max(side * force[part][is_peak])
     reached = elongation[at]

@@ -14,8 +14,7 @@ from hsed_jax.diagnosis.nested import NestedModels
 # Of more experiments than so few, they are left out in turn: two parts say nothing of how sure their mean is.
 _FEW = 2
 _FOLDS = 6
-# Of a single record so many blocks of time; those before the first one that is predicted are too few to tell anything.
-_BLOCKS, _FIRST = 5, 2
+_BLOCKS = 4
 # Share of the squared held-out error, less the noise, that an effect takes away; the first may take less, if that is all.
 # A textbook formula is off by a third of its effect: the last that is left beside an effect, if smaller, is no other physics.
 _MATERIAL, _FORMULA = 0.05, 0.1
@@ -112,8 +111,8 @@ def folds_of(used: Bool[np.ndarray, "n J"], groups: np.ndarray) -> Folds:
         for own in (groups == g for g in np.unique(groups)):
             order, count = np.cumsum(used[:, own], axis=1) - 1, used[:, own].sum(axis=1, keepdims=True)
             block[:, own] = np.clip(order * _BLOCKS // np.maximum(count, 1), 0, _BLOCKS - 1)
-        fitted = [used & (block < k) for k in range(_FIRST, _BLOCKS)]
-        left_out = [used & (block == k) for k in range(_FIRST, _BLOCKS)]
+        fitted = [used & (block < k) for k in range(1, _BLOCKS)]
+        left_out = [used & (block == k) for k in range(1, _BLOCKS)]
     return Folds(np.stack([used, *fitted]), np.stack([np.zeros_like(used), *left_out]))
 
 

@@ -228,16 +228,14 @@ def fit(
         settings: sizes of the sample, and by which sampler.
         key: of the random numbers.
         units: SI units of the parameters, for reports.
-        errors: of the outputs: what may be inferred of the noise of histories (`hsed_jax.inference.correlation`), and whether
-            what the model leaves counts as error.
+        errors: of the outputs: whether their noise may have a memory, and whether what the model leaves counts as error.
         start: parameters of the model (SI, without inferred errors) to start one of the searches from.
         watch: follows the calibration.
         seconds: budget of NUTS.
         support: what a discrepancy of quantities is a function of.
         possible: what is physically possible of each parameter of the model, SI, by name.
     """
-    watch = watch or Watch()
-    points = posterior.starts(starts)
+    watch, points = watch or Watch(), posterior.starts(starts)
     if start is not None:
         middle = posterior.constrain(points[0])
         points = points.at[0].set(posterior.unconstrain(middle.at[: start.size].set(start)))

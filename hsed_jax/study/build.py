@@ -113,7 +113,10 @@ class Built:
         path = self.study.experiments.campaign
         if self.campaign is not None or path is None:
             return self.campaign
-        return read_campaign(self.study.folder / path)
+        try:
+            return read_campaign(self.study.folder / path)
+        except UserError as error:
+            raise parts.in_study(self.study.file, error) from None
 
     @property
     def protocol(self) -> Protocol:
@@ -351,13 +354,9 @@ class Built:
         )
 
     def check(self, *, performs: bool = True) -> None:
-        """Build everything that can be wrong, and compute nothing.
+        """Build everything that can be wrong, and compute nothing; a `UserError` says what is.
 
-        Arguments:
-            performs: whether the laboratory is to perform experiments; else it is left alone, as it may be code.
-
-        Raises:
-            UserError: something is.
+        `performs` tells whether the laboratory is to perform experiments; else it is left alone, as it may be code.
         """
         try:
             check_plan(self.study, self.space)
@@ -368,7 +367,7 @@ class Built:
                 getattr(self, part)
             check_told(self)
         except UserError as error:
-            raise UserError(f"{self.study.file}: {error}" if self.study.file is not None else str(error)) from None
+            raise parts.in_study(self.study.file, error) from None
 
     def _check_effects(self) -> None:
         """Refuse effects that cannot be added to the model."""

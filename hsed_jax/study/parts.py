@@ -41,3 +41,9 @@ def at(where: str, make: Callable[..., Any], *arguments: Any) -> Any:
         return make(*arguments)
     except UserError as error:
         raise UserError(f"{where}: {error}") from None
+
+
+def in_study(file: Any, error: UserError) -> UserError:
+    """An error with the file of the study in front, once; of a study without one as it is."""
+    is_said = file is None or str(error).startswith(f"{file}: ")
+    return error if is_said else UserError(f"{file}: {error}")
