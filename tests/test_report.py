@@ -559,7 +559,9 @@ def test_the_verdict_and_the_figures_are_those_of_the_summary(opened, page_file)
     page, _, _ = opened()
     known = json.loads((page_file.parent / "summary.json").read_text())
     assert page.inner_text("#verdict") == known["diagnosis"]["verdict"].replace("_", " ")
-    assert known["diagnosis"]["sentence"][1:] in page.inner_text("#sentence")
+    # What the improvement has reached comes first.
+    before, after = (f"{known['improvement']['steps'][place]['error_test']:.3f}" for place in (0, -1))
+    assert f"goes from {before} to {after}" in page.inner_text("#sentence")
     assert page.inner_text('[data-figure-key="error_test_before"]') == f"{known['comparison']['test']['error']:.3f}"
 
 
@@ -670,10 +672,10 @@ def test_the_page_of_two_runs_draws_its_charts(opened, page_file, tmp_path):
     [
         (None, "error: the noise that the campaign declares, inferred where it declares none."),
         ({"inflate": True}, "inferred where it declares none, and what the model leaves beyond it."),
-        ({"relative": 0.05, "correlated": False}, "error: 5 % of what was measured."),
+        ({"relative": 0.05, "correlated": False}, "error: 5 % of the RMS of each history."),
         (
             {"relative": 0.05, "discrepancy": True},
-            "5 % of what was measured, and a discrepancy of the model that is learned.",
+            "5 % of the RMS of each history, and a discrepancy of the model that is learned.",
         ),
         ({"force": {"unknown": True, "inflate": True}}, "error: force inferred, and what the model leaves beyond it."),
     ],
