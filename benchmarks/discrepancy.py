@@ -113,18 +113,21 @@ def look(case: Case, seed: int) -> dict:
     """What one campaign shows."""
     from hsed_jax.analysis.calibration import calibrate_built
 
-    campaign, exact = campaign_with(case, seed)
+    campaign, known = campaign_with(case, seed)
     found = calibrate_built(built(case), campaign)
     intervals, new = found.fit.summary(), found.test
     assert new is not None
+    # Shorter records are padded.
+    exact = np.zeros(new.mean.shape)
+    exact[new.used] = known.ravel()
     quiet = np.sqrt(new.sd**2 - new.parts["noise"] ** 2)
     process, best_ones = found.fit.discrepancy, best(case.eta, case.observe)
 
     def by_output(table: np.ndarray) -> list[float]:
-        return [float(table[:, new.columns(output)].mean()) for output in new.outputs]
+        return [float(table[:, own][new.used[:, own]].mean()) for own in map(new.columns, new.outputs)]
 
     # Of a history relative to the RMS of its channel.
-    squares = by_output((new.mean - exact) ** 2 if case.observe == "histories" else (new.mean / exact - 1) ** 2)
+    squares = by_output((new.mean - exact) ** 2 if case.observe == "histories" else (new.mean / known - 1) ** 2)
     scales = by_output(exact**2) if case.observe == "histories" else np.ones(len(squares))
     return {
         "holds": {n: bool(s["q05"] < best_ones[n] < s["q95"]) for n, s in intervals.items()},
