@@ -140,8 +140,8 @@ def test_an_export_is_not_written_through_a_link(tmp_path, capsys, monkeypatch):
 
 # Calls that write where a path leads, be it through a link; text and tables made in memory are written by `drafts`.
 WRITING = {"write_text", "write_bytes", "to_csv", "to_parquet", "to_netcdf", "savefig", "savez", "save_netcdf", "open"}
-# A program of its own in a new folder of OpenSees; a path that its caller has checked (`RunFolder`).
-APART = {"laboratories/opensees_model.py", "analysis/remedy.py"}
+# A program of its own in a new folder of OpenSees.
+APART = {"laboratories/opensees_model.py"}
 
 
 def opened_for_writing(source: str) -> list[int]:

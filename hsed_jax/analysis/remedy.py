@@ -20,6 +20,7 @@ from hsed_jax.diagnosis import diagnose as diagnosing
 from hsed_jax.diagnosis.descent import Descent, Member, Target, Task
 from hsed_jax.diagnosis.findings import Diagnosis
 from hsed_jax.diagnosis.problem import Problem
+from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
 from hsed_jax.inference.expansion import expand
 from hsed_jax.inference.watch import Watch
@@ -151,7 +152,7 @@ class Improvement(Tabular):
         for line in dump_yaml(plain, inline_leaves=True).splitlines():
             about = comments.get(line.partition(":")[0], ())
             lines += [*(f"# {part}" for text in about for part in textwrap.wrap(text, 120)), line]
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        write_whole(path, "\n".join(lines) + "\n")
 
     def _table(self) -> Table:
         warning = self.calibration.fit.warning

@@ -133,12 +133,12 @@ def _started(problem: Problem, report: Callable[[str], None]) -> Search:
 def _leading(problem: Problem, search: Search) -> dict[str, Any]:
     """What leads in a search that goes on: the best set, and the probabilities of the models so far."""
     models, best = search.all(), search.model(search.best)
-    before = search.model(())
+    before, probabilities = search.model(()), shares_of(models)
     ranking = [
         {
             "effect": effect,
             "family": problem.catalogue[effect].family,
-            "probability": float(sum(p for m, p in zip(models, shares_of(models), strict=True) if effect in m.effects)),
+            "probability": _probability(effect, models, probabilities),
         }
         for effect in problem.effects
     ]
@@ -156,6 +156,11 @@ def _leading(problem: Problem, search: Search) -> dict[str, Any]:
 
 
 # Probabilities and sizes.
+
+
+def _probability(effect: str, models: list[Model], probabilities: np.ndarray) -> float:
+    """Probability that an effect takes part, over all models."""
+    return min(float(sum(p for m, p in zip(models, probabilities, strict=True) if effect in m.effects)), 1.0)
 
 
 def _sample(problem: Problem, search: Search, model: Model) -> Sampled:
@@ -212,10 +217,9 @@ def _ranking(
     tests = search.unseen([model.effects for model, _ in shown.values()])
     found = []
     for (effect, (model, without)), test in zip(shown.items(), tests, strict=True):
-        with_it = [p for m, p in zip(models, probabilities, strict=True) if effect in m.effects]
         sample = sampled.get(model.effects)
         score = search.scores[effect]
-        probability = min(float(sum(with_it)), 1.0)
+        probability = _probability(effect, models, probabilities)
         is_likely = probability >= _LIKELY or (
             model.effects > best and model.log_posterior > by_set[best].log_posterior
         )

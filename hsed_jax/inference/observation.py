@@ -254,12 +254,13 @@ def conditions_of(experiment: Experiment, campaign: Campaign, grid: Grid | None,
             f"experiment {experiment.id!r}: its record has {len(record)} samples, more than the {grid.samples} that the "
             "model was built for; calibrate on a campaign that holds it (as a test experiment)"
         )
-    if (steps := int(grid.divisions(record).sum())) > grid.steps:
+    divisions = grid.divisions(record)
+    if (steps := int(divisions.sum())) > grid.steps:
         raise UserError(
             f"experiment {experiment.id!r}: its record takes {steps} steps, more than the {grid.steps} that the model was "
             "built for; calibrate on a campaign that holds it (as a test experiment)"
         )
-    lengths, half_steps, ends = _grid_of(record, grid)
+    lengths, half_steps, ends = _grid_of(record.time, divisions, grid)
     measured = [name for name in record.channels if is_driver(name)]
     # An experiment that could be made has times, and nothing that was measured.
     if campaign.protocol == "displacement" and (record.channels or excitation is None):
@@ -289,12 +290,11 @@ def _record(experiment: Experiment) -> Record:
     return experiment.record
 
 
-def _grid_of(record: Record, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _grid_of(time: np.ndarray, divisions: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Step lengths (steps,), the times of the half-step grid (2·steps+1,), and after how many steps each sample is (samples,).
 
     Padded steps have length zero, and padded samples are at the end.
     """
-    divisions, time = grid.divisions(record), record.time
     lengths = np.zeros(grid.steps)
     lengths[: divisions.sum()] = np.repeat(np.diff(time) / divisions, divisions)
     ends = np.full(grid.samples, grid.steps)
