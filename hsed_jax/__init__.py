@@ -26,7 +26,11 @@ if TYPE_CHECKING:
     from hsed_jax.measurements import Campaign as Campaign
     from hsed_jax.measurements import Experiment as Experiment
     from hsed_jax.measurements import Record as Record
+    from hsed_jax.measurements import backbone_of as backbone_of
+    from hsed_jax.measurements import backbone_table as backbone_table
     from hsed_jax.measurements import check_campaign as check_campaign
+    from hsed_jax.measurements import cycle_table as cycle_table
+    from hsed_jax.measurements import cycles_of as cycles_of
     from hsed_jax.measurements import read_at2 as read_at2
     from hsed_jax.measurements import read_campaign as read_campaign
     from hsed_jax.measurements import write_campaign as write_campaign
@@ -48,7 +52,11 @@ _HOMES = {
         "Campaign",
         "Experiment",
         "Record",
+        "backbone_of",
+        "backbone_table",
         "check_campaign",
+        "cycle_table",
+        "cycles_of",
         "read_at2",
         "read_campaign",
         "write_campaign",

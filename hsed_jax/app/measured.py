@@ -13,7 +13,7 @@ from hsed_jax.app.drops import Dropped, is_campaign, landed, lay_out, read_withi
 from hsed_jax.app.pieces import Loops, attempt, error, html, note, told, warnings, widget
 from hsed_jax.app.session import Session
 from hsed_jax.errors import UserError
-from hsed_jax.measurements import Campaign, check_campaign, overview, write_campaign
+from hsed_jax.measurements import Campaign, backbone_table, check_campaign, cycle_table, overview, write_campaign
 from hsed_jax.physics.pairs import ELONGATION_AND_FORCE
 from hsed_jax.reporting.style import readable
 
@@ -240,7 +240,7 @@ class Measured:
         wrong = "".join(error(line + hint * (line not in faults)) for line in stops)
         fine = "" if findings else '<p class="good">The checks of the data found nothing to doubt.</p>'
         numbers = replace(overview(campaign), sentence=_sentence(campaign)).html()
-        self._facts.object = f"{wrong}{doubts}{fine}{numbers}"
+        self._facts.object = f"{wrong}{doubts}{fine}{numbers}{_cycles(campaign)}"
         self._campaign, self._go.disabled = campaign, bool(stops)
 
     async def _write(self, _: Any) -> None:
@@ -254,6 +254,14 @@ class Measured:
         if not self._messages.object:
             self._session.campaign = ""
             self._session.param.update(campaign=self._session.folder.name(where), shown=1)
+
+
+def _cycles(campaign: Campaign) -> str:
+    """What is read from the cycles of a component test, folded away."""
+    if campaign.protocol != "displacement":
+        return ""
+    read = [columns._repr_html_() for columns in (cycle_table(campaign), backbone_table(campaign)) if columns.rows]
+    return f"<details><summary>Cycles and backbones</summary>{''.join(read)}</details>" if read else ""
 
 
 def _sentence(campaign: Campaign) -> str:

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
-from hsed_jax.criticism.cycles import cycle_numbers, energy_per_cycle, returned
 from hsed_jax.criticism.prediction import HISTORY, Prediction, error_cell, noise_sizes
 from hsed_jax.errors import UserError
 from hsed_jax.inference.correlation import SIGNIFICANT, judge, size_p_value
 from hsed_jax.inference.likelihood import whitened
+from hsed_jax.measurements.cycles import Cycles, cycles_of, returned
 from hsed_jax.physics.outputs import named, own_name, owner_of
 from hsed_jax.tables import Table, Tabular, cell
 
@@ -307,21 +307,19 @@ def normalised_error(measured: np.ndarray, predicted: np.ndarray, used: np.ndarr
 
 def _add_energy_errors(prediction: Prediction, per_experiment: dict[str, dict[str, dict[str, float]]]) -> None:
     """RMS error of the energy absorbed per cycle over its RMS, where force and elongation are both known."""
-    for id, name, cycles, (force, elongation), (predicted, stretched) in _loops(prediction):
+    for id, name, measured, predicted, _ in _loops(prediction):
         if id not in per_experiment:
             continue
-        there = energy_per_cycle(force, elongation, cycles)
-        ours = energy_per_cycle(predicted, stretched, cycles)
-        rms = float(np.sqrt(np.mean(there**2)))
+        rms = float(np.sqrt(np.mean(measured.energy**2)))
         if rms > 0:
-            per_experiment[id][name]["energy_error"] = float(np.sqrt(np.mean((ours - there) ** 2))) / rms
+            # Of a simulation that ran away there is no energy.
+            error = np.inf if predicted is None else float(np.sqrt(np.mean((predicted.energy - measured.energy) ** 2)))
+            per_experiment[id][name]["energy_error"] = error / rms
 
 
-def _loops(
-    prediction: Prediction,
-) -> Iterator[tuple[str, str, np.ndarray, tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]]:
-    """Every loop that is known: experiment, name of the force, cycle of each sample; force and elongation, measured and
-    predicted, (m,) each."""
+def _loops(prediction: Prediction) -> Iterator[tuple[str, str, Cycles, Cycles | None, np.ndarray]]:
+    """Every loop that is known: experiment, name of the force, cycles measured and predicted (None of no numbers), and the
+    measured force (m,)."""
     forces = [name for name in prediction.outputs if own_name(name) == "force"]
     for (row, experiment), name in product(enumerate(prediction.experiments), forces):
         if experiment.record is None:
@@ -338,14 +336,16 @@ def _loops(
         if used.sum() < 3 or not np.ptp(elongation[used]) > 0:
             continue
         force, elongation, predicted, stretched = (c[used] for c in (force, elongation, predicted, stretched))
-        yield experiment.id, name, cycle_numbers(elongation), (force, elongation), (predicted, stretched)
+        is_finite = bool(np.isfinite(predicted + stretched).all())
+        ours = cycles_of(predicted, stretched, elongation) if is_finite else None
+        yield experiment.id, name, cycles_of(force, elongation), ours, force
 
 
 def _of_cycles(prediction: Prediction) -> list[str]:
     """Sentences on cycles whose measured energy is negative."""
     found = []
-    for id, name, cycles, (force, elongation), _ in _loops(prediction):
-        if numbers := returned(force, elongation, cycles):
+    for id, name, measured, _, force in _loops(prediction):
+        if numbers := returned(measured, force):
             which = ", ".join(map(str, numbers[:_CYCLES])) + (" and more" if len(numbers) > _CYCLES else "")
             found.append(
                 f"{id}: the measured {name} does negative work over cycle {which}; no specimen returns more energy than it was "

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hsed_jax.criticism.cycles import absorbed_energy, branches, cycle_numbers, frequencies, half_cycles
 from hsed_jax.criticism.prediction import Prediction, noise_sizes
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, Experiment, Record
+from hsed_jax.measurements.cycles import absorbed_energy
+from hsed_jax.measurements.turns import branches, cycle_numbers, frequencies, half_cycles
 from hsed_jax.physics.outputs import channel, named, owner_of
 
 

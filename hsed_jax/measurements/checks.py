@@ -11,6 +11,7 @@ import numpy as np
 from hsed_jax.errors import UserError
 from hsed_jax.measurements.campaign import Campaign
 from hsed_jax.measurements.experiment import Experiment, Record
+from hsed_jax.measurements.noise import difference_noise, noise_estimate
 from hsed_jax.measurements.units import channel_dimension, quantity_dimension
 from hsed_jax.physics.outputs import is_driver, loops, named, own_name, quantity
 from hsed_jax.physics.pairs import Pair
@@ -108,22 +109,6 @@ def stop_at_errors(campaign: Campaign, accepted: Set[tuple[str, str]] = frozense
             entries = ", ".join(f"{json.dumps(f.experiment)}: sign" for f in errors)
             remedy = f" If it is as it should be, say in the study: measurements: {{accept: [{entries}]}}"
         raise UserError(f"{where}: {str(first).removeprefix(f'{first.level}: ')}{more}{remedy}")
-
-
-def noise_estimate(time, values) -> float:
-    """Estimate the standard deviation of white noise on a smooth signal.
-
-    The median magnitude of third divided differences, scaled for Gaussian noise: cubics cancel, rare jumps do not
-    matter, sampling may be uneven.  Where the sampling does not resolve the signal it is an upper bound.
-
-    Args:
-        time: Sample times (n,), increasing.
-        values: Samples (n,), n ≥ 8.
-
-    Returns:
-        The standard deviation in the unit of `values`; NaN if there are too few samples.
-    """
-    return _difference_noise(np.asarray(time, dtype=float), np.asarray(values, dtype=float), 3)
 
 
 def _experiment(campaign: Campaign, experiment: Experiment) -> Iterator[Finding]:
@@ -264,7 +249,7 @@ def _noise(campaign: Campaign, id: str, record: Record, name: str) -> Iterator[F
     if noise is None or len(record) < 50:
         return
     declared = noise.standard_deviation(values)
-    second, third, fourth = (_difference_noise(record.time, values, order) for order in (2, 3, 4))
+    second, third, fourth = (difference_noise(record.time, values, order) for order in (2, 3, 4))
     # On white noise every order estimates the same; a signal that is not resolved by the samples tells them apart.
     if not 0.75 * third < fourth < 1.33 * third and third > declared:
         return
@@ -272,21 +257,6 @@ def _noise(campaign: Campaign, id: str, record: Record, name: str) -> Iterator[F
         unit = campaign.pair.output(name).unit
         message = f"the samples scatter by about {_amount(third, unit, 2)}, the declared noise is {_amount(declared, unit, 2)}"
         yield Finding("doubt", id, name, None, message, "noise")
-
-
-def _difference_noise(time: np.ndarray, values: np.ndarray, order: int) -> float:
-    if time.size < order + 5:
-        return float("nan")
-    windows = np.lib.stride_tricks.sliding_window_view(time, order + 1)
-    gaps = windows[:, :, None] - windows[:, None, :] + np.eye(order + 1)
-    # A divided difference is a weighted sum of samples; weights of unit length keep the noise's standard deviation.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        weights = 1.0 / np.prod(gaps / np.abs(gaps).max(axis=(1, 2), keepdims=True), axis=2)
-        weights /= np.linalg.norm(weights, axis=1, keepdims=True)
-        differences = np.sum(weights * np.lib.stride_tricks.sliding_window_view(values, order + 1), axis=1)
-    # Exact zeros are a record at rest that was rounded or padded: they say nothing about the sensor.
-    informative = np.abs(differences[np.isfinite(differences) & (differences != 0)])
-    return float(1.4826 * np.median(informative)) if informative.size else 0.0
 
 
 def _base_lines(pair: Pair, id: str, record: Record) -> Iterator[Finding]:

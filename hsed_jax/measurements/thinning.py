@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hsed_jax.measurements.experiment import Experiment, Record
+from hsed_jax.measurements.turns import half_cycles
 
 _EVENLY = 0.2
 
@@ -87,24 +88,3 @@ def loss(record: Record, thin: Record) -> Loss:
         before, after = (float(np.trapezoid(r["force"], r["elongation"])) for r in (record, thin))
         energy = abs(after - before) / (abs(before) or 1.0)
     return Loss(len(record), len(thin), max(deviations), energy)
-
-
-def half_cycles(elongation: np.ndarray) -> np.ndarray:
-    """Samples at which the elongation turns, the first and the last sample included, (h+1,).
-
-    A turn is one of at least 2 % of the range, so that noise makes none.
-    """
-    slack = 0.02 * float(np.ptp(elongation))
-    turns, highest, lowest, towards = [0], 0, 0, 0
-    for i, value in enumerate(elongation):
-        if towards >= 0 and value > elongation[highest]:
-            highest = i
-        if towards <= 0 and value < elongation[lowest]:
-            lowest = i
-        if towards >= 0 and elongation[highest] - value > slack:
-            turns.append(highest)
-            towards, lowest = -1, i
-        elif towards <= 0 and value - elongation[lowest] > slack:
-            turns.append(lowest)
-            towards, highest = 1, i
-    return np.unique([*turns, elongation.size - 1])

@@ -7,8 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from hsed_jax.criticism.compare import Comparison
-from hsed_jax.criticism.cycles import backbone, cycle_numbers, energy_per_cycle, secant_stiffness
-from hsed_jax.measurements import Campaign
+from hsed_jax.measurements import Campaign, backbone_of, cycles_of
 from hsed_jax.physics.outputs import named
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
@@ -101,15 +100,18 @@ def _read(models: Mapping[str, Comparison], split: str, id: str, owner: str, cam
         row = [e.id for e in prediction.experiments].index(id)
         loop = hysteresis_loops(prediction, row, campaign)[owner]
         there, force, ours, predicted = (channel[np.isfinite(loop[0] + loop[1])] for channel in loop)
-        numbers = cycle_numbers(there)
-        read.setdefault("measured", _cycles(force, there, numbers))
-        read[model] = _cycles(predicted, ours, numbers)
+        read.setdefault("measured", _cycles(force, there, there))
+        read[model] = _cycles(predicted, ours, there)
     return read
 
 
-def _cycles(force: np.ndarray, elongation: np.ndarray, numbers: np.ndarray) -> Cycles:
-    about = (force, elongation, numbers)
-    return Cycles(energy_per_cycle(*about), secant_stiffness(*about), *backbone(*about))
+def _cycles(force: np.ndarray, elongation: np.ndarray, along: np.ndarray) -> Cycles:
+    if not np.isfinite(force + elongation).all():
+        nothing = np.full(len(cycles_of(along, along)), np.nan)
+        return Cycles(nothing, nothing, np.zeros(0), np.zeros(0))
+    found = cycles_of(force, elongation, along)
+    backbone = backbone_of(force, elongation, found)
+    return Cycles(found.energy, found.secant_stiffness, backbone.elongation, backbone.force)
 
 
 def _draw(row: list[Axes], read: Mapping[str, Cycles], pair: Pair) -> None:

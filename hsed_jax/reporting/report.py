@@ -9,6 +9,7 @@ import numpy as np
 
 from hsed_jax.criticism.prediction import error_cell
 from hsed_jax.left_out import LeftOut
+from hsed_jax.measurements import Campaign, Columns, backbone_table, cycle_table
 from hsed_jax.physics.effects import called
 from hsed_jax.physics.outputs import loops, named
 from hsed_jax.plain import dump_yaml
@@ -32,7 +33,7 @@ from hsed_jax.reporting.worth import AMONG, EXPLAINED, worth_text
 from hsed_jax.reporting.worth import shown as probability_text
 from hsed_jax.tables import cell
 
-_SHOWN = 12
+_SHOWN, _CYCLES = 12, 40
 _STILL = {
     "fall": ("error_fall",),
     "diagnosis": ("ranking",),
@@ -83,6 +84,8 @@ def report_page(run: FinishedRun, left_out: LeftOut | None = None) -> str:
         "learned": sentence(run.summary.get("discovery", {}).get("sentence", "")),
         "places": made("table of places", _places, no_table),
         "experiments": made("table of experiments", _experiments, no_table | {"words": 3}),
+        "cycles": made("table of cycles", partial(_read_cycles, cycle_table), no_table),
+        "backbones": made("table of backbones", partial(_read_cycles, backbone_table), no_table),
         "references": made("list of references", _references, []),
         "repeat": _repeat(run),
         "written": dump_yaml(run.study),
@@ -207,6 +210,19 @@ def _experiments(run: FinishedRun) -> dict[str, Any]:
         numbers = [*map(number, values), *map(error_cell, own)]
         rows.append([experiment.id, experiment.split, status, *numbers])
     return {"heads": heads, "rows": rows, "words": 3}
+
+
+def _read_cycles(make: Callable[[Campaign], Columns], run: FinishedRun) -> dict[str, Any]:
+    """What is read from the cycles of component tests: heads, the first rows, and how many are left out."""
+    # A shaken structure swings in hundreds of small cycles: of these `cycles.csv` tells.
+    columns = make(run.campaign) if run.campaign.protocol == "displacement" else Columns("", [], [])
+    words = sum("[" not in head for head in columns.heads)
+    return {
+        "heads": columns.heads,
+        "rows": columns.cells()[:_CYCLES],
+        "rest": len(columns.rows[_CYCLES:]),
+        "words": words,
+    }
 
 
 def _ranking(run: FinishedRun) -> dict[str, Any]:

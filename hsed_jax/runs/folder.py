@@ -36,6 +36,8 @@ _OF_A_RUN = (
     "reached",
     "results.nc",
     "summary.json",
+    "cycles.csv",
+    "backbones.csv",
     "figures",
     "report.html",
     "improved.yaml",
@@ -162,6 +164,11 @@ class RunFolder:
     def write_results(self, tree: "xr.DataTree") -> None:
         """Write `results.nc`."""
         write_netcdf(self.path / "results.nc", tree)
+
+    def write_cycles(self, cycles: str, backbones: str) -> None:
+        """Write `cycles.csv` and `backbones.csv`."""
+        write_whole(self.path / "cycles.csv", cycles)
+        write_whole(self.path / "backbones.csv", backbones)
 
     def write_report(self, page: str) -> None:
         """Write `report.html`."""

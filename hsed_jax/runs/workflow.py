@@ -24,7 +24,7 @@ from hsed_jax.laboratories.base import ExperimentFailed, Measured
 from hsed_jax.laboratories.folder import Awaited
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.left_out import LeftOut
-from hsed_jax.measurements import Campaign, stop_at_errors, write_campaign
+from hsed_jax.measurements import Campaign, backbone_table, cycle_table, stop_at_errors, write_campaign
 from hsed_jax.physics.scales import Scales
 from hsed_jax.runs.conduct import Asked, Conduct
 from hsed_jax.runs.folder import RunFolder, laboratory_folder
@@ -158,6 +158,8 @@ class Run:
         """Write the results, draw the figures, and make a report of both; a figure that fails is left out and said."""
         from hsed_jax.runs.results import results_tree
 
+        if (cycles := cycle_table(outcome.campaign)).rows:
+            self.store.write_cycles(cycles.csv(), backbone_table(outcome.campaign).csv())
         if not self.figures:
             self.store.write_results(results_tree(outcome, {}))
             self.store.finish()
