@@ -4,6 +4,7 @@ import json
 import math
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
@@ -21,7 +22,8 @@ from hsed_jax.diagnosis.problem import FormColumns, Problem
 from hsed_jax.diagnosis.rivals import look_alikes_of, predictive, separation
 from hsed_jax.diagnosis.scores import score_p_value
 from hsed_jax.diagnosis.search import Search
-from hsed_jax.inference.likelihood import Error
+from hsed_jax.inference.likelihood import Columns, Error, sigma_of
+from hsed_jax.inference.likelihood import data_of as data_of_measurements
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Channel, Experiment, Noise, Record
 from hsed_jax.physics.effects import EFFECTS as CATALOGUE
@@ -66,6 +68,20 @@ def measured_of(values, used=None, declared=SIGMA):
     groups = np.zeros(values.shape[1], dtype=int)
     error = Error(Prior("half_normal", 1.0) if math.isnan(declared) else declared, correlated=False)
     return Measured(values, used, np.full(values.shape, np.inf), groups, (error,), noise)
+
+
+def test_an_error_of_what_was_measured_has_its_given_scale_in_a_diagnosis_too():
+    # The likelihood of the calibration is the reference: σ = s |y|, whatever is predicted.
+    values, predicted = np.array([[2.0, 10.0], [4.0, -5.0]]), np.array([[3.0, 30.0], [1.0, -1.0]])
+    used, groups = np.ones((2, 2), dtype=bool), np.arange(2)
+    errors = (Error(0.05, is_relative=True, of_measured=True), Error(0.05, is_relative=True))
+    train = Measured(values, used, np.full(values.shape, np.inf), groups, errors, 0.0)
+    columns = Columns(np.ones(2, dtype=bool), np.array([True, False]), np.eye(2))
+    data = data_of_measurements(None, values, used, np.full(values.shape, np.inf), 2)
+    size = jnp.full(2, 0.05)
+    calibrated = np.asarray(sigma_of(size, columns, jnp.asarray(predicted), jnp.ones(2), data))
+    np.testing.assert_allclose(train.sigma(train.declared, predicted), calibrated)
+    np.testing.assert_allclose(train.residual(predicted)[:, 0], [0.5, -0.75])
 
 
 def search_of(values, is_explained=lambda fit: False, functions=FUNCTIONS, **more):
