@@ -8,8 +8,8 @@ Of where no draw is they say nothing, and a polynomial may end a posterior that 
 of them long, look there: what the simulator would accept and the emulator has no share in is missing.
 
 Where chains of the emulator diverge or go round slowly, weights take what they lack for what the posterior lacks: a tail that a
-chain hardly visits has a few draws, and its weights are as good as any.  Then the simulator moves the draws on, until they
-settle (`hsed_jax.inference.moves`).
+chain hardly visits has a few draws, and its weights are as good as any.  Then the draws are moved on, by many steps of the
+emulator between two of the simulator, until they settle (`hsed_jax.inference.moves`).
 
 Where the posterior is not where its mode would have it, the first emulator is wrong.  Short chains then say where the next one
 has to be right, and in which frame it is drawn from.
@@ -29,7 +29,7 @@ from hsed_jax.inference.heights import constrained, heights, simulated
 from hsed_jax.inference.importance import TELLING, Proposal, Weighted, flattened, systematic, weighted
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.maximum import Maximum
-from hsed_jax.inference.moves import moved
+from hsed_jax.inference.moves import moved, wandered
 from hsed_jax.inference.nuts import Chains, Settings, advance, arrived, begin, convergence
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.watch import Watch, fingerprint
@@ -200,14 +200,20 @@ def _weighed(
     if height.size < TELLING or not _needs_moves(found):
         return found
     left = _left(seconds, began)
-    on = moved(lambda points: heights(posterior, data, points), at, there, random, watch, f"moves-of-{name}", left)
+    on = moved(
+        lambda points: heights(posterior, data, points),
+        lambda going, standing, key: wandered(posterior, data, emulator, *jax.device_put((going, standing)), key),
+        *(at, there, random, watch, f"moves-of-{name}", left),
+    )
     theta = np.asarray(constrained(posterior, jax.device_put(on.points))).reshape(found.theta.shape)
-    arrays = theta, on.height.reshape(height.shape), np.asarray(found.diverging), np.asarray(found.steps)
+    # Draws that have forgotten the chains are none of NUTS any more, and neither are its divergences theirs.
+    diverging = np.asarray(found.diverging) & (not on.settled)
+    arrays = theta, on.height.reshape(height.shape), diverging, np.asarray(found.steps)
     doubt = None
     if not on.settled:
         doubt = (
-            "chains of NUTS diverged or mixed slowly, and the steps by the simulator that followed did not settle: tails may be "
-            "too short; more informative priors or data would help"
+            "chains of NUTS diverged or mixed slowly, and the steps of emulator and simulator that followed did not settle: tails "
+            "may be too short; more informative priors or data would help"
         )
     return Chains(*jax.device_put(arrays), step_size=chains.step_size, worth=float(on.worth), doubt=doubt)
 

@@ -1,36 +1,51 @@
-r"""Draws of an approximate posterior moved by the simulator until they are draws of the posterior itself.
+r"""Draws of an approximate posterior moved on until they are draws of the posterior itself.
 
 Weights make draws of the right density only where the approximation put some, and where many draws share few of the weights
 little is left of a tail.  Steps that leave the posterior as it is mend both (resample and move; Gilks & Berzuini 2001): each draw
 takes the step $x' = x + \gamma(x_a - x_b)$ along the difference of two others and is accepted by Metropolis' rule (differential
-evolution; ter Braak 2006), so that steps are as long as the draws are wide, in every direction, and a step costs a simulation
-and no derivative.  Draws that lack a tail widen as they move.  They have settled when nothing tells any more where each one was
-half-way (Kantas, Beskos & Jasra 2014), and all of them together are as wide, and in the same place, as they were then.
+evolution; ter Braak 2006), so that steps are as long as the draws are wide, in every direction, and take no derivative.
 
-Source: Gilks & Berzuini, J. R. Statist. Soc. B 63; ter Braak, Statistics and Computing 16; Kantas, Beskos & Jasra, SIAM/ASA J.
-Uncertainty Quantification 2.
+Along a thin bent ridge it takes hundreds of such steps to forget where a draw was.  An emulator $\tilde\pi$ makes a hundred of
+them for the price of few simulations.  Where they lead is then one step of the posterior, accepted with the probability
+$\min(1, \pi(x')\tilde\pi(x) / \pi(x)\tilde\pi(x'))$ (surrogate transitions; Liu 2001): exact, whatever the emulator's error.
+Where the emulator has no density only steps by the simulator go, and every other sweep is one of these.
+
+Draws have settled when nothing tells any more where each one was half-way (Kantas, Beskos & Jasra 2014), and all of them
+together are as wide, and in the same place, as they were then.
+
+Source: Gilks & Berzuini, J. R. Statist. Soc. B 63; ter Braak, Statistics and Computing 16; Liu, Monte Carlo Strategies in
+Scientific Computing; Kantas, Beskos & Jasra, SIAM/ASA J. Uncertainty Quantification 2.
 """
 
 import time
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float, PRNGKeyArray
 
+from hsed_jax.inference.emulator import Emulator
+from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.watch import Watch
+from hsed_jax.physics.batch import TILE
+from hsed_jax.programs import program
 
 # γ is this over √(2p), best for a Gaussian of p dimensions; of half of the steps a share of it, its logarithm uniform, since a
 # thin bent ridge takes short steps alone; and of one in ten a whole difference, from a mode to another.
 _LENGTH, _SHORTEST, _WHOLE = 2.38, 0.1, 0.1
-# So many draws move at most; of more, places of these on their way take the place.
-_WALKERS = 1000
-# Rank correlation below which the place where a draw was is forgotten; sweeps between two looks, and the most of them.
-_FORGOTTEN, _LOOK, _MOST = 0.1, 20, 800
-# Moments that differ by fewer standard errors than this are the same.
-_SAME = 2.0
+# So many draws move: fewer say too little of what they have forgotten; of more, places of these on their way take the place.
+_LEAST_WALKERS, _WALKERS = 250, 1000
+# Steps by the emulator between two simulations of a draw; sweeps between two looks, and the most of them.
+_BY_EMULATOR, _LOOK, _MOST = 100, 10, 200
+# Standard errors that a rank correlation of none, and moments that are the same, stay within.
+_SURE = 3.0
 # In units of the draws' standard deviation: what keeps steps from a lattice.
 _JITTER = 1e-4
+
+Wander = Callable[[np.ndarray, np.ndarray, PRNGKeyArray], tuple[Array, Array]]
 
 
 class Moved(NamedTuple):
@@ -41,16 +56,19 @@ class Moved(NamedTuple):
         height: log density there, (N,).
         settled: whether they have forgotten where they were half-way, and are as wide and in the same place as then.
         worth: how many independent draws they are at most.
+        sweeps: simulations of each draw that moved.
     """
 
     points: Float[np.ndarray, "N p"]
     height: Float[np.ndarray, " N"]
     settled: bool
     worth: int
+    sweeps: int
 
 
 def moved(
     heights: Callable[[np.ndarray], np.ndarray],
+    wander: Wander,
     points: Float[np.ndarray, "N p"],
     height: Float[np.ndarray, " N"],
     random: np.random.Generator,
@@ -62,6 +80,8 @@ def moved(
 
     Arguments:
         heights: log density of many points, -inf where there is none.
+        wander: where steps by an emulator lead from some draws beside others, and what its log density is there beyond that at
+            the draws (`wandered`).
         points, height: draws in u, and their log density.
         random: the source of the steps.
         watch: hears how far it is, and keeps the draws when they have moved.
@@ -69,27 +89,22 @@ def moved(
         seconds: budget.
     """
     if (known := watch.recall(name)) is not None:
-        return Moved(known[0], known[1], bool(known[2]), int(known[3]))
-    began, wanted, settled = time.perf_counter(), len(points), False
-    chosen = random.permutation(wanted)[:_WALKERS]
-    points, height, count = points[chosen], height[chosen], points.shape[1]
+        return Moved(known[0], known[1], bool(known[2]), int(known[3]), int(known[4]))
+    began, wanted, settled, sweep = time.perf_counter(), len(points), False, 0
+    chosen = np.resize(random.permutation(wanted), min(max(wanted, _LEAST_WALKERS), _WALKERS))
+    points, height = points[chosen], height[chosen]
     passed, kept = [points.copy()], [(points, height)]
-    jitter = _JITTER * points.std(axis=0)
-    watch.report("draws moved by the simulator")
+    watch.report("draws moved on by the emulator and the simulator")
     for sweep in range(1, _MOST + 1):
         # Those that move learn from those that stand: so every step leaves the posterior as it is.
         order = random.permutation(len(points))
         halves = order[: len(order) // 2], order[len(order) // 2 :]
         for going, standing in (halves, halves[::-1]):
-            first = random.integers(len(standing), size=len(going))
-            second = (first + random.integers(1, len(standing), size=len(going))) % len(standing)
-            is_whole = random.uniform(size=len(going)) < _WHOLE
-            share = _SHORTEST ** np.maximum(random.uniform(-1, 1, size=len(going)), 0.0)
-            length = np.where(is_whole, 1.0, share * _LENGTH / np.sqrt(2 * count))
-            step = points[standing[first]] - points[standing[second]]
-            tried = points[going] + length[:, None] * step + jitter * random.standard_normal(step.shape)
+            key = jax.random.key(int(random.integers(2**31)))
+            propose = wander if sweep % 2 else directly
+            tried, gain = map(np.asarray, propose(points[going], points[standing], key))
             there = heights(tried)
-            taken = np.log(random.uniform(size=len(going))) < there - height[going]
+            taken = np.log(random.uniform(size=len(going))) < there - height[going] - gain
             points[going] = np.where(taken[:, None], tried, points[going])
             height[going] = np.where(taken, there, height[going])
         watch.count(sweep, _MOST)
@@ -99,15 +114,72 @@ def moved(
         elif sweep % _LOOK == 0:
             passed.append(points.copy())
             half = passed[len(passed) // 2]
-            settled = _memory(half, points) < _FORGOTTEN and _are_alike(half, points)
+            settled = _memory(half, points) < _SURE / np.sqrt(len(points)) and _are_alike(half, points)
             kept = [(points.copy(), height.copy())]
         if is_late or (settled and len(kept) * len(points) >= wanted):
             break
     rows = np.arange(wanted) % (len(kept) * len(points))
     of_points, of_height = (np.concatenate(part)[rows] for part in zip(*kept, strict=True))
-    found = Moved(of_points, of_height, settled, min(wanted, len(points)))
+    found = Moved(of_points, of_height, settled, min(wanted, len(points)), sweep)
     watch.keep(name, [np.asarray(part) for part in found])
     return found
+
+
+@program
+def directly(
+    going: Float[Array, "N p"], standing: Float[Array, "M p"], key: PRNGKeyArray
+) -> tuple[Float[Array, "N p"], Float[Array, " N"]]:
+    """One step that the simulator alone decides on: as `wandered` by an emulator that knows nothing."""
+    return _stepped(going, standing, key), jnp.zeros(len(going))
+
+
+@program
+def wandered(
+    posterior: Posterior,
+    data: Data,
+    emulator: Emulator,
+    going: Float[Array, "N p"],
+    standing: Float[Array, "M p"],
+    key: PRNGKeyArray,
+) -> tuple[Float[Array, "N p"], Float[Array, " N"]]:
+    """Where many steps by the emulator lead, and its log density there less that where they began.
+
+    Arguments:
+        posterior: of the study.
+        data: measured outputs.
+        emulator: decides on the steps.
+        going: draws that move, in u.
+        standing: draws that they learn from.
+        key: of the random numbers.
+    """
+
+    def heights(u):
+        return jax.lax.map(lambda x: emulator.log_density(posterior, x, data), u, batch_size=TILE)
+
+    def step(number, state):
+        u, height = state
+        of_step, of_choice = jax.random.split(jax.random.fold_in(key, number))
+        tried = _stepped(u, standing, of_step)
+        there = heights(tried)
+        taken = jnp.log(jax.random.uniform(of_choice, (len(u),))) < there - height
+        return jnp.where(taken[:, None], tried, u), jnp.where(taken, there, height)
+
+    start = heights(going)
+    end, height = jax.lax.fori_loop(0, _BY_EMULATOR, step, (going, start))
+    return end, height - start
+
+
+def _stepped(going: Float[Array, "N p"], standing: Float[Array, "M p"], key: PRNGKeyArray) -> Float[Array, "N p"]:
+    """A step of each draw along the difference of two that stand."""
+    count, (many, size) = len(going), standing.shape
+    of_first, of_second, of_kind, of_share, of_jitter = jax.random.split(key, 5)
+    first = jax.random.randint(of_first, (count,), 0, many)
+    second = (first + jax.random.randint(of_second, (count,), 1, many)) % many
+    share = _SHORTEST ** jnp.maximum(jax.random.uniform(of_share, (count,), minval=-1.0), 0.0)
+    is_whole = jax.random.uniform(of_kind, (count,)) < _WHOLE
+    length = jnp.where(is_whole, 1.0, share * _LENGTH / np.sqrt(2 * size))
+    jitter = _JITTER * jnp.std(standing, axis=0) * jax.random.normal(of_jitter, going.shape)
+    return going + length[:, None] * (standing[first] - standing[second]) + jitter
 
 
 def _memory(before: Float[np.ndarray, "N p"], after: Float[np.ndarray, "N p"]) -> float:
@@ -123,4 +195,4 @@ def _are_alike(before: Float[np.ndarray, "N p"], after: Float[np.ndarray, "N p"]
     kurtosis = np.mean((after - after.mean(axis=0)) ** 4, axis=0) / wide**4
     of_means = np.abs(after.mean(axis=0) - before.mean(axis=0)) / (wide * np.sqrt(2 / count))
     of_widths = np.abs(np.log(wide / before.std(axis=0))) / np.sqrt((kurtosis - 1) / (2 * count))
-    return bool(max(of_means.max(), of_widths.max()) < _SAME)
+    return bool(max(of_means.max(), of_widths.max()) < _SURE)
