@@ -355,7 +355,7 @@ def _said(done: "Run", step: str) -> Iterator[Any]:
 
             yield EXPLAINED
         if done.remaining is not None:
-            yield f"with {' and '.join(done.diagnosis.effects)}: {done.remaining}"
+            yield f"with {' and '.join(map(done.diagnosis.called, done.diagnosis.effects))}: {done.remaining}"
     elif step == "discover" and done.discovery is not None:
         yield done.discovery
     elif step == "improve":

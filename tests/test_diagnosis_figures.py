@@ -145,6 +145,18 @@ def test_a_spring_that_softens_is_called_so_in_every_figure():
         assert any("softening, as by P-Delta" in " ".join(label.get_text().split()) for label in labels)
 
 
+def test_a_spring_that_softens_is_called_so_by_the_diagnosis_itself():
+    estimate = {"delta": {"mean": -0.25, "sd": 0.01, "q05": -0.27, "q95": -0.23, "unit": "1"}}
+    softer = replace(candidate("hardening", 9.0, 0.9), estimate=estimate, reason="it is a test")
+    said = "hardening (softening, as by P-Delta)"
+    named = diagnosis([softer, candidate("slip", 1.0)], ["hardening"])
+    alike = diagnosis([softer, candidate("slip", 1.0)], ["slip"], [["slip", "hardening"]])
+    for one in (named, alike, replace(alike, verdict="ambiguous"), replace(named, verdict="unexplained")):
+        # In the sentence, which the report takes over, in the table and in the notes of the terminal.
+        assert said in one.sentence and repr(one).count(said) >= 3 and one.summary()["sentence"] == one.sentence
+    assert "softening" not in diagnosis([candidate("hardening", 9.0)], ["hardening"]).sentence
+
+
 def test_the_staircase_is_the_trail():
     steps = [Step([], 0.3, 0.4, {}), Step(["gap"], 0.1, None, {}), Step(["gap", "mass_error"], 0.05, 0.06, {})]
     picture = error_fall(Trail(steps, 0.04))

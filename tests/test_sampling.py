@@ -119,9 +119,10 @@ def test_draws_are_settled_where_they_are_right_and_not_where_they_are_not(monke
     def emulated(factor):
         def wander(going, standing, key):
             """Many steps by a density whose ridge is so much wider."""
+            going = np.asarray(going)
             at = start = factor * heights(going)
             for one in jax.random.split(key, 100):
-                tried = np.asarray(moves.directly(going, standing, one)[0])
+                tried = np.asarray(moves.directly(jnp.asarray(going), standing, one)[0])
                 there = factor * heights(tried)
                 taken = np.log(random.uniform(size=len(going))) < there - at
                 going, at = np.where(taken[:, None], tried, going), np.where(taken, there, at)

@@ -9,6 +9,7 @@ import numpy as np
 
 from hsed_jax.criticism.compare import is_noise
 from hsed_jax.criticism.prediction import Prediction, error_cell
+from hsed_jax.physics.effects import called
 from hsed_jax.physics.scales import Scales
 from hsed_jax.tables import Table, Tabular, cell, odds
 
@@ -53,6 +54,11 @@ class Candidate:
     score: Mapping[str, float] | None = None
     form: str | None = None
     forms: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def called(self) -> str:
+        """The name of the effect, and what it is where its amplitude is negative."""
+        return called(self.effect, {name: size["mean"] for name, size in self.estimate.items() if "mean" in size})
 
     def summary(self) -> dict[str, Any]:
         """As in `summary.json`; what is not finite, or not there, is absent."""
@@ -169,6 +175,10 @@ class Diagnosis(Tabular):
         }
         return content | {key: value for key, value in optional.items() if value is not None}
 
+    def called(self, effect: str) -> str:
+        """The name of an effect, and what it is where its amplitude is negative."""
+        return next((candidate.called for candidate in self.ranking if candidate.effect == effect), effect)
+
     @property
     def is_explained(self) -> bool:
         """Whether the noise explains what the named effects leave."""
@@ -179,7 +189,7 @@ class Diagnosis(Tabular):
         """The verdict in words."""
         ends = " to ".join(error_cell(errors[1]) for errors in (self.error, self.error_after))
         fall = f"the error on experiments that were not used goes from {ends}"
-        named = " and ".join(e + (f" ({self.forms[e]})" if e in self.forms else "") for e in self.effects)
+        named = " and ".join(self.called(e) + (f" ({self.forms[e]})" if e in self.forms else "") for e in self.effects)
         errors = f"error {self.error[0]:.3f}, noise {self.noise_floor:.3f}"
         if self.verdict == "adequate":
             return "nothing is missing that these measurements could show: the noise explains the residual"
@@ -192,7 +202,7 @@ class Diagnosis(Tabular):
             return f"the priors exclude this specimen, and no effect is missing: {self._beyond}; widen them"
         if self.verdict == "unexplained" and self._unnamed:
             first = self._unnamed[0]
-            return f"the model is wrong, and no effect is named ({errors}); {first.effect} {self._instead(first)}"
+            return f"the model is wrong, and no effect is named ({errors}); {first.called} {self._instead(first)}"
         if self.verdict == "unexplained":
             return f"the model is wrong, and nothing in the catalogue mends it ({errors})"
         left = ""
@@ -201,10 +211,10 @@ class Diagnosis(Tabular):
                 f"; what remains ({self.error_after[0]:.3f} against a noise of {self.noise_floor:.3f}) is not noise yet"
             )
         if self.verdict == "ambiguous":
-            rivals = "; ".join(" or ".join(group) for group in self.look_alikes)
+            rivals = "; ".join(" or ".join(map(self.called, group)) for group in self.look_alikes)
             return f"missing is {rivals}, which these measurements cannot tell apart; with {named}, {fall}{left}"
         alike = "".join(
-            f"; {' or '.join(group[1:])} in place of {group[0]} differs by less than the noise and is less probable, "
+            f"; {' or '.join(map(self.called, group[1:]))} in place of {self.called(group[0])} differs by less than the noise and is less probable, "
             "but not excluded"
             for group in self.look_alikes
         )
@@ -226,7 +236,7 @@ class Diagnosis(Tabular):
             *([self._beyond] if self.opened else []),
             *self.notes,
             *between,
-            *(f"{c.effect} {self._instead(c)}" for c in self._unnamed[:_SHOWN]),
+            *(f"{c.called} {self._instead(c)}" for c in self._unnamed[:_SHOWN]),
         ]
 
     @property
@@ -254,7 +264,7 @@ class Diagnosis(Tabular):
             unit = "" if size["unit"] == "1" else f" {size['unit']}"
             rows.append(
                 (
-                    c.effect if c.form is None else f"{c.effect} ({c.form})",
+                    c.called if c.form is None else f"{c.called} ({c.form})",
                     c.family,
                     cell(c.probability),
                     cell(c.log_evidence_gain, ".1f"),

@@ -202,7 +202,7 @@ def _weighed(
     left = _left(seconds, began)
     on = moved(
         lambda points: heights(posterior, data, points),
-        lambda going, standing, key: wandered(posterior, data, emulator, *jax.device_put((going, standing)), key),
+        lambda going, standing, key: wandered(posterior, data, emulator, going, standing, key),
         *(at, there, random, watch, f"moves-of-{name}", left),
     )
     theta = np.asarray(constrained(posterior, jax.device_put(on.points))).reshape(found.theta.shape)
@@ -212,8 +212,8 @@ def _weighed(
     doubt = None
     if not on.settled:
         doubt = (
-            "chains of NUTS diverged or mixed slowly, and the steps of emulator and simulator that followed did not settle: tails "
-            "may be too short; more informative priors or data would help"
+            "chains of NUTS diverged or mixed slowly, and the steps of emulator and simulator that followed did not settle: "
+            "tails may be too short; more informative priors or data would help"
         )
     return Chains(*jax.device_put(arrays), step_size=chains.step_size, worth=float(on.worth), doubt=doubt)
 

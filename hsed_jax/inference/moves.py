@@ -19,7 +19,7 @@ Scientific Computing; Kantas, Beskos & Jasra, SIAM/ASA J. Uncertainty Quantifica
 
 import time
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -45,7 +45,7 @@ _SURE = 3.0
 # In units of the draws' standard deviation: what keeps steps from a lattice.
 _JITTER = 1e-4
 
-Wander = Callable[[np.ndarray, np.ndarray, PRNGKeyArray], tuple[Array, Array]]
+Wander = Callable[[Any, Any, PRNGKeyArray], tuple[Any, Any]]
 
 
 class Moved(NamedTuple):
@@ -102,7 +102,8 @@ def moved(
         for going, standing in (halves, halves[::-1]):
             key = jax.random.key(int(random.integers(2**31)))
             propose = wander if sweep % 2 else directly
-            tried, gain = map(np.asarray, propose(points[going], points[standing], key))
+            those, others = jax.device_put((points[going], points[standing]))
+            tried, gain = map(np.asarray, propose(those, others, key))
             there = heights(tried)
             taken = np.log(random.uniform(size=len(going))) < there - height[going] - gain
             points[going] = np.where(taken[:, None], tried, points[going])

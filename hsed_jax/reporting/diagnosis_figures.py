@@ -66,7 +66,7 @@ def ranking(diagnosis: Diagnosis) -> Picture:
     if left < -best <= 0.0:
         panel.axvline(-best, color=style.DARK_GREY, linestyle=":", linewidth=1.3, label="no effect added", zorder=1)
     panel.set_xlim(left, 0.0)
-    panel.set_yticks(places, [style.words(called(c.effect, _means(c))) for c in shown])
+    panel.set_yticks(places, [style.words(c.called) for c in shown])
     panel.tick_params(axis="y", length=0)
     for tick, kind in zip(panel.get_yticklabels(), kinds, strict=True):
         tick.set_fontweight("bold" if kind == 0 else "normal")
@@ -86,7 +86,9 @@ def ranking(diagnosis: Diagnosis) -> Picture:
                            annotation_clip=False)  # fmt: skip
     style.legend(figure, panel)
     rest = len(diagnosis.ranking) - len(shown)
-    groups = "; ".join(" or ".join(map(style.words, group)) for group in diagnosis.look_alikes)
+    groups = "; ".join(
+        " or ".join(style.words(diagnosis.called(name)) for name in group) for group in diagnosis.look_alikes
+    )
     first = shown[0]
     return Picture(
         figure,
@@ -107,10 +109,6 @@ def _best(diagnosis: Diagnosis) -> list[Candidate]:
     named = [c for c in known if c.effect in diagnosis.effects]
     others = sorted((c for c in known if c not in named), key=lambda c: -c.log_evidence_gain)
     return [*named, *others][: max(_SHOWN, len(named))]
-
-
-def _means(candidate: Candidate) -> dict[str, float]:
-    return {name: known["mean"] for name, known in candidate.estimate.items() if "mean" in known}
 
 
 def _kind(candidate: Candidate, diagnosis: Diagnosis, alike: set[str]) -> int:
