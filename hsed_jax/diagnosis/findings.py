@@ -214,9 +214,9 @@ class Diagnosis(Tabular):
             rivals = "; ".join(" or ".join(map(self.called, group)) for group in self.look_alikes)
             return f"missing is {rivals}, which these measurements cannot tell apart; with {named}, {fall}{left}"
         alike = "".join(
-            f"; {' or '.join(map(self.called, group[1:]))} in place of {self.called(group[0])} differs by less than the noise and is less probable, "
-            "but not excluded"
-            for group in self.look_alikes
+            f"; {' or '.join(map(self.called, others))} in place of {self.called(first)} differs by less than the noise and is "
+            "less probable, but not excluded"
+            for first, *others in self.look_alikes
         )
         return f"missing is {named}: {fall}{left}{alike}"
 
