@@ -145,6 +145,12 @@ def name_fault(name: str) -> str | None:
     return None
 
 
+def stem_of(name: str) -> str:
+    """A name for a folder or an experiment, made of the name of a file."""
+    stem = "".join(c if c.isalnum() or c in "_-" else "_" for c in Path(name).stem).strip("_-")
+    return stem[:60] or "measurements"
+
+
 def in_range(number: float) -> bool:
     """Whether a number is zero or of a size that can be computed with."""
     return number == 0 or 1 / MOST <= abs(number) <= MOST

@@ -29,6 +29,7 @@ class _CallableModule(ModuleType):
 sys.modules[__name__].__class__ = _CallableModule
 
 
+_RUN = "Run the steps of a study; of files, make the campaign and its study first, as hsed init does."
 # Steps without a design, by the command that takes them.
 _PARTS = (
     ("compare", "calibrate and compare with the measurements, without a design", "calibrate compare"),
@@ -55,8 +56,10 @@ def run_main(arguments: Sequence[str] | None = None) -> int:
     """`python -m hsed_jax.run`: what `hsed run` does."""
 
     def parser() -> argparse.ArgumentParser:
-        made = argparse.ArgumentParser(prog="python -m hsed_jax.run", description="Run the steps of a study.")
-        _add_run(made)
+        from hsed_jax.runs.beginning import ParserOfFiles
+
+        made = ParserOfFiles(prog="python -m hsed_jax.run", description=_RUN)
+        _add_run(made, takes_files=True)
         return made
 
     return ended(parser, arguments)
@@ -66,26 +69,23 @@ def command_line() -> argparse.ArgumentParser:
     """The parser of `hsed`."""
     from hsed_jax.app import command as app
     from hsed_jax.exports import command as exporting
+    from hsed_jax.runs import beginning
     from hsed_jax.sweeps import command as sweeping
 
-    parser = argparse.ArgumentParser(
+    parser = beginning.ParserOfFiles(
         prog="hsed",
         description="Plan experiments, calibrate a structural model against them, find the physical effect it lacks.",
     )
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    _add_run(commands.add_parser("run", help="run the steps of a study", description="Run the steps of a study."))
+    text = "run the steps of a study, or of the study that hsed init writes for files"
+    _add_run(commands.add_parser("run", help=text, description=_RUN), takes_files=True)
     text = "validate a study and its data, run nothing"
     check = commands.add_parser("check", help=text, description=text.capitalize() + ".")
     check.add_argument("study", metavar="STUDY.yaml")
     check.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="override a key by its dotted path")
     check.add_argument("--trust", action="store_true", help="execute Python files that the study names, to check them")
     check.set_defaults(command=_check)
-    text = "write a ready study for a campaign of measurements"
-    init = commands.add_parser("init", help=text, description=text.capitalize() + ".")
-    init.add_argument("campaign", metavar="CAMPAIGN", help="folder of the campaign")
-    init.add_argument("--output", metavar="STUDY.yaml", help="where to (default: CAMPAIGN/study.yaml)")
-    init.add_argument("--force", action="store_true", help="replace a study that is there")
-    init.set_defaults(command=_init)
+    beginning.add_command(commands)
     for name, text, steps in _PARTS:
         part = commands.add_parser(name, help=text, description=text.capitalize() + ".")
         _add_run(part)
@@ -114,13 +114,20 @@ def command_line() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_run(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("study", metavar="STUDY.yaml")
+def _add_run(parser: argparse.ArgumentParser, takes_files: bool = False) -> None:
+    from hsed_jax.runs import beginning
+
+    parser.add_argument("study", metavar="STUDY.yaml|FILE" if takes_files else "STUDY.yaml")
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="override a key by its dotted path")
     parser.add_argument("--output", metavar="DIR", help="run folder (default: runs/<study>)")
     existing = parser.add_mutually_exclusive_group()
     existing.add_argument("--resume", action="store_true", help="go on with the run in the folder")
-    existing.add_argument("--force", action="store_true", help="replace the run in the folder")
+    if takes_files:
+        beginning.add_force(existing, "replace the run in the folder")
+        beginning.add_options(parser)
+    else:
+        existing.add_argument("--force", action="store_true", help="replace the run in the folder")
+    parser.set_defaults(takes_files=takes_files)
     parser.add_argument("--check", action="store_true", help="validate, run nothing")
     parser.add_argument("--trust", action="store_true", help="with --check: execute Python files that the study names")
     parser.set_defaults(command=_run)
@@ -213,8 +220,19 @@ def _check(options: Any) -> int:
     return 0
 
 
+def _begin(options: Any) -> None:
+    """Put the study of files in their place."""
+    from hsed_jax.runs.beginning import files_of, study_of_files
+
+    if files := files_of([options.study]) and files_of([options.study, *options.overrides]):
+        options.overrides = [word for word in options.overrides if Path(word) not in files]
+        options.study = str(study_of_files(files, options, None, resume=options.resume))
+
+
 @ended_in_time()
 def _run(options: Any) -> int:
+    if getattr(options, "takes_files", False):
+        _begin(options)
     if options.check:
         return _check(options)
     from hsed_jax.config.load import load_study
@@ -364,30 +382,6 @@ def _said(done: "Run", step: str) -> Iterator[Any]:
             yield f"the improved model, {done.improvement.calibration}"
             yield f"the improved model: {done.improvement.after}"
             yield f"the improved model: {done.improved_location}"
-
-
-def _init(options: Any) -> int:
-    from hsed_jax.drafts import write_whole
-    from hsed_jax.measurements import check_campaign, read_campaign
-    from hsed_jax.study.initial import initial_study
-
-    folder = Path(options.campaign)
-    campaign = read_campaign(folder)
-    findings = check_campaign(campaign)
-    for finding in findings:
-        print(finding)
-    if any(finding.level == "error" for finding in findings):
-        raise UserError(f"{folder}: the data have errors, listed above; nothing is repaired silently")
-    output = Path(options.output) if options.output else folder / "study.yaml"
-    if output.exists() and not options.force:
-        raise UserError(f"{output} exists already; say --force to replace it or choose another --output")
-    text = initial_study(campaign, folder, output)
-    try:
-        write_whole(output, text)
-    except OSError as error:
-        raise UserError(f"{output}: cannot be written ({error.strerror}); choose another --output") from None
-    print(f"wrote {output}; run it with: hsed run {quote(str(output))}")
-    return 0
 
 
 if __name__ == "__main__":

@@ -18,19 +18,21 @@ import pytest
 from numpy.testing import assert_allclose
 
 from hsed_jax.app import command
-from hsed_jax.app.choices import Choice, campaign_of, guess
 from hsed_jax.app.drops import landed, lay_out, read_within, tables
 from hsed_jax.app.explore import Explorer
 from hsed_jax.app.folder import Folder, checked_name
 from hsed_jax.app.jobs import Job
 from hsed_jax.errors import UserError
-from hsed_jax.measurements import Found, check_campaign, read_campaign, write_campaign
+from hsed_jax.intake.choice import Choice, campaign_of, chosen, with_units
+from hsed_jax.intake.found import Found
+from hsed_jax.measurements import check_campaign, read_campaign, write_campaign
 from hsed_jax.run import main
 
 PEAKS = (0, 8, -8, 8, -8, 16, -16, 16, -16, 28, -28, 28, -28, 40, -40, 40, -40, 0)
 # Initial stiffness [kN/mm], 1/mm, loss of stiffness with absorbed energy [1/(kN mm)].
 A, BETA, ETA = 12.0, 0.12, 1.5e-4
 HEADS = "Displacement [mm],Force [kN]\n"
+UNITS = {"elongation": "mm", "force": "kN", "time": "s"}
 
 
 def specimen(a=A, beta=BETA, eta=ETA, noise=0.0, peaks=PEAKS, samples=24):
@@ -143,8 +145,9 @@ def test_sheets_of_a_workbook_are_records(folder, tmp_path_factory):
         "frame_south": ["u", "F"],
     }
     assert_allclose(found["frame_north"].columns["Load [kN]"], [0, 10, 15])
-    choice = guess(found["frame_north"])
+    choice, _ = chosen(found["frame_north"])
     assert choice.columns == {"elongation": "Disp [mm]", "force": "Load [kN]", "time": "Time [s]"}
+    assert choice.units == {"elongation": "mm", "force": "kN", "time": "s"}
 
 
 def test_a_matrix_of_matlab_is_columns(folder, tmp_path_factory):
@@ -160,8 +163,8 @@ def test_a_matrix_of_matlab_is_columns(folder, tmp_path_factory):
     ("name", "content", "message"),
     [
         ("a.csv", b"", "a.csv: the file is empty"),
-        ("a.csv", b"the,words\nof,somebody\n", "a.csv, row 2, column 'the'"),
-        ("a.docx", b"PK\x03\x04", "a.docx: records ending in '.docx' cannot be read"),
+        ("a.csv", b"the,words\nof,somebody\n", "a.csv: no row has numbers; it begins with 'the,words'"),
+        ("a.docx", b"PK\x03\x04", "a.docx: files ending in '.docx' cannot be read"),
         ("a.xlsx", b"no workbook", "a.xlsx: cannot be read as a workbook"),
         ("a.mat", b"MATLAB 5.0 cut short", "a.mat: cannot be read as a MATLAB file"),
         ("a.h5", b"no hdf", "a.h5: cannot be read as HDF5"),
@@ -212,9 +215,6 @@ SPOILT = {
         "row 3, column 'F': '#N/A' is an error",
     ),
     "a word": ("t,u,F,u2\n0,0,0,5\n1,1,off,6\n2,2,4,7\n", "F", "row 3, column 'F': 'off' is not a number"),
-    "clock times": ("t,u,F\n12:00:01,0,0\n12:00:02,1,1\n", "t", "'12:00:01' is a date or a time of day"),
-    "a second time": ("t,u,F,t\n0,0,0,0\n1,1,1,1\n", "t", "the header names column 't' 2 times"),
-    "a footer": ("t,u,F\n0,0,0\n1,1,1\nMax,1,1\n", "t", "row 4, column 't': 'Max' is not a number"),
     "a last cell of text": ('t,u,F\n1,2,"x"\n', "F", "row 2, column 'F': 'x' is not a number"),
 }
 
@@ -224,12 +224,36 @@ def test_no_other_column_is_taken_for_one_that_cannot_be_read(folder, case):
     text, name, said = SPOILT[case]
     found = tables(landed(folder, {"a.csv": text.encode()}))
     (spoilt,) = found.records.values()
-    choice = guess(spoilt)
+    choice = with_units(chosen(spoilt)[0], UNITS)
     assert {"elongation": "u", "force": "F", "time": "t"}.items() <= choice.columns.items()
     assert said in spoilt.faults[name]
     assert any(f"column {name!r} is left out" in line and said in line for line in found.left_out)
     with pytest.raises(UserError, match=re.escape(said)):
         campaign_of("a", found.records, choice)
+
+
+@pytest.mark.parametrize(
+    ("text", "time", "said"),
+    [
+        ("t,u,F\n12:00:01,0,0\n12:00:02,1,1\n", [0, 1], "column 't' holds times of day"),
+        ("t,u,F,t\n0,0,0,0\n1,1,1,1\n", [0, 1], None),
+        ("t,u,F\n0,0,0\n1,1,1\nMax,1,1\n", [0, 1], "row 4 below the table is left out: 'Max 1 1'"),
+    ],
+    ids=["clock times", "a second time of the same numbers", "a footer"],
+)
+def test_what_is_decided_is_said(folder, text, time, said):
+    found = tables(landed(folder, {"a.csv": text.encode()}))
+    (read,) = found.records.values()
+    choice, told = chosen(read)
+    assert_allclose(read.columns[choice.columns["time"]], time)
+    notes = [*found.left_out, *told.notes]
+    assert any((said or "holds the same numbers as 't'") in line for line in notes), notes
+
+
+def test_of_two_times_that_differ_neither_is_taken(folder):
+    found = tables(landed(folder, {"a.csv": b"t,u,F,t\n0,0,0,0\n1,1,1,2\n"}))
+    choice, told = chosen(found.records["a"])
+    assert "time" not in choice.columns and told.candidates["time"] == ["t", "t (4)"]
 
 
 def campaign_files(records):
@@ -281,62 +305,34 @@ def table(**columns):
     return Found(columns, {}, list(columns))
 
 
-@pytest.mark.parametrize(
-    ("columns", "found", "units"),
-    [
-        (["u", "F"], {"elongation": "u", "force": "F"}, ("mm", "kN")),
-        (["Load (kip)", "Drift (inch)"], {"force": "Load (kip)", "elongation": "Drift (inch)"}, ("inch", "kip")),
-        (["disp_m", "force_N"], {"elongation": "disp_m", "force": "force_N"}, ("m", "N")),
-        (["1", "2"], {"elongation": "1", "force": "2"}, ("mm", "kN")),
-        (
-            ["Rotation [mrad]", "Moment [kNm]"],
-            {"elongation": "Rotation [mrad]", "force": "Moment [kNm]"},
-            ("mrad", "kN"),
-        ),
-        (["Strain [%]", "Stress [MPa]"], {"elongation": "Strain [%]", "force": "Stress [MPa]"}, ("%", "MPa")),
-    ],
-    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
-)
-def test_columns_and_units_are_guessed_from_names(columns, found, units):
-    choice = guess(table(**{name: np.arange(3.0) for name in columns}))
-    assert (choice.protocol, dict(choice.columns)) == ("displacement", found)
-    assert (choice.units["elongation"], choice.units["force"]) == units
-
-
-def test_a_shaken_record_is_guessed_as_one():
-    choice = guess(table(**{name: np.arange(3.0) for name in ("Time [s]", "ground acc [g]", "disp [mm]")}))
-    assert choice.protocol == "ground_motion"
-    assert choice.units["ground_acceleration"] == "g"
-
-
-def chosen(**changes):
+def campaign(**changes):
     u, force = specimen()
     columns = table(u=u, F=force)
     units = {"time": "s", "elongation": "mm", "force": "kN"}
     settings = {"protocol": "displacement", "columns": {"elongation": "u", "force": "F"}, "units": units, **changes}
-    return campaign_of("column", {"A": columns, "B": columns}, Choice(**settings))
+    return campaign_of("column", {"A": columns, "B": columns}, Choice(**settings)).campaign
 
 
 def test_a_choice_is_a_campaign_in_si():
-    campaign, (u, force) = chosen(), specimen()
-    assert_allclose(campaign["A"].record["elongation"], 1e-3 * u, rtol=1e-12)
-    assert_allclose(campaign["B"].record["force"], 1e3 * force, rtol=1e-12)
-    assert check_campaign(campaign) == []
+    made, (u, force) = campaign(), specimen()
+    assert_allclose(made["A"].record["elongation"], 1e-3 * u, rtol=1e-12)
+    assert_allclose(made["B"].record["force"], 1e3 * force, rtol=1e-12)
+    assert check_campaign(made) == []
 
 
 def test_a_turned_sign_is_seen_by_the_checks_of_every_command():
-    assert {finding.kind for finding in check_campaign(chosen(turned=frozenset({"force"})))} == {"sign"}
-    assert check_campaign(chosen(turned=frozenset({"force", "elongation"}))) == []
+    assert {finding.kind for finding in check_campaign(campaign(turned=frozenset({"force"})))} == {"sign"}
+    assert check_campaign(campaign(turned=frozenset({"force", "elongation"}))) == []
 
 
 def test_what_is_held_out_is_read_back_as_held_out(tmp_path):
-    campaign = chosen(tests=frozenset({"B"}), holds_out=True)
-    write_campaign(campaign, tmp_path)
+    write_campaign(campaign(tests=frozenset({"B"}), held_out=1 / 3), tmp_path)
     again = read_campaign(tmp_path)
     assert [(e.id, e.split) for e in again] == [("A", "train"), ("A_end", "test"), ("B", "test")]
     rows = len(again["A"].record)
-    assert again["A"].window == (0, round(2 / 3 * (rows - 1)))
-    assert again["A_end"].window == (again["A"].window[1], rows - 1)
+    assert again["A"].window == (0, round(2 / 3 * rows) - 1)
+    assert again["A_end"].window == (again["A"].window[1] + 1, rows - 1)
+    assert {path.name for path in (tmp_path / "records").iterdir()} == {"A.csv", "B.csv"}  # a record is written once
 
 
 @pytest.mark.parametrize(
@@ -351,7 +347,7 @@ def test_what_is_held_out_is_read_back_as_held_out(tmp_path):
 )
 def test_a_choice_that_cannot_be_is_one_message(changes, message):
     with pytest.raises(UserError, match=message):
-        chosen(**changes)
+        campaign(**changes)
 
 
 # The model while sliders move.
@@ -366,7 +362,7 @@ def finished(tmp_path_factory):
     raw = {"u": u, "F": force}
     columns, units = {"elongation": "u", "force": "F"}, {"elongation": "mm", "force": "kN"}
     write_campaign(
-        campaign_of("column", {"column": Found(raw, {}, list(raw))}, Choice("displacement", columns, units)),
+        campaign_of("column", {"column": Found(raw, {}, list(raw))}, Choice("displacement", columns, units)).campaign,
         run / "campaign",
     )
     assert main(["init", str(run / "campaign"), "--output", str(run / "study.yaml")]) == 0

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from hsed_jax.errors import UserError
-from hsed_jax.measurements.records import numeric_columns, read_columns
-from hsed_jax.measurements.workbooks import read_workbook
+from hsed_jax.intake.opening import opened_file
+from hsed_jax.measurements.records import read_columns
 
 # A process may grow by so much while it refuses a file, and take so long on a processor [s].
 GROWTH, SECONDS = 300 * 2**20, 20
@@ -166,13 +166,12 @@ def limited(tmp_path):
 
     def read(make):
         path = make(tmp_path)
-        reader = read_workbook if path.suffix == ".xlsx" else numeric_columns
         used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         before = resource.getrlimit(resource.RLIMIT_AS)
         begun = time.process_time()
         resource.setrlimit(resource.RLIMIT_AS, (used + GROWTH, before[1]))
         try:
-            return reader(path)
+            return opened_file(path)
         finally:
             resource.setrlimit(resource.RLIMIT_AS, before)
             assert time.process_time() - begun < SECONDS
@@ -184,7 +183,7 @@ def limited(tmp_path):
 @pytest.mark.parametrize("make", BOMBS, ids=lambda make: make.__name__)
 def test_a_bomb_is_refused_before_it_takes_memory(limited, make):
     if make is declared_size:  # what a sheet says of its size is not believed
-        np.testing.assert_array_equal(limited(make).sheets["Sheet"].columns["2"], [2, 4])
+        np.testing.assert_array_equal(limited(make).tables["Sheet"].columns["2"], [2, 4])
         return
     with pytest.raises(UserError) as caught:
         limited(make)
@@ -207,7 +206,7 @@ def test_a_file_of_many_small_data_sets_is_read_at_once(tmp_path):
         for k in range(400):
             file[f"about{k}"] = float(k)
     begun = time.process_time()
-    assert len(numeric_columns(tmp_path / "a.h5").columns) == 400
+    assert len(opened_file(tmp_path / "a.h5").tables[""].columns) == 400
     assert time.process_time() - begun < 5
 
 
@@ -228,7 +227,7 @@ def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path, name):
     path = tmp_path / name
     path.mkdir() if name.startswith("folder") else os.mkfifo(path)
     with pytest.raises(UserError, match="it is no file"):
-        (read_workbook if path.suffix == ".xlsx" else numeric_columns)(path)
+        opened_file(path)
 
 
 # Which of the tags, texts and bytes is damaged is drawn; openpyxl, zlib and expat answer by some ten exceptions of their own.
@@ -253,6 +252,6 @@ def test_a_damaged_workbook_is_one_line(tmp_path, seed):
         content = packed.getvalue()
     path.write_bytes(content)
     try:
-        assert read_workbook(path).sheets
+        assert opened_file(path).tables
     except UserError as error:
         assert str(error).startswith(str(path)) and "\n" not in str(error)

@@ -8,7 +8,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 import fuzz
 
-from hsed_jax.measurements import Found
+from hsed_jax.intake.found import Found
+from hsed_jax.intake.opening import Opened
 
 pytest.importorskip("panel")
 pytest.importorskip("openpyxl")
@@ -40,11 +41,11 @@ def test_a_whole_file_is_read(tmp_path, whole, number):
 
 
 def test_it_sees_a_traceback_another_column_other_numbers_and_too_much_memory(tmp_path, whole, monkeypatch):
-    from hsed_jax.app import choices, drops
+    from hsed_jax.intake import opening, words
 
     table = fuzz.columns()
     content = fuzz.written("comma.csv", table)
-    read = drops.numeric_columns
+    read = opening.opened_file
 
     def page(number):
         folder = tmp_path / str(number)
@@ -52,18 +53,17 @@ def test_it_sees_a_traceback_another_column_other_numbers_and_too_much_memory(tm
         return fuzz.paged(folder, "a.csv", content, table)
 
     assert page(0) == "read"
-    monkeypatch.setattr(drops, "numeric_columns", lambda path: {}["x"])
+    monkeypatch.setattr(opening, "opened_file", lambda path: {}["x"])
     assert page(1) == "KeyError: 'x'"
 
     def doubled(path):
-        found = read(path)
-        return Found(found.columns | {"u2": 2 * found.columns["u2"]}, found.faults, found.names)
+        (found,) = read(path).tables.values()
+        return Opened({"": Found(found.columns | {"u2": 2 * found.columns["u2"]}, found.faults, found.names)}, [])
 
-    monkeypatch.setattr(drops, "numeric_columns", doubled)
+    monkeypatch.setattr(opening, "opened_file", doubled)
     assert page(2) == "SILENT: column u2 is read as other numbers"
-    monkeypatch.setattr(drops, "numeric_columns", read)
-    words = choices._WORDS | {"force": "u2"}
-    monkeypatch.setattr(choices, "_WORDS", words)
+    monkeypatch.setattr(opening, "opened_file", read)
+    monkeypatch.setitem(words._SYMBOLS, "force", "u2")
     assert page(3) == "SILENT: u2 is taken for the force, which is F"
     assert fuzz.wrong({"reader": "read", "bytes": 2 * 10**9, "seconds": 100.0}) == ["2.00 GB", "100 s"]
 

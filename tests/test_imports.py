@@ -15,6 +15,7 @@ LEVELS = (
     ("python_files",),
     ("physics",),
     ("measurements",),
+    ("intake",),
     ("laboratories",),
     ("models",),
     ("inference",),

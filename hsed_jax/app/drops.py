@@ -1,19 +1,19 @@
 """What becomes of dropped files: a folder within the folder of the page, the files in it as they came."""
 
+import os
 import shutil
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from itertools import chain, count
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
 
-from hsed_jax.app.folder import Folder, checked_name, stem_of
+from hsed_jax.app.folder import Folder, checked_name
 from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
-from hsed_jax.measurements import Campaign, Found, numeric_columns, read_campaign
+from hsed_jax.intake.opening import Gathered, gathered
+from hsed_jax.measurements import Campaign, read_campaign
 from hsed_jax.measurements.tables import read_experiment_table
-from hsed_jax.measurements.workbooks import WORKBOOKS, read_workbook
+from hsed_jax.plain import stem_of
 
 DROPPED = "dropped"
 """Where the files lie as they came."""
@@ -117,68 +117,27 @@ def read_within(folder: Folder, name: str) -> tuple[Path, Campaign]:
     return where, read_campaign(where)
 
 
-class Dropped(NamedTuple):
-    """What was dropped.
-
-    Attributes:
-        records: what every file has, and every sheet of a workbook, by the name of a record.
-        notes: what of these files was left out.
-        refused: what is wrong with files that cannot be read.
-    """
-
-    records: dict[str, Found]
-    notes: list[str]
-    refused: list[str]
-
-    @property
-    def left_out(self) -> list[str]:
-        """What of the files is not used, and why."""
-        return [*(f"{said}; the file is left out" for said in self.refused), *self.notes]
-
-
-def tables(where: Path) -> Dropped:
+def tables(where: Path) -> Gathered:
     """What the files that were dropped have.
 
     Raises:
         UserError: none of them has columns of numbers; the message names the first one.
     """
-    dropped = Dropped({}, [], [])
-    for file in sorted((where / DROPPED).iterdir()):
-        stem = stem_of(file.name)
-        try:
-            with _as_dropped(file, file.name):
-                if file.suffix.lower().lstrip(".") in WORKBOOKS:
-                    sheets, hidden = read_workbook(file)
-                    of_file = [
-                        (f"{stem}_{stem_of(title)}" if len(sheets) > 1 else stem, sheets[title]) for title in sheets
-                    ]
-                    dropped.notes.extend(f"{file.name}: sheet {title!r} is hidden and is left out" for title in hidden)
-                else:
-                    of_file = [(stem, numeric_columns(file))]
-        except UserError as mistake:
-            dropped.refused.append(str(mistake))
-            continue
-        for name, table in of_file:
-            dropped.records[_fresh(name, dropped.records)] = table
-    if not dropped.records:
-        raise UserError(dropped.refused[0] if dropped.refused else "nothing was dropped")
-    for id, table in dropped.records.items():
-        dropped.notes.extend(
-            f"record {id!r}: column {name!r} is left out: {said}" for name, said in table.faults.items()
-        )
-    return dropped
-
-
-def _fresh(name: str, taken: Collection[str]) -> str:
-    """A name that no other record has: `test.csv` and `test.txt` are two."""
-    numbered = (f"{name}-{number}" for number in count(2))
-    return next(one for one in chain([name], numbered) if one not in taken)
+    dropped = where / DROPPED
+    with _as_dropped(dropped):
+        records, notes, refused = gathered(sorted(dropped.iterdir()))
+    return Gathered(records, [_named(said, dropped) for said in notes], [_named(said, dropped) for said in refused])
 
 
 @contextmanager
-def _as_dropped(place: Path, name: str) -> Iterator[None]:
+def _as_dropped(place: Path, name: str = "") -> Iterator[None]:
     """Within, a message names a file or folder as it was dropped, not where it lies."""
     try:
         yield
     except UserError as error:
-        raise UserError(str(error).replace(str(place), name)) from None
+        raise UserError(_named(str(error), place, name)) from None
+
+
+def _named(said: str, place: Path, name: str = "") -> str:
+    """What is said, with the name of a folder in place of its path, or without it."""
+    return said.replace(str(place), name) if name else said.replace(f"{place}{os.sep}", "")

@@ -107,11 +107,5 @@ def checked_name(name: str) -> str:
     return name
 
 
-def stem_of(name: str) -> str:
-    """A name for a folder, made of the name of a file."""
-    stem = "".join(c if c.isalnum() or c in "_-" else "_" for c in Path(name).stem).strip("_-")
-    return stem[:60] or "measurements"
-
-
 def _is_run(files: set[str]) -> bool:
     return {"study.yaml", "provenance.json"} <= files

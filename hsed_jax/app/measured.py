@@ -8,18 +8,30 @@ from typing import Any
 import numpy as np
 import panel as pn
 
-from hsed_jax.app.choices import CHANNELS, KINDS, UNITS, Choice, campaign_of, guess
-from hsed_jax.app.drops import Dropped, is_campaign, landed, lay_out, read_within, tables, taken_back
+from hsed_jax.app.drops import is_campaign, landed, lay_out, read_within, tables, taken_back
 from hsed_jax.app.pieces import Loops, attempt, error, html, note, told, warnings, widget
 from hsed_jax.app.session import Session
 from hsed_jax.errors import UserError
+from hsed_jax.intake.choice import HELD_OUT, Choice, campaign_of, chosen
+from hsed_jax.intake.opening import Gathered
+from hsed_jax.intake.recognition import CHANNELS
 from hsed_jax.measurements import Campaign, backbone_table, check_campaign, cycle_table, overview, write_campaign
 from hsed_jax.physics.pairs import ELONGATION_AND_FORCE
 from hsed_jax.reporting.style import readable
 
 GRAVITY = 9.80665
 """[m/s²]"""
-_NONE = "(none)"
+KINDS = {"cycles imposed on the specimen": "displacement", "shaken by the ground": "ground_motion"}
+"""Kinds of test as the page says them."""
+UNITS = {
+    "time": ["s", "ms", "min", "hour"],
+    "ground_acceleration": ["g", "m/s^2", "cm/s^2", "mm/s^2"],
+    "elongation": ["mm", "cm", "m", "um", "inch", "ft", "rad", "mrad", "deg", "%", "-", "mm/m", "um/m"],
+    "force": ["kN", "N", "MN", "daN", "kgf", "kip", "lbf", "kN*m", "N*m", "kN*mm", "kip*inch", "kip*ft", "MPa", "kPa", "Pa",
+              "GPa", "ksi", "psi"],
+}  # fmt: skip
+"""Units that are offered; those of elongation and force also say whether these are rotation and moment, strain and stress."""
+_NONE, _NO_UNIT = "(none)", "(unit?)"
 _TITLES = {"time": "time", "ground_acceleration": "ground acceleration", "elongation": "elongation", "force": "force"}
 
 
@@ -36,7 +48,9 @@ class Measured:
         self._taken: dict[str, bytes] = {}
         # Content and fault of files that can be used for nothing.
         self._refused: dict[str, tuple[bytes, str]] = {}
-        self._found = Dropped({}, [], [])
+        self._found = Gathered({}, [], [])
+        # What was done to the records in making a campaign of them.
+        self._done: list[str] = []
         self._campaign: Campaign | None = None
         self._is_declared = False
         self._is_filling = False
@@ -60,8 +74,9 @@ class Measured:
             visible=False,
         )
         intro = "<h2>What was measured?</h2>" + note(
-            "Drop a file with a column of elongations and one of forces (text, .xlsx, .mat, .h5, .parquet), several such files "
-            "of one specimen, or the files of a campaign folder. They are copied into this folder; nothing leaves this computer."
+            "Drop a file with a column of elongations and one of forces (text, .xlsx, .lvm, .tdms, .mat, .npz, .h5, .parquet), "
+            "several such files of one specimen, or the files of a campaign folder. They are copied into this folder; "
+            "nothing leaves this computer."
         )
         self.view = pn.Column(
             html(intro),
@@ -80,12 +95,18 @@ class Measured:
         self._rows: dict[str, pn.Row] = {}
         for channel, title in _TITLES.items():
             self._columns[channel] = widget(pn.widgets.Select, name=f"column of the {title}", width=250)
-            self._units[channel] = widget(pn.widgets.Select, name="unit", options=UNITS[channel], width=120)
+            self._units[channel] = widget(
+                pn.widgets.Select, name="unit", options=[_NO_UNIT, *UNITS[channel]], width=120
+            )
             self._rows[channel] = pn.Row(self._columns[channel], self._units[channel])
         self._turned = widget(pn.widgets.CheckBoxGroup, options={"turn the sign of the elongation": "elongation",
                                                                "turn the sign of the force": "force"})  # fmt: skip
         self._tests = widget(pn.widgets.MultiChoice, name="keep for testing, never fitted", width=400)
-        self._holds_out = widget(pn.widgets.Checkbox, name="keep the last third of each record for testing")
+        self._holds_out = widget(pn.widgets.Checkbox, name="keep the last third of each record for testing", value=True)
+        self._drops = widget(pn.widgets.Checkbox, name="leave out samples that lack a channel")
+        self._missing = widget(
+            pn.widgets.TextInput, name="numbers that mark a missing sample, such as -9999; or none", width=400
+        )
         chosen = [
             self._kind,
             *self._columns.values(),
@@ -93,13 +114,17 @@ class Measured:
             self._turned,
             self._tests,
             self._holds_out,
+            self._drops,
+            self._missing,
         ]
         for one in chosen:
             one.param.watch(self._chosen, "value")
-        self._form = pn.Column(self._kind, *self._rows.values(), self._turned, self._tests, self._holds_out)
+        self._form = pn.Column(
+            self._kind, *self._rows.values(), self._turned, self._tests, self._holds_out, self._drops, self._missing
+        )
 
     def _clear(self) -> None:
-        self._where, self._landed, self._found, self._campaign = None, None, Dropped({}, [], []), None
+        self._where, self._landed, self._found, self._campaign = None, None, Gathered({}, [], []), None
         self._fresh_dropper()
         there = self._session.folder.campaigns()
         self._existing.options = {"(choose)": "", **{name: name for name in there}}
@@ -136,7 +161,7 @@ class Measured:
             if found is None or self._messages.object:
                 self._campaign, self._below.visible = None, False
 
-    def _land(self, given: dict[str, bytes]) -> tuple[Dropped, Campaign | None]:
+    def _land(self, given: dict[str, bytes]) -> tuple[Gathered, Campaign | None]:
         """Put what was dropped into the folder and read it.
 
         Raises:
@@ -152,7 +177,7 @@ class Measured:
         taken_back(folder, where, self._taken.keys() - used.keys())
         try:
             declared = lay_out(folder, where) if declares else None
-            found = Dropped({}, [], []) if declares else tables(where)
+            found = Gathered({}, [], []) if declares else tables(where)
         except UserError as mistake:
             taken_back(folder, where, new)
             if not declares:
@@ -171,22 +196,26 @@ class Measured:
             # What is dropped from now on is other measurements.
             self._fresh_dropper()
             self._landed, (self._where, campaign) = None, found
-            self._show(Dropped({}, [], []), campaign)
+            self._show(Gathered({}, [], []), campaign)
 
-    def _show(self, found: Dropped, declared: Campaign | None) -> None:
+    def _show(self, found: Gathered, declared: Campaign | None) -> None:
         """Show what has come: a campaign says itself what it is, of tables a first guess is made."""
         self._found, self._is_declared = found, declared is not None
         self._below.visible, self._form.visible = True, declared is None
+        self._done = []
         if declared is not None:
             self._look_at(declared)
             return
         first = next(iter(found.records.values()))
-        choice = guess(first)
+        choice, told = chosen(first)
+        found.notes.extend(told.notes)
         self._is_filling = True
         for channel, columns in self._columns.items():
             columns.options = [_NONE, *first.names]
             columns.value = choice.columns.get(channel, _NONE)
-            self._units[channel].value = choice.units[channel]
+            unit = choice.units.get(channel, _NO_UNIT)
+            self._units[channel].options = list(dict.fromkeys([_NO_UNIT, *UNITS[channel], unit]))
+            self._units[channel].value = unit
         self._kind.value = choice.protocol
         self._turned.value, self._tests.options, self._tests.value = [], list(found.records), []
         self._tests.visible = len(found.records) > 1
@@ -200,17 +229,22 @@ class Measured:
         for channel, row in self._rows.items():
             row.visible = channel in wanted
         columns = {c: self._columns[c].value for c in wanted if self._columns[c].value != _NONE}
-        choice = Choice(
-            self._kind.value,
-            columns,
-            {channel: unit.value for channel, unit in self._units.items()},
-            frozenset(self._turned.value),
-            frozenset(self._tests.value),
-            self._holds_out.value,
-        )
+        units = {channel: unit.value for channel, unit in self._units.items() if unit.value != _NO_UNIT}
         assert self._where is not None
         try:
-            self._look_at(campaign_of(self._where.name, self._found.records, choice))
+            choice = Choice(
+                self._kind.value,
+                columns,
+                units,
+                frozenset(self._turned.value),
+                frozenset(self._tests.value),
+                HELD_OUT if self._holds_out.value else 0.0,
+                _numbers(self._missing.value),
+                self._drops.value,
+            )
+            made = campaign_of(self._where.name, self._found.records, choice)
+            self._done = made.notes
+            self._look_at(made.campaign)
         except UserError as mistake:
             self._campaign, self._go.disabled = None, True
             self._loops.show(False)
@@ -235,7 +269,9 @@ class Measured:
         faults = [str(finding) for finding in findings if finding.level == "error"]
         # One doubt stops every command, too.
         stops = faults + [str(finding) for finding in findings if finding.kind == "sign"]
-        doubts = warnings([*self._found.left_out, *(str(finding) for finding in findings if str(finding) not in stops)])
+        doubts = warnings(
+            [*self._found.left_out, *self._done, *(str(finding) for finding in findings if str(finding) not in stops)]
+        )
         hint = "" if self._is_declared else " Turn a sign, or choose another column, on the left."
         wrong = "".join(error(line + hint * (line not in faults)) for line in stops)
         fine = "" if findings else '<p class="good">The checks of the data found nothing to doubt.</p>'
@@ -262,6 +298,19 @@ def _cycles(campaign: Campaign) -> str:
         return ""
     read = [columns._repr_html_() for columns in (cycle_table(campaign), backbone_table(campaign)) if columns.rows]
     return f"<details><summary>Cycles and backbones</summary>{''.join(read)}</details>" if read else ""
+
+
+def _numbers(text: str) -> tuple[float, ...] | None:
+    """Numbers that mark missing samples; None where nothing was said of them.
+
+    Raises:
+        UserError: a word is no number.
+    """
+    words = text.replace(",", " ").split()
+    try:
+        return tuple(float(word) for word in words if word.lower() != "none") if words else None
+    except ValueError:
+        raise UserError(f"{text!r} are no numbers; write such as -9999, or none") from None
 
 
 def _sentence(campaign: Campaign) -> str:

@@ -24,8 +24,6 @@ from hsed_jax.measurements.noise import noise_estimate as noise_estimate
 from hsed_jax.measurements.overview import overview as overview
 from hsed_jax.measurements.pairs import pair_of as pair_of
 from hsed_jax.measurements.readers import read_campaign as read_campaign
-from hsed_jax.measurements.records import Found as Found
-from hsed_jax.measurements.records import numeric_columns as numeric_columns
 from hsed_jax.measurements.turns import half_cycles as half_cycles
 from hsed_jax.measurements.units import Unit as Unit
 from hsed_jax.measurements.units import parse_unit as parse_unit

@@ -60,7 +60,8 @@ class Campaign(Tabular):
         declared |= {f"quantities.{name}": q for name, q in self.quantities.items()}
         object.__setattr__(self, "pair", pair_of(declared))
         object.__setattr__(self, "_units", declared_units(self))
-        object.__setattr__(self, "experiments", tuple(self._settled(e) for e in self.experiments))
+        records: dict[int, Record] = {}  # of experiments that share a record, one
+        object.__setattr__(self, "experiments", tuple(self._settled(e, records) for e in self.experiments))
         seen = set()
         for experiment in self.experiments:
             if experiment.id in seen:
@@ -79,7 +80,7 @@ class Campaign(Tabular):
         """Whether records have a time; otherwise the row number (from 0) is the time."""
         return "time" in self.channels
 
-    def _settled(self, experiment: Experiment) -> Experiment:
+    def _settled(self, experiment: Experiment, records: dict[int, Record]) -> Experiment:
         where = f"experiment {experiment.id!r}"
         if experiment.inputs.keys() != self.inputs.keys():
             raise UserError(
@@ -101,7 +102,10 @@ class Campaign(Tabular):
             "quantities": {k: float(self.unit(k).snap(v)) for k, v in experiment.quantities.items()},
         }
         if experiment.record is not None:
-            changes["record"] = self._settled_record(experiment.record, where)
+            key = id(experiment.record)
+            if key not in records:
+                records[key] = self._settled_record(experiment.record, where)
+            changes["record"] = records[key]
         if experiment.window is not None:
             changes["window"] = tuple(float(self.unit("time").snap(t)) for t in experiment.window)
         changes = {k: v for k, v in changes.items() if v != getattr(experiment, k)}

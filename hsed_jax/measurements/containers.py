@@ -1,4 +1,4 @@
-"""What is in a binary file, told before any of it is read: Parquet, MATLAB and HDF5.
+"""What is in a binary file, told before any of it is read: Parquet, MATLAB, HDF5, NumPy and TDMS.
 
 The libraries that read these formats raise whatever damaged bytes lead to, and allocate what the bytes declare.
 """
@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile, ZipInfo
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.measurements.budget import MOST, ask, ask_of_file
 
 HDF5 = ("h5", "hdf5", "hdf")
-CONTAINERS = ("parquet", "mat", *HDF5)
+CONTAINERS = ("parquet", "mat", *HDF5, "npz", "tdms")
 """Endings of binary files of columns."""
 
 # Types of elements of a MATLAB file, and how much is unpacked at a time.
@@ -35,12 +36,14 @@ class Variable:
         type: of its elements, in words.
         is_numeric: whether they are real numbers.
         read: reads it, while the file is open.
+        unit: as the file says it; empty where it does not.
     """
 
     shape: tuple[int, ...]
     type: str
     is_numeric: bool
     read: Callable[[], Any]
+    unit: str = ""
 
     @property
     def size(self) -> int:
@@ -61,6 +64,10 @@ def opened(path: Path) -> Iterator[dict[str, Variable]]:
         name, listed = "as Parquet", _parquet
     elif ending == "mat" and not _is_hdf5(path):
         name, listed = "as a MATLAB file", _matlab
+    elif ending == "npz":
+        name, listed = "as NumPy arrays", _numpy
+    elif ending == "tdms":
+        name, listed = "as TDMS", _tdms
     else:
         name, listed = "as HDF5", _hdf5
     try:
@@ -128,10 +135,70 @@ def _hdf5(path: Path) -> Iterator[dict[str, Variable]]:
                 str(node.dtype),
                 node.shape is not None and node.dtype.kind in "iuf",
                 read,
+                _unit(node.attrs),
             )
 
     with h5py.File(path, "r") as file:
         file.visititems(collect)
+        yield found
+
+
+def _unit(attributes: Any) -> str:
+    """The unit among the attributes of a variable, by the names that are usual for it."""
+    for name in ("unit", "units", "Unit", "Units", "unit_string"):
+        said = attributes.get(name)
+        said = said.decode(errors="replace") if isinstance(said, bytes) else said
+        if isinstance(said, str) and said.strip():
+            return said.strip()
+    return ""
+
+
+@contextmanager
+def _numpy(path: Path) -> Iterator[dict[str, Variable]]:
+    with ZipFile(path) as archive:
+        members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
+        ask(path, parts=len(archive.infolist()), bytes=sum(member.file_size for member in members))
+        found: dict[str, Variable] = {}
+        for member in members:
+            with archive.open(member) as file:
+                # A header may declare any shape; what is there is told by the size of the member.
+                version = np.lib.format.read_magic(file)
+                headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+                shape, _, dtype = headers[version](file)
+                if math.prod(shape) * dtype.itemsize > member.file_size:
+                    raise UserError(f"{path}: {member.filename!r} is cut short")
+
+            def read(member: ZipInfo = member) -> np.ndarray:
+                with archive.open(member) as file:
+                    return np.lib.format.read_array(file, allow_pickle=False)
+
+            name = member.filename.removesuffix(".npy")
+            found[name] = Variable(shape, str(dtype), dtype.kind in "iuf", read)
+        yield found
+
+
+@contextmanager
+def _tdms(path: Path) -> Iterator[dict[str, Variable]]:
+    try:
+        from nptdms import TdmsFile
+    except ImportError:
+        raise UserError(
+            f"{path}: a TDMS file is read by nptdms; install hsed_jax[files], or export it as text"
+        ) from None
+    with TdmsFile.open(path) as file:
+        channels = [channel for group in file.groups() for channel in group.channels()]
+        names = [channel.name for channel in channels]
+        found: dict[str, Variable] = {}
+        for channel in channels:
+            dtype = np.dtype(channel.dtype)
+            name = channel.name if names.count(channel.name) == 1 else f"{channel.group_name}/{channel.name}"
+            read = lambda channel=channel: channel[:]  # noqa: E731
+            is_numeric = dtype.kind in "iuf" and len(channel) > 0
+            found[name] = Variable((len(channel),), str(dtype), is_numeric, read, _unit(channel.properties))
+            step = channel.properties.get("wf_increment")
+            if "time" not in found and "time" not in names and isinstance(step, float) and step > 0 and len(channel):
+                clock = lambda channel=channel, step=step: np.arange(len(channel)) * step  # noqa: E731
+                found["time"] = Variable((len(channel),), "float64", True, clock, "s")
         yield found
 
 

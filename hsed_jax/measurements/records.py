@@ -1,7 +1,7 @@
 """Record files: one time history each, as text, Parquet, MATLAB, HDF5 or PEER `.AT2`."""
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,21 +19,6 @@ FORMATS = (*TEXT, *CONTAINERS, "at2")
 
 # What MATLAB calls a column of a matrix, or a row of it.
 _PART = re.compile(r"(.+)\((?::\s*,\s*(\d+)|(\d+)\s*,\s*:)\)")
-
-
-@dataclass(frozen=True)
-class Found:
-    """What a file has for somebody who is yet to choose channels.
-
-    Attributes:
-        columns: columns of numbers by name, in the file's units and order, each (n,).
-        faults: why a column is none of them, by name.
-        names: of all, in the file's order.
-    """
-
-    columns: dict[str, np.ndarray]
-    faults: dict[str, str]
-    names: list[str]
 
 
 def read_columns(path: Path, wanted: Iterable[str], optional: Iterable[str] = ()) -> dict[str, np.ndarray]:
@@ -69,54 +54,37 @@ def read_columns(path: Path, wanted: Iterable[str], optional: Iterable[str] = ()
     return columns
 
 
-def numeric_columns(path: Path) -> Found:
-    """Read every column of a record file that could be a channel, and say what is wrong with the others.
+def vectors_of(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str], list[str], dict[str, str]]:
+    """Read every vector of a binary file that could be a channel, and say what is wrong with the others.
 
     Args:
         path: The file; its ending tells the format.  Columns of a matrix have the names that `read_columns` takes.
 
     Returns:
-        Columns of the length n that most of them have, and faults.
+        Vectors by name, in the file's units, each (n,), of whatever n; faults by name; all names in the file's order; units by
+        name, where the file says them.
 
     Raises:
-        UserError: The file is unreadable or goes beyond the budget, or has no column of numbers; the message says what is
-            wrong with the first one.
+        UserError: The file is unreadable or goes beyond the budget.
     """
     columns: dict[str, np.ndarray] = {}
     faults: dict[str, str] = {}
-
-    def take(name: str, read: Callable[[], np.ndarray]) -> None:
-        try:
-            columns[name] = read()
-        except UserError as error:
-            faults[name] = str(error).removeprefix(f"{path}: ").removeprefix(f"{path}, ")
-
-    if _ending(path) in TEXT:
-        table = read_record_table(path, ())
-        names = [name for name in dict.fromkeys(table.columns) if name]
-        comma = table.uses_decimal_comma(name for name in names if table.columns.count(name) == 1)
+    units: dict[str, str] = {}
+    _ending(path)
+    with opened(path) as found:
+        numeric = {name: v for name, v in found.items() if v.is_numeric and len(v.shape) <= 2}
+        ask(path, numbers=sum(v.size for v in numeric.values()))
+        names = [part for name in found for part in (_parts(name, numeric[name]) if name in numeric else [name])]
+        ask(path, parts=len(names))
+        wholes = {name: variable.read() for name, variable in numeric.items()}
         for name in names:
-            take(name, lambda name=name: table.vector(name, comma))
-    else:
-        with opened(path) as found:
-            numeric = {name: v for name, v in found.items() if v.is_numeric and len(v.shape) <= 2}
-            ask(path, numbers=sum(v.size for v in numeric.values()))
-            names = [part for name in found for part in (_parts(name, numeric[name]) if name in numeric else [name])]
-            ask(path, parts=len(names))
-            wholes = {name: variable.read() for name, variable in numeric.items()}
-            for name in names:
-                take(name, lambda name=name: _part(path, found, name).read(wholes))
-    if not columns:
-        raise UserError(
-            f"{path}, {next(iter(faults.values()))}" if faults else f"{path}: there is no column of numbers"
-        )
-    lengths = [len(values) for values in columns.values()]
-    usual = max(lengths, key=lengths.count)
-    for name, values in list(columns.items()):
-        if len(values) != usual:
-            faults[name] = f"column {name!r} has {len(values)} numbers where others have {usual}"
-            del columns[name]
-    return Found(columns, faults, names)
+            try:
+                columns[name] = _part(path, found, name).read(wholes)
+            except UserError as error:
+                faults[name] = str(error).removeprefix(f"{path}: ").removeprefix(f"{path}, ")
+            if name in found and found[name].unit:
+                units[name] = found[name].unit
+    return columns, faults, names, units
 
 
 def read_motion(path: Path) -> dict[str, np.ndarray]:

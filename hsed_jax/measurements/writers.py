@@ -13,15 +13,17 @@ from hsed_jax.measurements.experiment import Experiment
 def write_campaign(campaign: Campaign, folder: str | Path) -> None:
     """Write a campaign as a folder that `read_campaign` reads back to the same numbers.
 
-    Records are CSV in the declared units.  Every file is complete before it takes its name, and experiments.csv comes
-    last, so that a reader never sees half a campaign.
+    Records are CSV in the declared units; experiments that share a record share its file.  Every file is complete before it
+    takes its name, and experiments.csv comes last, so that a reader never sees half a campaign.
 
     Args:
         campaign: What to write.
         folder: Where to; made if it is not there.  Files of the same names are replaced.
     """
+    owners = _owners(campaign)
     for experiment in campaign:
-        _write_record(campaign, experiment, Path(folder))
+        if owners[experiment.id] == experiment.id:
+            _write_record(campaign, experiment, Path(folder))
     _write_tables(campaign, Path(folder))
 
 
@@ -36,7 +38,13 @@ def write_experiment(campaign: Campaign, id: str, folder: str | Path) -> None:
     Raises:
         UserError: The campaign has no such experiment.
     """
-    _write_record(campaign, campaign[id], Path(folder))
+    owners = _owners(campaign)
+    for owner in dict.fromkeys(owners.values()):
+        # One whose record was shared with this experiment until now has none of its own.
+        if owner == owners[id] or (
+            campaign[owner].record is not None and not (Path(folder) / _record_name(owner)).exists()
+        ):
+            _write_record(campaign, campaign[owner], Path(folder))
     _write_tables(campaign, Path(folder))
 
 
@@ -50,7 +58,7 @@ def _write_record(campaign: Campaign, experiment: Experiment, folder: Path) -> N
             values = record.time if name == "time" else record.channels[name]
             # repr is the shortest text that is read back as the same double
             columns[channel.column] = [repr(value) for value in campaign.unit(name).from_si(values).tolist()]
-    _write(folder / _record_name(experiment), _csv(list(columns), zip(*columns.values(), strict=True)))
+    _write(folder / _record_name(experiment.id), _csv(list(columns), zip(*columns.values(), strict=True)))
 
 
 def _write_tables(campaign: Campaign, folder: Path) -> None:
@@ -58,10 +66,11 @@ def _write_tables(campaign: Campaign, folder: Path) -> None:
     free = list(dict.fromkeys(name for experiment in campaign for name in experiment.metadata))
     heads = ["id", *campaign.inputs, *(q.column for q in campaign.quantities.values())]
     heads += ["record", "status", "reason", "split", "from", "to", *free]
-    _write(folder / "experiments.csv", _csv(heads, [_row(campaign, e, free) for e in campaign]))
+    owners = _owners(campaign)
+    _write(folder / "experiments.csv", _csv(heads, [_row(campaign, e, owners[e.id], free) for e in campaign]))
 
 
-def _row(campaign: Campaign, experiment: Experiment, free: list[str]) -> list[str]:
+def _row(campaign: Campaign, experiment: Experiment, owner: str, free: list[str]) -> list[str]:
     def text(name: str, value: float | None) -> str:
         return "" if value is None else repr(float(campaign.unit(name).from_si(value)))
 
@@ -69,7 +78,7 @@ def _row(campaign: Campaign, experiment: Experiment, free: list[str]) -> list[st
         experiment.id,
         *(text(name, experiment.inputs[name]) for name in campaign.inputs),
         *(text(name, experiment.quantities.get(name)) for name in campaign.quantities),
-        "" if experiment.record is None else _record_name(experiment),
+        "" if experiment.record is None else _record_name(owner),
         experiment.status,
         experiment.reason or "",
         experiment.split,
@@ -78,8 +87,14 @@ def _row(campaign: Campaign, experiment: Experiment, free: list[str]) -> list[st
     ]
 
 
-def _record_name(experiment: Experiment) -> str:
-    return f"records/{experiment.id}.csv"
+def _owners(campaign: Campaign) -> dict[str, str]:
+    """By id, the first experiment that has the same record."""
+    first: dict[int, str] = {}
+    return {e.id: e.id if e.record is None else first.setdefault(id(e.record), e.id) for e in campaign}
+
+
+def _record_name(id: str) -> str:
+    return f"records/{id}.csv"
 
 
 def _csv(heads: list[str], rows) -> str:

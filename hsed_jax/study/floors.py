@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +19,8 @@ class Floors(NamedTuple):
 
     Attributes:
         frequency: the first one [Hz].
-        stiffness: of a storey, per mass of a floor [N/m/kg].
-        strength: largest force in the lowest storey, per mass of a floor [N/kg].
+        stiffness: of a storey, per mean mass of a floor [N/m/kg].
+        strength: largest force in the lowest storey, per mean mass of a floor [N/kg].
     """
 
     frequency: float
@@ -37,13 +38,17 @@ def top_channel(campaign: Campaign) -> str | None:
     return max((name for name in campaign.channels if _floor(name)[0]), key=_floor, default=None)
 
 
-def floors_of(campaign: Campaign) -> Floors | None:
+def floors_of(campaign: Campaign, masses: Sequence[float] = ()) -> Floors | None:
     """Frequency, stiffness and strength by the highest sensor, medians over the training experiments; None without one.
+
+    Arguments:
+        campaign: of a shaken building.
+        masses: of the floors from the lowest up [kg], as many as the highest sensor tells; equal ones where they are not known.
 
     The first frequency is where the velocity of that floor, relative to the ground, follows the ground most: in accelerations a
     first mode that yields is lower than the second, in displacements a drift is higher than either.  All floors move in the
-    first mode of a shear building of n equal storeys, $\\phi_i = \\sin\\frac{i\\pi}{2n+1}$,
-    $\\omega_1 = 2\\sqrt{k/m}\\sin\\frac{\\pi}{4n+2}$.
+    first mode of a shear building of n storeys of one stiffness; where masses are equal, too, that is
+    $\\phi_i = \\sin\\frac{i\\pi}{2n+1}$, $\\omega_1 = 2\\sqrt{k/m}\\sin\\frac{\\pi}{4n+2}$.
     """
     if (name := top_channel(campaign)) is None:
         return None
@@ -52,9 +57,21 @@ def floors_of(campaign: Campaign) -> Floors | None:
     if not rows:
         return None
     frequency, acceleration = (float(value) for value in np.median(rows, axis=0))
-    mode = np.sin(np.arange(1, count + 1) * math.pi / (2 * count + 1))
-    stiffness = (math.pi * frequency / math.sin(math.pi / (4 * count + 2))) ** 2
-    return Floors(frequency, stiffness, acceleration * float(mode.sum() / mode[-1]))
+    relative = np.asarray(masses or np.ones(count), dtype=float)
+    relative = relative / relative.mean()
+    squared, mode = _first_mode(relative)
+    stiffness = (2 * math.pi * frequency) ** 2 / squared
+    return Floors(frequency, stiffness, acceleration * float(relative @ mode / mode[-1]))
+
+
+def _first_mode(masses: np.ndarray) -> tuple[float, np.ndarray]:
+    """Square of the first circular frequency, and the mode (n,), of masses (n,) on springs of stiffness 1, one on another."""
+    count = len(masses)
+    springs = np.diag([2.0] * (count - 1) + [1.0]) - np.diag(np.ones(count - 1), 1) - np.diag(np.ones(count - 1), -1)
+    root = np.sqrt(masses)
+    squared, modes = np.linalg.eigh(springs / np.outer(root, root))
+    mode = modes[:, 0] / root
+    return float(squared[0]), mode * np.sign(mode[-1])
 
 
 def _floor(name: str) -> tuple[int, int]:

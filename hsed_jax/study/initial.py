@@ -4,6 +4,7 @@ import json
 import math
 import os
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,6 +23,16 @@ _WORDS = ("y", "n", "yes", "no", "on", "off", "true", "false", "null", ".inf", "
 _MASS = 1000.0
 
 
+_GRAVITY = 9.80665
+
+
+class Frame(NamedTuple):
+    """What is known of a frame: masses of its floors from the lowest up [kg], height of a storey [m]; zero where it is not."""
+
+    masses: tuple[float, ...] = ()
+    height: float = 0.0
+
+
 class _Guess(NamedTuple):
     """A number for the first model, and where it comes from."""
 
@@ -29,26 +40,31 @@ class _Guess(NamedTuple):
     source: str
 
 
-def initial_study(campaign: Campaign, folder: Path, output: Path) -> str:
+def initial_study(
+    campaign: Campaign, folder: Path, output: Path, frame: Frame | None = None, taken: Sequence[str] = ()
+) -> str:
     """The text of a study file.
 
     Arguments:
         campaign: the measurements.
         folder: where they are.
         output: where the study will be; the path to the campaign is written relative to it.
+        frame: what is known of a frame that was shaken.
+        taken: what the campaign was made of, lines for its head.
 
     Raises:
         UserError: the campaign has no completed training experiment, or nothing that tells stiffness and strength; or it was
-            shaken, and the specimen measured in another pair than elongation and force.
+            shaken, and the specimen measured in another pair than elongation and force; or the frame does not fit the sensors.
     """
-    pair = campaign.pair
+    pair, frame = campaign.pair, frame or Frame()
+    _check_frame(campaign, folder, frame)
     if campaign.protocol == "ground_motion":
         check_masses(str(folder), pair)
     if not len(campaign.train):
         raise UserError(f"{folder}: there is no completed training experiment to start a study from")
     where = os.path.relpath(folder, output.parent)
     histories = any(e.record is not None for e in campaign.train) and any(not is_driver(c) for c in campaign.channels)
-    stiffness, strength, mass = _guesses(campaign, folder)
+    stiffness, strength, mass = _guesses(campaign, folder, frame)
     if campaign.protocol == "displacement" and not histories:
         raise UserError(
             f"{folder}: the protocol is displacement, but no experiment has a record of the {pair.elongation} that was imposed "
@@ -56,25 +72,26 @@ def initial_study(campaign: Campaign, folder: Path, output: Path) -> str:
         )
     lines = [
         f"# A study of {' '.join(campaign.name.split())}, written by `hsed init` from the data in {where}.",
+        *(f"# {line}" for line in taken),
         "# Every number below can be changed; the comments say where it comes from.",
         f"study: {_text(_name(folder))}",
         "seed: 0",
         "",
-        *_structure(campaign, stiffness.value, mass),
+        *_structure(campaign, stiffness.value, mass, frame),
         *_excitation(campaign),
         *_inputs(campaign),
         "model:",
         "  spring: bouc_wen",
         "  parameters:",
         f"    # initial stiffness [{pair.unit('N/m')}]: {_round(stiffness.value)} is the {pair.words(stiffness.source)};",
-        "    # within a factor of 4 with 95 %",
-        f"    A: {{lognormal: [{math.log(stiffness.value):.3f}, 0.7]}}",
+        "    # within a factor of 4 with 95 %" + (", with what gravity takes away" if frame.height else ""),
+        f"    A: {{lognormal: [{math.log(stiffness.value + _of_gravity(frame)):.3f}, 0.7]}}",
         f"    # stiffness over strength [{pair.unit('1/m')}]: the strength A/beta is about {pair.words(strength.source)},",
         f"    # {_round(strength.value)} {pair.force_unit} (median over experiments); within a factor of 4 with 95 %",
-        f"    beta: {{lognormal: [{math.log(stiffness.value / strength.value):.3f}, 0.7]}}",
+        f"    beta: {{lognormal: [{math.log((stiffness.value + _of_gravity(frame)) / strength.value):.3f}, 0.7]}}",
         "    gamma: 0.0                              # symmetric loading and unloading: the usual first assumption",
         "    n: 1.0                                  # the smoothest yielding: the usual first assumption",
-        "  effects: {}                               # none assumed; `hsed effects` lists the catalogue",
+        *_effects(frame),
         "",
         "experiments:",
         f"  campaign: {_text(where)}",
@@ -102,7 +119,45 @@ def _name(folder: Path) -> str:
     return "".join(c if c.isalnum() or c in "_.-" else "_" for c in folder.resolve().name)
 
 
-def _guesses(campaign: Campaign, folder: Path) -> tuple[_Guess, _Guess, _Guess]:
+def _check_frame(campaign: Campaign, folder: Path, frame: Frame) -> None:
+    """Refuse masses and a height that do not fit the measurements.
+
+    Raises:
+        UserError: with what is allowed.
+    """
+    if not frame.masses and not frame.height:
+        return
+    if campaign.protocol == "displacement":
+        raise UserError(
+            f"{folder}: the elongation was imposed on the specimen alone; masses and a height are of a shaken frame"
+        )
+    if frame.height and not frame.masses:
+        raise UserError("--height needs --masses: gravity acts on the drift by the weight above it")
+    if not all(mass > 0 and math.isfinite(mass) for mass in frame.masses) or frame.height < 0:
+        raise UserError("masses and the height of a storey are greater than zero")
+    if (count := floor_count(campaign)) > 1 and len(frame.masses) != count:
+        raise UserError(
+            f"{folder}: sensors are on {count} floors, and {len(frame.masses)} masses are given; give one for each"
+        )
+
+
+def _of_gravity(frame: Frame) -> float:
+    """What gravity takes off the stiffness of the lowest storey [N/m]: weight above it over its height."""
+    return sum(frame.masses) * _GRAVITY / frame.height if frame.height else 0.0
+
+
+def _effects(frame: Frame) -> list[str]:
+    if not frame.height:
+        return ["  effects: {}                               # none assumed; `hsed effects` lists the catalogue"]
+    return [
+        f"  # P-Delta: the weight of all floors, {_round(sum(frame.masses) * _GRAVITY)} N, over the height of the storey, "
+        f"{frame.height:g} m, as a",
+        "  # stiffness that is known and not calibrated; where masses change, it changes with them",
+        f"  effects: {{hardening: {{k: {-_of_gravity(frame):.4g}}}}}",
+    ]
+
+
+def _guesses(campaign: Campaign, folder: Path, frame: Frame) -> tuple[_Guess, _Guess, _Guess]:
     """Stiffness [N/m] and strength [N] of the specimen, and the mass of a floor [kg].
 
     Raises:
@@ -116,15 +171,18 @@ def _guesses(campaign: Campaign, folder: Path) -> tuple[_Guess, _Guess, _Guess]:
         stiffness = _Guess(2 * found.force / found.elongation, "twice the largest force over the largest elongation")
     strength = _Guess(found.force, "the largest force")
     if all(math.isfinite(guess.value) and guess.value > 0 for guess in (stiffness, strength)):
-        return stiffness, strength, _mass(campaign, stiffness.value)
-    floors = floors_of(campaign) if campaign.protocol == "ground_motion" else None
+        return stiffness, strength, _given(frame) or _mass(campaign, stiffness.value)
+    is_of_all = len(frame.masses) == floor_count(campaign)
+    floors = floors_of(campaign, frame.masses if is_of_all else ()) if campaign.protocol == "ground_motion" else None
     if floors is None or not floors.strength > 0:
         raise UserError(
             f"{folder}: force and elongation were not both measured, nor the motion of a floor on a shake table, so nothing "
             "tells the specimen's stiffness and strength; write the study by hand (configs/ has examples)"
         )
-    mass = _Guess(_MASS, "a mere placeholder, since no force was measured; A and strength grow with it")
-    if found.force > 0:
+    mass = _given(frame) or _Guess(
+        _MASS, "a mere placeholder, since no force was measured; A and strength grow with it"
+    )
+    if found.force > 0 and not frame.masses:
         mass = _Guess(found.force / floors.strength, "largest force over largest accelerations")
     way = (
         f"stiffness of storeys whose first frequency is {floors.frequency:.3g} Hz, where the highest floor follows most"
@@ -136,15 +194,21 @@ def _guesses(campaign: Campaign, folder: Path) -> tuple[_Guess, _Guess, _Guess]:
     )
 
 
-def _structure(campaign: Campaign, stiffness: float, mass: _Guess) -> list[str]:
+def _given(frame: Frame) -> _Guess | None:
+    """The mean mass of the floors that were given."""
+    return _Guess(float(np.mean(frame.masses)), "as given") if frame.masses else None
+
+
+def _structure(campaign: Campaign, stiffness: float, mass: _Guess, frame: Frame) -> list[str]:
     if campaign.protocol == "displacement":
         return [f"# structure: none, the {campaign.pair.elongation} was imposed on the specimen alone", ""]
-    count = floor_count(campaign)
+    count = len(frame.masses) or floor_count(campaign)
+    masses = [f"{value:.6g}" for value in frame.masses] or [f"{mass.value:.4g}"] * count
     springs = [f"{{between: [{i}, {i + 1}], stiffness: {stiffness:.4g}}}" for i in range(1, count)]
     guess = "one mass on the specimen" if count == 1 else f"{count} equal storeys, the specimen the lowest"
     return [
         f"structure:                                  # a guess: {guess}; describe yours here",
-        f"  masses: [{', '.join([f'{mass.value:.4g}'] * count)}]  # kg: {mass.source}",
+        f"  masses: [{', '.join(masses)}]  # kg: {mass.source}",
         "  # linear springs, such as {between: [ground, 1], stiffness: 4.0e5}",
         f"  springs: [{', '.join(springs)}]",
         "  specimen: {between: [ground, 1]}",

@@ -1,0 +1,197 @@
+"""A campaign made of a laboratory's files: what was taken for what is said, and asked where it cannot be told."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from shlex import quote
+
+import numpy as np
+
+from hsed_jax.errors import UserError
+from hsed_jax.intake.choice import HELD_OUT, Choice, campaign_of, chosen, column_named, unit_of_columns, with_units
+from hsed_jax.intake.found import Found
+from hsed_jax.intake.opening import Gathered, gathered
+from hsed_jax.measurements import Campaign
+from hsed_jax.plain import shown, stem_of
+
+_FLAGS = {"elongation": "--elongation", "force": "--force", "time": "--time"}
+
+
+@dataclass(frozen=True)
+class Said:
+    """What the user says of the files.
+
+    Attributes:
+        columns: by channel, its column.
+        units: unit by column or channel.
+        sheet: of workbooks, the only one to read.
+        held_out: share of each record, its end, that is never fitted.
+        missing: numbers that say that a sample is missing; None where nothing was said.
+        drops_missing: whether samples that lack a channel inside a record are left out.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    sheet: str | None = None
+    held_out: float = HELD_OUT
+    missing: tuple[float, ...] | None = None
+    drops_missing: bool = False
+
+
+@dataclass(frozen=True)
+class Begun:
+    """A campaign made of files.
+
+    Attributes:
+        campaign: the measurements.
+        taken: what was taken for elongation, force, time and further channels, a line for each.
+        notes: what was left out, and what was decided.
+    """
+
+    campaign: Campaign
+    taken: list[str]
+    notes: list[str]
+
+
+def begun(files: Sequence[Path], said: Said | None = None) -> Begun:
+    """Make a campaign of the files of one specimen.
+
+    Raises:
+        UserError: a file cannot be read, a column or unit cannot be told from the files or from what the user says, or a column
+            that is wanted has a fault; the message says what to say.
+    """
+    said = said or Said()
+    found = gathered(files, said.sheet)
+    if found.refused:
+        raise UserError(found.refused[0])
+    _ask_of_sheets(files, found, said)
+    first, table = next(iter(found.records.items()))
+    where = ", ".join(map(str, files[:3])) + (" ..." if len(files) > 3 else "")
+    choice, notes = _choice(where, files, table, said)
+    for id, other in found.records.items():
+        _ask_of_others(id, other, first, choice, said)
+    choice = replace(choice, held_out=said.held_out, missing=said.missing, drops_missing=said.drops_missing)
+    made = campaign_of(stem_of(files[0].name), found.records, choice)
+    unused = [name for name in table.columns if not _is_used(name, choice)]
+    left_out = [f"not used: {', '.join(map(repr, unused))}"] if unused else []
+    faulty = [note for note in found.notes if "is left out: " not in note or ": column " not in note]
+    faults = [f"{name!r}: {fault}" for name, fault in table.faults.items()]
+    left_out += [f"not used, since they hold something other than numbers: {'; '.join(faults)}"] if faults else []
+    return Begun(made.campaign, _taken(table, choice, made.campaign), [*faulty, *notes, *made.notes, *left_out])
+
+
+def _choice(where: str, files: Sequence[Path], table: Found, said: Said) -> tuple[Choice, list[str]]:
+    """What the columns are.
+
+    Raises:
+        UserError: it cannot be told.
+    """
+    try:
+        given = {channel: column_named(table, column) for channel, column in said.columns.items()}
+        units = {_channel_or_column(table, name): unit for name, unit in said.units.items()}
+    except UserError as error:
+        raise UserError(f"{where}: {error}") from None
+    # A unit that the user gives tells as much as one in the file.
+    known = {name: unit for name, unit in units.items() if name in table.names}
+    choice, told = chosen(replace(table, units={**table.units, **known}), given)
+    of_channels = {c: unit for c, unit in units.items() if c in choice.columns}
+    for channel, column in choice.columns.items():
+        unit = unit_of_columns(replace(table, units={**table.units, **known}), column)
+        if channel not in of_channels and unit is not None:
+            of_channels[channel] = unit
+    try:
+        choice = with_units(choice, of_channels)
+    except UserError as error:
+        raise UserError(f"{where}: {error}") from None
+    asked = {c: names for c, names in told.candidates.items() if c != "time" or names}
+    missing = [c for c in choice.columns if c not in choice.units]
+    if asked or missing:
+        raise UserError(_question(where, files, table, choice, asked, missing))
+    return choice, told.notes
+
+
+def _channel_or_column(table: Found, name: str) -> str:
+    return name if name in ("elongation", "force", "time", "ground_acceleration") else column_named(table, name)
+
+
+def _question(
+    where: str, files: Sequence[Path], table: Found, choice: Choice, asked: Mapping[str, list[str]], missing: list[str]
+) -> str:
+    """What cannot be told, the columns it may be, and the command that says it."""
+    parts, flags = [], []
+    for channel, names in asked.items():
+        likely = f" ({', '.join(map(repr, names))} may be it)" if names else ""
+        parts.append(f"the column of the {channel}{likely}")
+        flags.append(f"{_FLAGS.get(channel, '--channel ' + channel + '=')} COLUMN")
+    for channel in missing:
+        column = choice.columns[channel]
+        parts.append(f"the unit of the {channel}, column {column!r}")
+        flags.append(f"--unit {quote(f'{column}=UNIT')}")
+    if asked and not table.is_named:
+        flags += [f"--unit {channel}=UNIT" for channel in asked]
+    lines = [f"{where}: {' and '.join(parts)} cannot be told from the file; say it:"]
+    lines.append(f"  hsed init {' '.join(quote(str(file)) for file in files[:3])} {' '.join(dict.fromkeys(flags))}")
+    if asked:
+        lines.append("The columns are:" if table.is_named else "The file names no column; by their positions they are:")
+        lines += [f"  {name!r}: {_range(table, name)}" for name in table.names]
+    return "\n".join(lines)
+
+
+def _range(table: Found, name: str) -> str:
+    if name in table.faults:
+        return table.faults[name]
+    values = table.columns[name]
+    steps = np.diff(values[np.isfinite(values)])
+    rises = ", rises throughout" if steps.size and (steps > 0).all() else ""
+    unit = table.units.get(name, "")
+    return f"{np.nanmin(values):.6g} to {np.nanmax(values):.6g}{' ' + unit if unit else ''}{rises}"
+
+
+def _ask_of_sheets(files: Sequence[Path], found: Gathered, said: Said) -> None:
+    """Refuse several sheets of one workbook where the user chose none.
+
+    Raises:
+        UserError: with their names.
+    """
+    if len(found.records) > len(files) and said.sheet is None:
+        raise UserError(
+            f"{files[0]}: several sheets hold a table ({', '.join(found.records)}); say --sheet NAME, or save each "
+            "record as a file"
+        )
+
+
+def _ask_of_others(id: str, other: Found, first: str, choice: Choice, said: Said) -> None:
+    """Refuse a record whose columns have other units than those of the first one.
+
+    Raises:
+        UserError: with the record, the column and both units.
+    """
+    for channel, column in choice.columns.items():
+        unit = unit_of_columns(other, column) if column in other.names else None
+        if unit is not None and unit != choice.units[channel] and not said.units:
+            raise UserError(
+                f"record {id!r}: column {column!r} is in {unit!r}, that of {first!r} in {choice.units[channel]!r}; files of one "
+                "campaign have the same units"
+            )
+
+
+def _is_used(name: str, choice: Choice) -> bool:
+    return any(name == column or name in column for column in choice.columns.values())
+
+
+def _taken(table: Found, choice: Choice, campaign: Campaign) -> list[str]:
+    """A line for each channel: its column, its unit, its range."""
+    lines = []
+    records = [e.record for e in campaign if e.record is not None]
+    width = max(len(channel) for channel in choice.columns) + 1
+    for channel in campaign.channels:
+        unit = campaign.unit(channel)
+        values = [r.time if channel == "time" else r.channels[channel] for r in records]
+        low, high = (float(unit.from_si(f([f(v) for v in values]))) for f in (min, max))
+        of_file = table.units.get(choice.columns[channel], "")
+        spelled = f" (the file's {shown(of_file)})" if of_file and of_file != unit.text else ""
+        label = f"{channel}:".ljust(width)
+        lines.append(f"{label} column {choice.columns[channel]!r}, {low:.6g} to {high:.6g} {unit.text}{spelled}")
+    if "time" not in choice.columns:
+        lines.append(f"{'time:'.ljust(width)} no column of the file; samples are numbered")
+    return lines

@@ -1,0 +1,268 @@
+"""What a file holds, whatever its format: tables of columns with names and units, for the command line and the page alike."""
+
+import re
+from collections.abc import Collection, Iterable
+from itertools import chain, count
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hsed_jax.errors import UserError
+from hsed_jax.intake.found import Found
+from hsed_jax.intake.words import is_channel
+from hsed_jax.measurements.containers import CONTAINERS
+from hsed_jax.measurements.layout import Laid, table_in
+from hsed_jax.measurements.sheets import STAMP, is_missing, read_text, sheet_of
+from hsed_jax.measurements.tables import Table
+from hsed_jax.plain import shown, stem_of
+
+TEXT = ("csv", "txt", "tsv", "dat", "out", "asc", "prn", "lvm", "tra")
+WORKBOOKS = ("xlsx", "xlsm")
+FORMATS = (*TEXT, *WORKBOOKS, *CONTAINERS)
+"""Endings of files that can be read."""
+_EITHER = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
+
+
+class Opened(NamedTuple):
+    """Tables of a file.
+
+    Attributes:
+        tables: by the name of a sheet; of a file that has none, by an empty name.
+        notes: what of the file was left out.
+    """
+
+    tables: dict[str, Found]
+    notes: list[str]
+
+
+def opened_file(path: Path) -> Opened:
+    """Read the tables of a file.
+
+    Raises:
+        UserError: its format is not read, it cannot be read, goes beyond the budget, or has no column of numbers.
+    """
+    ending = path.suffix.lower().lstrip(".")
+    if ending not in FORMATS:
+        older = "; save an older workbook as .xlsx" if ending in ("xls", "ods", "xlsb") else ""
+        raise UserError(
+            f"{path}: files ending in {path.suffix!r} cannot be read; allowed: .{', .'.join(FORMATS)}{older}"
+        )
+    if ending in WORKBOOKS:
+        from hsed_jax.intake.workbooks import read_workbook
+
+        return Opened(*read_workbook(path))
+    if ending in TEXT:
+        return Opened({"": found_in_text(path)}, [])
+    from hsed_jax.intake.arrays import found_in_arrays
+
+    return Opened({"": found_in_arrays(path)}, [])
+
+
+def found_in_text(path: Path) -> Found:
+    """The columns of a file of text.
+
+    Raises:
+        UserError: it has none, or which cell belongs to which column cannot be told.
+    """
+    text = read_text(path)
+    if text.startswith("LabVIEW Measurement"):
+        from hsed_jax.intake.lvm import found_in_lvm
+
+        return found_in_lvm(path, text)
+    laid = table_in(sheet_of(path, text), is_channel)
+    if laid is None:
+        first = next(line for line in text.splitlines() if line.strip())
+        raise UserError(f"{path}: no row has numbers; it begins with {shown(first.strip())}")
+    return found_in_cells(path, laid)
+
+
+def found_in_cells(path: Path, laid: Laid) -> Found:
+    """The columns of a table of texts, as numbers.
+
+    Raises:
+        UserError: no column is one of numbers, or the decimal mark cannot be told.
+    """
+    sheet = laid.sheet
+    width = len(laid.names)
+    rows = [[*sheet.rows[k][:width], *[""] * (width - len(sheet.rows[k]))] for k in laid.rows]
+    numbers = [sheet.numbers[k] for k in laid.rows]
+    columns, faults = {}, {}
+    names = [name for name in laid.names if name]
+    table = Table(path, tuple(laid.names), rows, numbers, sheet.delimiter != ",", True)
+    for name in names:
+        position = table.position(name)
+        for row in rows:
+            if is_missing(row[position]):
+                row[position] = "nan"
+    comma = table.uses_decimal_comma(names)
+    for name in names:
+        position = table.position(name)
+        _ask_of_thousands(table, position, name)
+        try:
+            columns[name] = table.vector(name, comma)
+        except UserError as error:
+            cells = [row[position].strip() for row in rows]
+            seconds = seconds_of(cells)
+            if seconds is None:
+                faults[name] = str(error).removeprefix(f"{path}: ").removeprefix(f"{path}, ")
+            else:
+                columns[name] = seconds
+                laid.notes.append(f"column {name!r} holds times of day; it is read as seconds since the first row")
+                laid.units[laid.names.index(name)] = "s"
+    return made(path, columns, faults, laid, np.asarray(numbers))
+
+
+def made(where: object, columns: dict[str, Any], faults: dict[str, str], laid: Laid, rows: np.ndarray | None) -> Found:
+    """What was found, without columns that hold nothing.
+
+    Raises:
+        UserError: there is no column of numbers; the message says what is wrong with the first one.
+    """
+    if len(columns) > 1 and rows is not None:
+        is_empty = np.all([np.isnan(values) for values in columns.values()], axis=0)
+        if is_empty.any() and not is_empty.all():
+            places = Found(columns, {}, [], rows=rows).places(is_empty)
+            laid.notes.append(f"{places} hold no number in any column and are left out")
+            columns, rows = {name: values[~is_empty] for name, values in columns.items()}, rows[~is_empty]
+    for name in [name for name, values in columns.items() if np.isnan(values).all()]:
+        del columns[name]
+        faults[name] = f"column {name!r} holds no number"
+    if not columns:
+        raise UserError(f"{where}, {next(iter(faults.values()))}")
+    names = [name for name in laid.names if name]
+    units = {name: unit for name, unit in zip(laid.names, laid.units, strict=True) if name and unit}
+    return Found(columns, faults, names, units, tuple(laid.notes), rows, laid.is_named)
+
+
+def seconds_of(cells: list[str]) -> np.ndarray | None:
+    """Seconds since the first of some times of day; None where a cell is none, or they do not rise throughout."""
+    if not cells or not all(STAMP.fullmatch(cell) for cell in cells):
+        return None
+    whole = [cell.replace(",", ".").replace("T", " ").split(" ") for cell in cells]
+    if len({len(parts) for parts in whole}) > 1:
+        return None
+    seconds = np.zeros(len(cells))
+    for k, parts in enumerate(whole):
+        hours, minutes, rest = parts[-1].split(":")
+        seconds[k] = 3600 * int(hours) + 60 * int(minutes) + float(rest)
+        if len(parts) == 2:
+            try:
+                seconds[k] += 86400.0 * float(np.datetime64(parts[0], "D").astype(int))
+            except ValueError:
+                return None
+    seconds = np.round(seconds - seconds[0], 6)
+    return seconds if (np.diff(seconds) > 0).all() else None
+
+
+def _ask_of_thousands(table: Table, position: int, name: str) -> None:
+    """Refuse a column in which a mark may separate thousands: 1.288 beside 964, and nothing in it that is surely a decimal.
+
+    Raises:
+        UserError: with the first such cell.
+    """
+    marked = []
+    for k, row in enumerate(table.rows):
+        if "." in (cell := row[position].strip()) or "," in cell:
+            if not _EITHER.fullmatch(cell):
+                return  # a number that is surely a decimal
+            marked.append((k, cell))
+    if not marked:
+        return
+    plain = [cell for row in table.rows if (cell := row[position].strip()).lstrip("+-").isdigit() and cell.strip("+-0")]
+    if plain:
+        k, cell = marked[0]
+        raise UserError(
+            f"{table.where(k, name)}: {shown(cell)} beside {shown(plain[0])} may be a number with thousands separators; write "
+            "all numbers without thousands separators, or all with the same number of decimals"
+        )
+
+
+class Gathered(NamedTuple):
+    """What some files hold.
+
+    Attributes:
+        records: every table, by the name of a record; files of one column each are one record.
+        notes: what of these files was left out.
+        refused: what is wrong with files that cannot be read.
+    """
+
+    records: dict[str, Found]
+    notes: list[str]
+    refused: list[str]
+
+    @property
+    def left_out(self) -> list[str]:
+        """What of the files is not used, and why."""
+        return [*(f"{said}; the file is left out" for said in self.refused), *self.notes]
+
+
+def gathered(files: Iterable[Path], sheet: str | None = None) -> Gathered:
+    """What files hold that were given together.
+
+    Arguments:
+        files: of one specimen.
+        sheet: of workbooks, the only one to read.
+
+    Raises:
+        UserError: none of them has columns of numbers (the message names the first one), there is no such sheet, or files that
+            are columns of one record differ in length.
+    """
+    records: dict[str, Found] = {}
+    notes: list[str] = []
+    refused: list[str] = []
+    for file in files:
+        stem = stem_of(file.name)
+        try:
+            tables, said = opened_file(file)
+            if sheet is not None and (sheet in tables or "" not in tables):
+                if sheet not in tables:
+                    raise UserError(
+                        f"{file}: there is no sheet {shown(sheet)}; sheets with a table: {', '.join(tables)}"
+                    )
+                said = [*said, *(f"sheet {title!r} is left out" for title in tables if title != sheet)]
+                tables = {sheet: tables[sheet]}
+        except UserError as mistake:
+            refused.append(str(mistake))
+            continue
+        notes.extend(f"{file}: {line}" for line in said)
+        for title, table in tables.items():
+            records[_fresh(f"{stem}_{stem_of(title)}" if len(tables) > 1 else stem, records)] = table
+    if not records:
+        raise UserError(refused[0] if refused else "no file was given")
+    if (one := _joined(records)) is not None:
+        records = {next(iter(records)): one}
+    for id, table in records.items():
+        notes.extend(f"record {id!r}: {said}" for said in table.notes)
+        notes.extend(f"record {id!r}: column {name!r} is left out: {said}" for name, said in table.faults.items())
+    return Gathered(records, notes, refused)
+
+
+def _fresh(name: str, taken: Collection[str]) -> str:
+    """A name that no other record has: `test.csv` and `test.txt` are two."""
+    numbered = (f"{name}-{number}" for number in count(2))
+    return next(one for one in chain([name], numbered) if one not in taken)
+
+
+def _joined(tables: dict[str, Found]) -> Found | None:
+    """Several files of one column each as one table, each column called like its file where it has no name; None if they are not.
+
+    Raises:
+        UserError: they differ in length.
+    """
+    if len(tables) < 2 or any(len(found.columns) != 1 or len(found.names) != 1 for found in tables.values()):
+        return None
+    columns, units, notes = {}, {}, []
+    for stem, found in tables.items():
+        name = found.names[0]
+        own = name if found.is_named else stem
+        own = own if own not in columns else f"{own} ({stem})"
+        columns[own] = found.columns[name]
+        if name in found.units:
+            units[own] = found.units[name]
+        notes.extend(found.notes)
+    lengths = {name: len(values) for name, values in columns.items()}
+    if len(set(lengths.values())) > 1:
+        said = ", ".join(f"{name!r} has {length}" for name, length in lengths.items())
+        raise UserError(f"the files are columns of one record and differ in length: {said}")
+    return Found(columns, {}, list(columns), units, tuple(notes))
