@@ -43,7 +43,7 @@ _LOOKS, _LENGTH, _DEGREES = 400, 2.0, 3.0
 _LESS, _MAY_MISS = 2.0, 0.01
 # Chains worth less than this share of their draws, and those of which more than this share diverges, have not been everywhere
 # as often as they should.
-_WORTHY, _MAY_DIVERGE = 0.1, 0.01
+_WORTHY, _MAY_DIVERGE = 0.2, 0.01
 # So many emulators learn, the first one from draws this much wider than the Gaussian around the mode.
 _ROUNDS, _SPREAD = 5, 1.3
 
