@@ -43,7 +43,7 @@ class Case(NamedTuple):
 CASES = [
     *(Case(n, error) for n in (10, 20, 43) for error in ("", "inflate", "discrepancy")),
     *(Case(20, error, 0.0) for error in ("", "discrepancy")),
-    Case(2, "discrepancy", observe="histories"),
+    *(Case(n, "discrepancy", observe="histories") for n in (3, 4)),
     *(Case(6, error, observe="histories") for error in ("", "inflate", "discrepancy")),
     *(Case(6, error, 0.0, "histories") for error in ("", "discrepancy")),
 ]

@@ -116,11 +116,11 @@ FAULTS = {
     "sign of elongation": (fault("elongation", lambda u: -u), "doubt", "force", None, "sign"),
     "noisier": (
         fault("force", lambda f: f + 500 * np.random.default_rng(9).normal(size=f.size)),
-        "doubt", "force", None, "declared noise is 50 N",
+        "doubt", "force", None, "declared noise is 0.05 kN",
     ),
     "smoother": (
         fault("force", lambda f: np.convolve(f, np.hanning(41) / 20, "same")),
-        "doubt", "force", None, "declared noise is 50 N",
+        "doubt", "force", None, "declared noise is 0.05 kN",
     ),
     "offset of force": (fault("force", lambda f: f + 800), "doubt", "force", 0.0, "before the motion"),
     "offset of elongation": (fault("elongation", lambda u: u + 2e-3), "doubt", "elongation", 0.0, "before the motion"),

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.measurements import Experiment, Record
+from hsed_jax.physics import display
 from hsed_jax.reporting import figures, style
 
 INPUTS = {"V_P": "m/s", "T_P": "s"}
@@ -213,7 +214,7 @@ def test_the_order_map_runs_from_the_first_to_the_last_region():
     ],
 )
 def test_units_are_scaled_for_reading(unit, largest, expected):
-    assert style.readable(unit, [-largest, 0.0], []) == expected
+    assert display.readable(unit, [-largest, 0.0], []) == expected
 
 
 def test_symbols_come_from_where_the_parameter_is_declared():

@@ -16,8 +16,8 @@ from hsed_jax.intake.choice import HELD_OUT, Choice, campaign_of, chosen
 from hsed_jax.intake.opening import Gathered
 from hsed_jax.intake.recognition import CHANNELS
 from hsed_jax.measurements import Campaign, backbone_table, check_campaign, cycle_table, overview, write_campaign
+from hsed_jax.physics.display import shown
 from hsed_jax.physics.pairs import ELONGATION_AND_FORCE
-from hsed_jax.reporting.style import readable
 
 GRAVITY = 9.80665
 """[m/s²]"""
@@ -324,9 +324,9 @@ def _sentence(campaign: Campaign) -> str:
         for e in campaign.completed
         if e.record is not None and "force" in e.record.channels
     ]
-    if campaign.pair is ELONGATION_AND_FORCE and forces:
+    if campaign.pair == ELONGATION_AND_FORCE and forces:
         # Who holds kN for N sees it sooner as a weight.
-        divisor, unit = readable("N", np.asarray(max(forces)))
+        divisor, unit = shown(campaign.pair, "force", np.asarray(max(forces)))
         mass = max(forces) / GRAVITY
         weight = f"{mass / 1000:.3g} t" if mass >= 1000 else f"{mass:.3g} kg"
         said += f"; the largest force is {max(forces) / divisor:.3g} {unit}, the weight of {weight}"

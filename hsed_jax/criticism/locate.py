@@ -21,20 +21,11 @@ import numpy as np
 from hsed_jax.criticism.coordinates import UNITS, Samples, quantities_of, samples_of
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.measurements import Campaign
+from hsed_jax.physics.display import shown_in
 from hsed_jax.physics.outputs import output
 from hsed_jax.physics.pairs import ELONGATION_AND_FORCE, Pair
 from hsed_jax.tables import Table, Tabular
 
-_READABLE = {
-    "J": (("kJ", 1e-3), ("J", 1.0)),
-    "J/m": (("kJ/m", 1e-3), ("J/m", 1.0)),
-    "J/m^3": (("MJ/m³", 1e-6), ("kJ/m³", 1e-3), ("J/m³", 1.0)),
-    "m": (("mm", 1e3),),
-    "m/s": (("mm/s", 1e3),),
-    "rad": (("mrad", 1e3),),
-    "rad/s": (("mrad/s", 1e3),),
-    "1": (("", 1.0),),
-}
 _SMALLEST_PART = 0.05
 _LEAST = 0.02
 _CLEAR = 0.3
@@ -114,14 +105,15 @@ class Place:
                     return f"{'after' if self.part == 'above' else 'up to'} row {self.limit:.0f}"
                 return f"{'after' if self.part == 'above' else 'until'} {_plain(self.limit)} s"
             # An input is read in the unit it was declared in.
-            choices = _READABLE.get(self.unit, ((self.unit, 1.0),)) if self.coordinate in UNITS else ((self.unit, 1.0),)
-            unit, factor = next((c for c in choices if abs(self.limit) * c[1] >= 1), choices[-1])
+            is_input = self.coordinate not in UNITS
+            divisor, unit = (1.0, self.unit) if is_input else shown_in(self.pair, UNITS[self.coordinate], self.limit)
+            unit = "" if unit == "1" else unit.replace("^3", "³")
             name = {
                 "energy": "an absorbed energy",
                 "amplitude": self.pair.words("elongations"),
                 "speed": f"{self.pair.elongation} rates",
             }.get(self.coordinate, self.coordinate)
-            return f"at {name} {self.part} {_plain(self.limit * factor)} {unit}".rstrip()
+            return f"at {name} {self.part} {_plain(self.limit / divisor)} {unit}".rstrip()
         templates = {
             "branch": {
                 "loading": "on loading",

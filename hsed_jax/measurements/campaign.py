@@ -59,7 +59,9 @@ class Campaign(Tabular):
         declared = {f"channels.{name}": c for name, c in self.channels.items()}
         declared |= {f"quantities.{name}": q for name, q in self.quantities.items()}
         object.__setattr__(self, "pair", pair_of(declared))
-        object.__setattr__(self, "_units", declared_units(self))
+        object.__setattr__(self, "_units", units := declared_units(self))
+        said = {name: (float(units[name].factor), units[name].text) for name in (*self.channels, *self.quantities)}
+        object.__setattr__(self, "pair", replace(self.pair, declared=said))
         records: dict[int, Record] = {}  # of experiments that share a record, one
         object.__setattr__(self, "experiments", tuple(self._settled(e, records) for e in self.experiments))
         seen = set()

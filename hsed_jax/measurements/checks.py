@@ -13,6 +13,7 @@ from hsed_jax.measurements.campaign import Campaign
 from hsed_jax.measurements.experiment import Experiment, Record
 from hsed_jax.measurements.noise import difference_noise, noise_estimate
 from hsed_jax.measurements.units import channel_dimension, quantity_dimension
+from hsed_jax.physics.display import amount
 from hsed_jax.physics.outputs import is_driver, loops, named, own_name, quantity
 from hsed_jax.physics.pairs import Pair
 
@@ -118,7 +119,7 @@ def _experiment(campaign: Campaign, experiment: Experiment) -> Iterator[Finding]
         low, high = PLAUSIBLE.get(dimension.name, (0.0, np.inf))
         low = 0.0 if quantity(name).is_signed else low
         if not low <= abs(value) <= high:
-            yield Finding("doubt", id, name, None, _absurd(abs(value), dimension.si, low, high), "unit")
+            yield Finding("doubt", id, name, None, _absurd(campaign.pair, name, abs(value), low, high), "unit")
     if record is None:
         return
     errors = [*_length(experiment, record), *_time(id, record)]
@@ -129,13 +130,13 @@ def _experiment(campaign: Campaign, experiment: Experiment) -> Iterator[Finding]
     for name, values in record.channels.items():
         if np.ptp(values) == 0:
             # A free vibration has a constant ground and no force; any other constant channel measured nothing.
-            message = f"it is constant ({values[0]:g}) over the whole record; a dead sensor?"
+            message = f"it is constant ({amount(campaign.pair, name, values[0])}) over the whole record; a dead sensor?"
             if is_driver(name):
                 yield Finding("doubt", id, name, None, message, "constant")
             else:
                 yield Finding("error", id, name, None, message)
             continue
-        yield from _plateaus(id, record, name)
+        yield from _plateaus(campaign.pair, id, record, name)
         yield from _magnitude(campaign.pair, id, record, name)
         yield from _noise(campaign, id, record, name)
     if not campaign.has_time:
@@ -184,8 +185,8 @@ def _jumps(pair: Pair, id: str, record: Record) -> Iterator[Finding]:
         jumps = np.flatnonzero(steps > max(JUMP * usual, 0.05 * float(np.ptp(values))))
         if jumps.size:
             message = (
-                f"it jumps by {_amount(steps[jumps].max(), pair.elongation_unit)} where nearly all steps are below "
-                f"{_amount(usual, pair.elongation_unit, 2)}, {jumps.size} times in all: are rows missing?"
+                f"it jumps by {amount(pair, name, steps[jumps].max())} where nearly all steps are below "
+                f"{amount(pair, name, usual, 2)}, {jumps.size} times in all: are rows missing?"
             )
             yield Finding("doubt", id, name, float(record.time[jumps[0] + 1]), message, "jump")
 
@@ -198,7 +199,7 @@ def _finite(id: str, record: Record, name: str) -> Iterator[Finding]:
         yield Finding("error", id, name, float(record.time[first]), message)
 
 
-def _plateaus(id: str, record: Record, name: str) -> Iterator[Finding]:
+def _plateaus(pair: Pair, id: str, record: Record, name: str) -> Iterator[Finding]:
     values = record.channels[name]
     changes = np.flatnonzero(np.diff(values)) + 1
     runs = [(a, b) for a, b in pairwise([0, *changes.tolist(), values.size]) if b - a >= PLATEAU]
@@ -218,7 +219,7 @@ def _plateaus(id: str, record: Record, name: str) -> Iterator[Finding]:
     for found, word in ((clipped, "stays at its extreme"), (stuck, "does not change")):
         if found:
             start, end = max(found, key=lambda run: run[1] - run[0])
-            message = f"{word} ({values[start]:g}) for {end - start} samples, {len(found)} such stretches"
+            message = f"{word} ({amount(pair, name, float(values[start]))}) for {end - start} samples, {len(found)} such stretches"
             reason = "clipped, or held there?" if found is clipped else "a stuck sensor, or held there?"
             kind = "clipped" if found is clipped else "stuck"
             yield Finding("doubt", id, name, float(record.time[found[0][0]]), f"{message}: {reason}", kind)
@@ -232,16 +233,12 @@ def _magnitude(pair: Pair, id: str, record: Record, name: str) -> Iterator[Findi
     peak = int(np.argmax(np.abs(record.channels[name])))
     value = float(np.abs(record.channels[name][peak]))
     if not low <= value <= high:
-        yield Finding("doubt", id, name, float(record.time[peak]), _absurd(value, dimension.si, low, high), "unit")
+        yield Finding("doubt", id, name, float(record.time[peak]), _absurd(pair, name, value, low, high), "unit")
 
 
-def _absurd(value: float, unit: str, low: float, high: float) -> str:
-    plausible = f"{low:g} to {_amount(high, unit, 6)}"
-    return f"the largest magnitude is {_amount(value, unit)}, plausible is {plausible}: is the unit right?"
-
-
-def _amount(value: float, unit: str, digits: int = 3) -> str:
-    return f"{value:.{digits}g} {unit}".removesuffix(" 1")
+def _absurd(pair: Pair, name: str, value: float, low: float, high: float) -> str:
+    least, most = (amount(pair, name, limit, 6) for limit in (low, high))
+    return f"the largest magnitude is {amount(pair, name, value)}, plausible is {least} to {most}: is the unit right?"
 
 
 def _noise(campaign: Campaign, id: str, record: Record, name: str) -> Iterator[Finding]:
@@ -254,8 +251,8 @@ def _noise(campaign: Campaign, id: str, record: Record, name: str) -> Iterator[F
     if not 0.75 * third < fourth < 1.33 * third and third > declared:
         return
     if third > NOISE_FACTOR * declared or NOISE_FACTOR * min(second, third) < declared:
-        unit = campaign.pair.output(name).unit
-        message = f"the samples scatter by about {_amount(third, unit, 2)}, the declared noise is {_amount(declared, unit, 2)}"
+        scatter, known = (amount(campaign.pair, name, size, 2) for size in (third, declared))
+        message = f"the samples scatter by about {scatter}, the declared noise is {known}"
         yield Finding("doubt", id, name, None, message, "noise")
 
 
@@ -277,7 +274,7 @@ def _base_lines(pair: Pair, id: str, record: Record) -> Iterator[Finding]:
         offset, scatter = float(np.mean(values[:quiet])), float(np.std(values[:quiet]))
         # Drift and hum are not independent from sample to sample, so no 1/sqrt(n): the offset must stand out by itself.
         if abs(offset) > max(0.02 * float(np.abs(values).max()), scatter):
-            size = _amount(offset, pair.output(name).unit)
+            size = amount(pair, name, offset)
             message = f"it is {size} on average before the motion starts ({quiet} samples): an offset?"
             yield Finding("doubt", id, name, float(record.time[0]), message, "offset")
 
@@ -289,6 +286,7 @@ def _energy(pair: Pair, id: str, record: Record) -> Iterator[Finding]:
         # A passive specimen gives back at most what it held at the start; a twentieth is left for noise and delay.
         allowed = 0.05 * float(np.abs(work).sum()) + abs(float(force[0] * elongation[0]))
         if work.sum() < -allowed:
-            what, size = pair.words("the work of force on elongation"), _amount(work.sum(), pair.energy_unit)
+            what = pair.words("the work of force on elongation")
+            size = amount(pair, named(owner, "dissipated_energy"), work.sum())
             message = f"{what} is {size}: a specimen cannot give energy; is a sign flipped?"
             yield Finding("doubt", id, named(owner, "force"), None, message, "sign")

@@ -8,7 +8,8 @@ the parameters of laws and effects) are translated here, where they are shown.
 
 import dataclasses
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from hsed_jax.physics.outputs import Output, output
 
@@ -22,6 +23,8 @@ class Pair:
         elongation_unit, force_unit: SI.
         energy_unit: of the product; a strain and a stress give a work per volume, a shear angle and a shear force one per length.
         elongation_symbol, rate_symbol, force_symbol: in LaTeX.
+        declared: by channel and quantity, factor to SI and text of the unit that a campaign declares, in which it is shown
+            (`hsed_jax.physics.display`); no part of what the pair is.
     """
 
     elongation: str
@@ -32,6 +35,7 @@ class Pair:
     elongation_symbol: str
     rate_symbol: str
     force_symbol: str
+    declared: Mapping[str, tuple[float, str]] = field(default_factory=dict, compare=False, repr=False)
 
     def __str__(self) -> str:
         """Return the pair with its units: rotation [rad] and moment [N*m]."""

@@ -5,6 +5,7 @@ import numpy as np
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.measurements import Campaign
+from hsed_jax.physics import display
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
 from hsed_jax.reporting.style import Picture
@@ -60,7 +61,7 @@ def _of_quantities(split: str, prediction: Prediction, pair: Pair) -> Picture:
         at, alone = np.arange(1, rows.size + 1), prediction.shown[rows, j]
         middle, measured = prediction.mean[rows, j] - alone, prediction.measured[rows, j] - alone
         widths = {part: width[rows, j] for part, width in bands.items()}
-        divisor, unit = style.readable(pair.output(name).unit, measured, *(middle + w for w in widths.values()))
+        divisor, unit = display.shown(pair, name, measured, *(middle + w for w in widths.values()))
         for part, width in reversed(widths.items()):
             panel.bar(at, 2 * width / divisor, 0.8, (middle - width) / divisor, color=style.BLUE, linewidth=0,
                       alpha=_SHADES[part], label=_words(part), zorder=1)  # fmt: skip
@@ -94,7 +95,7 @@ def _of_histories(split: str, prediction: Prediction, row: int, campaign: Campai
     for panel, name in zip(panels, names, strict=True):
         _, predicted, mean, _ = prediction.histories(row, name)
         measured = style.recorded(panel, prediction, row, name)
-        divisor, unit = style.readable(pair.output(name).unit, measured, predicted)
+        divisor, unit = display.shown(pair, name, measured, predicted)
         for part, width in reversed(bands.items()):
             half = width[row, prediction.columns(name)][: time.size]
             panel.fill_between(time, (mean - half) / divisor, (mean + half) / divisor, color=style.BLUE, linewidth=0,

@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.measurements import Campaign, backbone_of, cycles_of
+from hsed_jax.physics import display
 from hsed_jax.physics.outputs import named
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
@@ -116,7 +117,7 @@ def _cycles(force: np.ndarray, elongation: np.ndarray, along: np.ndarray) -> Cyc
 
 def _draw(row: list[Axes], read: Mapping[str, Cycles], pair: Pair) -> None:
     scales = {
-        name: style.readable(pair.unit(unit), *(getattr(one, name) for one in read.values()))
+        name: display.shown_in(pair, unit, *(getattr(one, name) for one in read.values()))
         for name, unit in (("energy", "J"), ("stiffness", "N/m"), ("elongation", "m"), ("force", "N"))
     }
     for who, one in read.items():
@@ -134,5 +135,5 @@ def _draw(row: list[Axes], read: Mapping[str, Cycles], pair: Pair) -> None:
 
 
 def _of(value: float, unit: str) -> str:
-    divisor, unit = style.readable(unit, np.asarray([value]))
+    divisor, unit = display.readable(unit, np.asarray([value]))
     return style.amount(value / divisor, unit)

@@ -11,6 +11,7 @@ from hsed_jax.criticism.improve import Step, Trail
 from hsed_jax.criticism.prediction import Prediction, error_cell, has_diverged
 from hsed_jax.diagnosis.findings import Candidate, Diagnosis
 from hsed_jax.measurements import Campaign
+from hsed_jax.physics import display
 from hsed_jax.physics.effects import EFFECTS, called
 from hsed_jax.physics.outputs import named, owner_of
 from hsed_jax.physics.pairs import Pair
@@ -242,8 +243,8 @@ def _error(outputs: Mapping[str, Mapping[str, float]]) -> float:
 
 
 def _draw_loops(panels: list[Axes], owner: str, loops: list[tuple[np.ndarray, ...]], pair: Pair) -> None:
-    x, x_unit = style.readable(pair.elongation_unit, *(values for loop in loops for values in loop[::2]))
-    y, y_unit = style.readable(pair.force_unit, *(values for loop in loops for values in loop[1::2]))
+    x, x_unit = display.shown(pair, named(owner, "elongation"), *(values for loop in loops for values in loop[::2]))
+    y, y_unit = display.shown(pair, named(owner, "force"), *(values for loop in loops for values in loop[1::2]))
     for panel, (there, force, ours, predicted), look in zip(panels, loops, (_BEFORE, _AFTER), strict=True):
         panel.plot(there / x, force / y, **_MEASURED)
         panel.plot(ours / x, predicted / y, **look)
@@ -257,7 +258,7 @@ def _history(panel: Axes, name: str, first: Prediction, row: int, second: Predic
     assert record is not None
     before, after = first.histories(row, name)[1], second.histories(other, name)[1]
     measured = style.recorded(panel, first, row, name)
-    divisor, unit = style.readable(pair.output(name).unit, measured, before, after)
+    divisor, unit = display.shown(pair, name, measured, before, after)
     for values, look in ((measured, _MEASURED), (before, _BEFORE), (after, _AFTER)):
         panel.plot(record.time, values / divisor, **look)
     panel.margins(x=0.0)
@@ -274,7 +275,7 @@ def _scatter(before: Comparison, after: Comparison, pair: Pair) -> Picture:
             for comparison, look in ((before, "as it was"), (after, "improved"))
             for split, _, prediction in comparison.splits()
         ]
-        divisor, unit = style.readable(pair.output(name).unit, *(v for *_, values in known for v in values[:2]))
+        divisor, unit = display.shown(pair, name, *(v for *_, values in known for v in values[:2]))
         for look, split, values in known:
             measured, predicted, mean, sd = (v / divisor for v in values)
             colour, marker = (style.RED, "v") if look == "as it was" else (style.BLUE, "o")
@@ -336,7 +337,7 @@ def parameters_before_after(
         true = truth.get(name)
         both = (before[name], after[name])
         ends = [s[key] for s in both for key in ("mean", "q05", "q95")]
-        divisor, unit = style.readable(units.get(name, "1"), ends, [] if true is None else [true])
+        divisor, unit = display.readable(units.get(name, "1"), ends, [] if true is None else [true])
         if true is not None:
             panel.axvline(true / divisor, color=style.BLACK, linestyle=_DASHES, linewidth=1.1, label="true value")
         for place, s, look, marker in ((1, both[0], _BEFORE, "v"), (0, both[1], _AFTER, "o")):

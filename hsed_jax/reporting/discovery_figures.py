@@ -4,6 +4,7 @@ import numpy as np
 
 from hsed_jax.discovery.findings import Discovery
 from hsed_jax.measurements import Campaign
+from hsed_jax.physics import display
 from hsed_jax.physics.effects.coordinates import COORDINATES
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
@@ -24,9 +25,9 @@ def learned(discovery: Discovery, campaign: Campaign) -> Picture:
     assert discovery.place is not None
     place, lines, pair = discovery.place, discovery.lines(), campaign.pair
     first, *rest = place.of
-    across, unit = style.readable(pair.unit(COORDINATES[first].unit), *(line.x for line in lines))
+    across, unit = display.shown_in(pair, COORDINATES[first].unit, *(line.x for line in lines))
     is_force = place.slot == "force"
-    height, of_height = style.readable(pair.force_unit, *(line.high for line in lines)) if is_force else (1.0, "")
+    height, of_height = display.shown(pair, "force", *(line.high for line in lines)) if is_force else (1.0, "")
     figure = style.new_figure(3.2)
     panel = figure.subplots()
     for line, colour in zip(lines, _COLOURS if len(lines) > 1 else (style.BLUE,), strict=False):
@@ -59,5 +60,5 @@ def _at(name: str, value: float, pair: Pair) -> str:
     """A value of the second coordinate."""
     if name == "direction":
         return "opening" if value > 0 else "closing"
-    divisor, unit = style.readable(pair.unit(COORDINATES[name].unit), np.asarray([value]))
+    divisor, unit = display.shown_in(pair, COORDINATES[name].unit, np.asarray([value]))
     return f"{COORDINATES[name].words.removeprefix('the ')} {value / divisor:.3g} {unit}".strip()

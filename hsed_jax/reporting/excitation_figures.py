@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.collections import LineCollection
 
+from hsed_jax.physics import display
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
 from hsed_jax.reporting.style import Picture
@@ -19,7 +20,7 @@ def histories(channel: str, times: Float[np.ndarray, "n m"], values: Float[np.nd
         values: SI.
         pair: that the specimens are measured in.
     """
-    divisor, unit = style.readable(pair.output(channel).unit, values)
+    divisor, unit = display.shown(pair, channel, values)
     count, scaled = len(values) - 1, values / divisor
     figure = style.new_figure(2.9)
     panel = figure.subplots()

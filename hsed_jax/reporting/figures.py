@@ -15,6 +15,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from hsed_jax.physics import display
 from hsed_jax.physics.outputs import output
 from hsed_jax.reporting import style
 from hsed_jax.reporting.style import Picture as Picture
@@ -125,7 +126,7 @@ def estimate_maps(
     figure, panels = style.panels(len(names), 2.8)
     said = []
     for panel, estimate, name, unit in zip(panels, values, names, units, strict=True):
-        divisor, unit = style.readable(unit, estimate)
+        divisor, unit = display.readable(unit, estimate)
         shown = np.ma.masked_invalid(estimate / divisor)
         _filled_contours(figure, panel, x, y, shown, style.label(name, unit))
         panel.set(xlabel=style.label(x_name, x_unit), ylabel=style.label(y_name, y_unit))
@@ -215,7 +216,7 @@ def estimate_history(
     for index, (panel, name, unit) in enumerate(zip(panels, names, units, strict=True)):
         reference = references.get(name)
         middle, low, high = (v[:, index] for v in (estimates, lower, upper))
-        divisor, unit = style.readable(unit, middle, [] if reference is None else [reference])
+        divisor, unit = display.readable(unit, middle, [] if reference is None else [reference])
         middle, low, high = middle / divisor, low / divisor, high / divisor
         panel.fill_between(iterations, low, high, color=style.BLUE, alpha=0.2, linewidth=0, label="90 % credible band")
         # The band has no width where its neighbours are missing.
@@ -279,7 +280,7 @@ def _compare(
     scales = {"time": (1.0, "s")}
     for channel in {x, y} - {"time"}:
         shown = [history[channel] for history in scaled_with or (measured, predicted) if channel in history]
-        scales[channel] = style.readable(output(channel).unit, *shown)
+        scales[channel] = display.readable(output(channel).unit, *shown)
     for history, look in ((measured, style.MEASURED), (predicted, style.PREDICTED)):
         if x in history and y in history:
             panel.plot(np.asarray(history[x]) / scales[x][0], np.asarray(history[y]) / scales[y][0], **look)
@@ -294,7 +295,7 @@ def _peaks_in_words(measured: History, predicted: History) -> str:
     for channel, what in (("force", "Largest force"), ("elongation", "largest elongation"), ("energy", "final energy")):
         both = [np.asarray(history[channel]) for history in (measured, predicted) if channel in history]
         if len(both) == 2:
-            divisor, unit = style.readable(output(channel).unit, *both)
+            divisor, unit = display.readable(output(channel).unit, *both)
             m, p = (style.peak((values[-1:] if channel == "energy" else values) / divisor, unit) for values in both)
             said.append(f"{what} {m} measured, {p} predicted")
     return "; ".join(said) + "."

@@ -12,6 +12,7 @@ from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.locate import Location
 from hsed_jax.criticism.prediction import Prediction, error_cell
 from hsed_jax.measurements import Campaign
+from hsed_jax.physics import display
 from hsed_jax.physics.outputs import named, own_name, owner_of
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
@@ -113,7 +114,7 @@ def _history(panel: Axes, prediction: Prediction, row: int, name: str, pair: Pai
     assert record is not None
     _, predicted, mean, sd = prediction.histories(row, name)
     measured, time = style.recorded(panel, prediction, row, name), record.time
-    divisor, unit = style.readable(pair.output(name).unit, measured, predicted)
+    divisor, unit = display.shown(pair, name, measured, predicted)
     panel.fill_between(time, (mean - _90 * sd) / divisor, (mean + _90 * sd) / divisor, **_BAND)
     panel.plot(time, measured / divisor, **{**style.MEASURED, "label": "measured"})
     panel.plot(time, predicted / divisor, **{**style.PREDICTED, "label": "predicted"})
@@ -148,8 +149,8 @@ def words_of_loop(owner: str) -> str:
 
 def _draw_loop(panel: Axes, owner: str, loop: tuple[np.ndarray, ...], pair: Pair) -> None:
     there, force, ours, predicted = loop
-    x, x_unit = style.readable(pair.elongation_unit, there, ours)
-    y, y_unit = style.readable(pair.force_unit, force, predicted)
+    x, x_unit = display.shown(pair, named(owner, "elongation"), there, ours)
+    y, y_unit = display.shown(pair, named(owner, "force"), force, predicted)
     panel.plot(there / x, force / y, **{**style.MEASURED, "label": "measured", "linewidth": 0.8})
     panel.plot(ours / x, predicted / y, **{**style.PREDICTED, "label": "predicted", "linewidth": 0.9})
     panel.set_xlabel(style.channel_label(named(owner, "elongation"), x_unit, pair))
@@ -208,7 +209,7 @@ def measured_against_predicted(comparison: Comparison, campaign: Campaign) -> Pi
             used = prediction.used[:, columns][:, 0]
             tables = (prediction.measured, prediction.shown, prediction.mean, prediction.sd)
             known[split] = [table[:, columns][:, 0][used] for table in tables]
-        divisor, unit = style.readable(pair.output(name).unit, *(v for values in known.values() for v in values[:2]))
+        divisor, unit = display.shown(pair, name, *(v for values in known.values() for v in values[:2]))
         for split, values in known.items():
             measured, predicted, mean, sd = (v / divisor for v in values)
             fill = style.BLUE if split == "train" else "white"

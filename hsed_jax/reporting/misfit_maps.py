@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from hsed_jax.criticism.coordinates import UNITS, Samples
 from hsed_jax.criticism.locate import Location, Place
 from hsed_jax.measurements import Campaign
+from hsed_jax.physics import display
 from hsed_jax.reporting import style
 from hsed_jax.reporting.style import Picture
 
@@ -87,8 +88,7 @@ def _numbers(samples: Samples, campaign: Campaign) -> dict[str, tuple[np.ndarray
     found, pair = {}, campaign.pair
     for name, values in samples.numbers.items():
         values = np.asarray(values, dtype=float)
-        unit = pair.unit(UNITS[name])
-        divisor, unit = (1e-3, f"m{unit}") if unit in ("m/s", "rad/s") else style.readable(unit, values)
+        divisor, unit = display.shown_in(pair, UNITS[name], values)
         symbol = f" $|{pair.elongation_symbol}|$" if name == "amplitude" else ""
         label = f"{pair.words(_AXES[name])}{symbol} [{style.unit_text(unit)}]"
         if name == "time" and not campaign.has_time:

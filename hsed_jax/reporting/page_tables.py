@@ -10,6 +10,7 @@ import numpy as np
 from hsed_jax.criticism.coordinates import UNITS, coordinates_of
 from hsed_jax.criticism.prediction import has_diverged
 from hsed_jax.measurements import Experiment, Record
+from hsed_jax.physics import display
 from hsed_jax.physics.outputs import own_name
 from hsed_jax.reporting import style
 from hsed_jax.reporting.finished import SPLITS, FinishedRun
@@ -89,7 +90,7 @@ def axes_of(run: FinishedRun) -> dict[str, Axis]:
         ]
     axes, pair = {}, run.campaign.pair
     for name, values in found.items():
-        divisor, unit = style.readable(pair.output(name).unit, *values)
+        divisor, unit = display.shown(pair, name, *values)
         axes[name] = Axis(pair.called(name).capitalize(), divisor, unit_words(unit))
     return axes
 
@@ -237,8 +238,7 @@ def _coordinate(run: FinishedRun, name: str, values: np.ndarray) -> tuple[str, f
         return f"{name} [{unit_words(run.campaign.unit(name).text)}]", 1.0
     if name == "cycle" or (name == "time" and not run.campaign.has_time):
         return ("row" if name == "time" else "cycle"), 1.0
-    unit = run.campaign.pair.unit(UNITS[name])
-    divisor, unit = (1e-3, f"m{unit}") if unit in ("m/s", "rad/s") else style.readable(unit, values)
+    divisor, unit = display.shown_in(run.campaign.pair, UNITS[name], values)
     return f"{run.campaign.pair.words(_WORDS.get(name, name))} [{unit_words(unit)}]", divisor
 
 

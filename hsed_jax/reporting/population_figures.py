@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from hsed_jax.physics import display
 from hsed_jax.reporting import style
 from hsed_jax.reporting.style import Picture
 
@@ -25,7 +26,7 @@ def population(level: str, parameters: Mapping[str, Mapping[str, Any]], units: M
         told = parameters[name]
         of, center, untested = list(told["of"].values()), told["mean"], told["untested"]
         numbers = [v[key] for v in (*of, center, untested) for key in ("q05", "q95")]
-        scale, unit = style.readable(units.get(name, "1"), numbers)
+        scale, unit = display.readable(units.get(name, "1"), numbers)
         panel.axvspan(untested["q05"] / scale, untested["q95"] / scale, color=style.GREY, alpha=0.3, linewidth=0,
                       label=f"a {level} that was never tested, 90 %")  # fmt: skip
         panel.axvline(center["mean"] / scale, color=style.DARK_GREY, linewidth=1.0, label="centre of the population")

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from hsed_jax.inference.fit import Fit
+from hsed_jax.physics import display
 from hsed_jax.reporting import style
 from hsed_jax.reporting.style import Picture
 
@@ -28,7 +29,7 @@ def posterior(fit: Fit, before: Fit | None, truth: Mapping[str, float]) -> Pictu
     fits = {"improved": fit} if before is None else {"as it was": before, "improved": fit}
     draws = {look: _draws(one) for look, one in fits.items()}
     scales = {
-        name: style.readable(fit.units.get(name, "1"), *(d[name] for d in draws.values() if name in d))
+        name: display.readable(fit.units.get(name, "1"), *(d[name] for d in draws.values() if name in d))
         for name in names
     }
     count = len(names)

@@ -10,6 +10,7 @@ import numpy as np
 from hsed_jax.criticism.prediction import error_cell
 from hsed_jax.left_out import LeftOut
 from hsed_jax.measurements import Campaign, Columns, backbone_table, cycle_table
+from hsed_jax.physics import display
 from hsed_jax.physics.effects import called
 from hsed_jax.physics.outputs import loops, named
 from hsed_jax.plain import dump_yaml
@@ -300,7 +301,7 @@ def _scales(run: FinishedRun) -> str:
     words = {"force": "force", "elongation": "elongation", "rate": "elongation rate", "energy": "absorbed energy"}
     pair, said = run.campaign.pair, []
     for name, value in run.summary.get("scales", {}).items():
-        divisor, unit = style.readable(pair.unit(units[name]), np.asarray([value]))
+        divisor, unit = display.shown_in(pair, units[name], np.asarray([value]))
         said.append(f"{pair.words(words[name])} {value / divisor:.3g} {tables.unit_words(unit)}".rstrip(" –"))
     return ", ".join(said)
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from hsed_jax.measurements import Record
+from hsed_jax.physics import display
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
 from hsed_jax.reporting.style import Picture
@@ -26,7 +27,7 @@ def expected_response(
     figure, panels = style.panels(len(channels), 2.0, across=1)
     for panel, (name, (low, middle, high)) in zip(panels, channels.items(), strict=True):
         known = None if measured is None else measured.channels.get(name)
-        divisor, unit = style.readable(pair.output(name).unit, low, high)
+        divisor, unit = display.shown(pair, name, low, high)
         band = {"color": style.PREDICTED["color"], "alpha": 0.2, "linewidth": 0}
         panel.fill_between(time, low / divisor, high / divisor, **band, label="90 % of what is expected")
         panel.plot(time, middle / divisor, **{**style.PREDICTED, "label": "expected"})

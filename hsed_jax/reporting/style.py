@@ -189,20 +189,6 @@ def levels(values: np.ma.MaskedArray) -> np.ndarray:
     return np.asarray(MaxNLocator(nbins=10, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
 
 
-def readable(unit: str, *values: npt.ArrayLike) -> tuple[float, str]:
-    """Divisor and unit in which the largest of `values` is easy to read: (1000.0, "kN") for 2.5e5 N, mm below 1 m.
-
-    Only units that take a prefix in this field change: those that begin with N, J or Pa, and m or rad by itself.
-    """
-    largest = max((float(v[np.isfinite(v)].max(initial=0.0)) for v in map(np.abs, values)), default=0.0)
-    if unit in ("m", "rad") and 0 < largest < 1:
-        return 1e-3, f"m{unit}"
-    if re.match(r"(N|J|Pa)(?!\^)\b", unit):
-        prefixes = [*([(1e9, "G")] if unit.startswith("Pa") else []), (1e6, "M"), (1e3, "k")]
-        return next(((d, prefix + unit) for d, prefix in prefixes if largest >= d), (1.0, unit))
-    return 1.0, unit
-
-
 def channel_title(name: str, pair: Pair = ELONGATION_AND_FORCE) -> str:
     """A channel or quantity with its symbol: ``Force $r$``, or of a specimen that is turned ``Moment $M$``."""
     return f"{pair.called(own_name(name)).capitalize()} ${pair.output(name).symbol}$"

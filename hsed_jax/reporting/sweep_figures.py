@@ -12,6 +12,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from hsed_jax.physics import display
 from hsed_jax.reporting.style import (
     BLACK,
     BLUE,
@@ -26,7 +27,6 @@ from hsed_jax.reporting.style import (
     panel_titles,
     panels,
     plain,
-    readable,
     symbol,
     whole_numbers,
 )
@@ -106,7 +106,7 @@ def _outcomes(done: pd.DataFrame, units: Mapping[str, str]) -> list[_Outcome]:
     found = []
     for column in [name for name in done if name.startswith("map.")][:_MOST_ESTIMATES]:
         name = column.removeprefix("map.")
-        divisor, unit = readable(units.get(name, "1"), done[column].to_numpy(float))
+        divisor, unit = display.readable(units.get(name, "1"), done[column].to_numpy(float))
         found.append(_Outcome(column, label(name, unit), divisor, (f"q05.{name}", f"q95.{name}")))
     if errors := [name for name in _ERRORS if name in done]:
         found.append(_Outcome(errors[0], _ERRORS[errors[0]]))

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 # Inputs that represent their distribution: a simulation each.
 _SPREAD = 128
-# Of fewer shaken experiments nobody knows how far the best parameters of another one are from theirs.  With one bands held 60 % of
-# new records instead of 90 %, with two as few as 43 % and intervals one value in two (`benchmarks/discrepancy.py`).
+# Of fewer shaken experiments nobody knows how far the best parameters of another one are from theirs: with one, bands held 60 %
+# of new records instead of 90 %; with two, 43 % in the worst of 20 campaigns, and intervals one value in two.
 _LEAST_SHAKEN = 3
 
 
