@@ -436,6 +436,7 @@ ASKED = {"experiment": "E01", "inputs": {"V_P": 225.0, "T_P": 1.0}, "cube": [0.5
         ("asked", {**ASKED, "cube": "x"}),
         ("performed", {"experiment": "E01"}),
         ("performed", {**ASKED, "inputs": {"V_P": "x", "T_P": 1.0}}),
+        ("performed", {**ASKED, "inputs": 3.0}),
         ("step", {"number": 0, "cube": [0.5, 0.5]}),
         ("perfXrmed", ASKED),
     ],

@@ -219,7 +219,8 @@ def _plateaus(pair: Pair, id: str, record: Record, name: str) -> Iterator[Findin
     for found, word in ((clipped, "stays at its extreme"), (stuck, "does not change")):
         if found:
             start, end = max(found, key=lambda run: run[1] - run[0])
-            message = f"{word} ({amount(pair, name, float(values[start]))}) for {end - start} samples, {len(found)} such stretches"
+            size = amount(pair, name, float(values[start]))
+            message = f"{word} ({size}) for {end - start} samples, {len(found)} such stretches"
             reason = "clipped, or held there?" if found is clipped else "a stuck sensor, or held there?"
             kind = "clipped" if found is clipped else "stuck"
             yield Finding("doubt", id, name, float(record.time[found[0][0]]), f"{message}: {reason}", kind)
@@ -237,7 +238,7 @@ def _magnitude(pair: Pair, id: str, record: Record, name: str) -> Iterator[Findi
 
 
 def _absurd(pair: Pair, name: str, value: float, low: float, high: float) -> str:
-    least, most = (amount(pair, name, limit, 6) for limit in (low, high))
+    least, most = amount(pair, name, low, 6).split()[0], amount(pair, name, high, 6)
     return f"the largest magnitude is {amount(pair, name, value)}, plausible is {least} to {most}: is the unit right?"
 
 

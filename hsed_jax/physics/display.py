@@ -53,9 +53,11 @@ def shown_in(pair: Pair, si: str, *values: npt.ArrayLike) -> tuple[float, str]:
         return shown(pair, "elongation" if si == "m" else "force", *values)
     if si == "m/s":
         known, unit = _declared(pair, "elongation"), pair.unit(si)
-        if known is not None:
+        # A rate in mm/s or m/s is as easily read for an elongation in mm.
+        if known is not None and not np.log10(known[0]).is_integer():
             return known[0], f"{known[1]}/s"
-        return (1e-3, f"m{unit}") if unit in ("m/s", "rad/s") else (1.0, unit)
+        is_small = readable("m", *values)[0] < 1
+        return (1e-3, f"m{unit}") if is_small and unit in ("m/s", "rad/s") else (1.0, unit)
     return readable(pair.unit(si), *values)
 
 

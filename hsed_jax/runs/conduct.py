@@ -302,7 +302,7 @@ class Conduct:
         for number, event in enumerate(events, start=1):
             try:
                 self._take_up(event, records)
-            except (KeyError, TypeError, ValueError, IndexError) as error:
+            except (AttributeError, KeyError, TypeError, ValueError, IndexError) as error:
                 raise self.store.damaged(f"line {number} is no whole event ({type(error).__name__}: {error})") from None
         if len(self.campaign):
             write_campaign(self.campaign, self.store.campaign)
