@@ -598,11 +598,11 @@ def test_files_are_looked_at_while_choosing_and_tabs_know_nothing_of_each_other(
     root = server.root
     page, other = opened(server), opened(server)
     drop(page, ("notes.txt", "text/plain", "the words\nof somebody\n"))
-    page.get_by_role("alert").get_by_text("notes.txt, row 2").wait_for()
+    page.get_by_role("alert").get_by_text("notes.txt: no row has numbers").wait_for()
     assert not (root / "notes").exists()
 
     drop(page, ("raw.csv", "text/csv", RAW))
-    page.get_by_role("status").get_by_text("notes.txt, row 2").wait_for()
+    page.get_by_role("status").get_by_text("notes.txt: no row has numbers").wait_for()
     page.get_by_text("The checks of the data found nothing to doubt").wait_for()
     page.get_by_text("the weight of").wait_for()
     assert (root / "raw" / "dropped" / "raw.csv").read_text() == RAW
@@ -691,6 +691,7 @@ def test_from_a_raw_file_to_a_named_effect(served, opened, tmp_path):
     page = opened(server)
     page.set_default_timeout(900_000)
     drop(page, ("column.csv", "text/csv", RAW))
+    page.get_by_label("keep the last third").uncheck()
     page.get_by_role("button", name="Continue with these measurements").click()
     page.get_by_text("Fit a model to column").wait_for()
     go, stop = page.get_by_role("button", name="Go", exact=True), page.get_by_role("button", name="Stop")

@@ -8,7 +8,16 @@ from shlex import quote
 import numpy as np
 
 from hsed_jax.errors import UserError
-from hsed_jax.intake.choice import HELD_OUT, Choice, campaign_of, chosen, column_named, unit_of_columns, with_units
+from hsed_jax.intake.choice import (
+    HELD_OUT,
+    Choice,
+    ask_of_faults,
+    campaign_of,
+    chosen,
+    column_named,
+    unit_of_columns,
+    with_units,
+)
 from hsed_jax.intake.found import Found
 from hsed_jax.intake.opening import Gathered, gathered
 from hsed_jax.measurements import Campaign
@@ -86,32 +95,33 @@ def _choice(where: str, files: Sequence[Path], table: Found, said: Said) -> tupl
     Raises:
         UserError: it cannot be told.
     """
+    known = {"elongation", "force", "time", "ground_acceleration", *said.columns}
     try:
         given = {channel: column_named(table, column) for channel, column in said.columns.items()}
-        units = {_channel_or_column(table, name): unit for name, unit in said.units.items()}
+        units = {n if n in known else column_named(table, n): unit for n, unit in said.units.items()}
     except UserError as error:
         raise UserError(f"{where}: {error}") from None
     # A unit that the user gives tells as much as one in the file.
-    known = {name: unit for name, unit in units.items() if name in table.names}
-    choice, told = chosen(replace(table, units={**table.units, **known}), given)
+    of_columns = {name: unit for name, unit in units.items() if name in table.names}
+    choice, told = chosen(replace(table, units={**table.units, **of_columns}), given)
     of_channels = {c: unit for c, unit in units.items() if c in choice.columns}
     for channel, column in choice.columns.items():
-        unit = unit_of_columns(replace(table, units={**table.units, **known}), column)
+        unit = unit_of_columns(replace(table, units={**table.units, **of_columns}), column)
         if channel not in of_channels and unit is not None:
             of_channels[channel] = unit
     try:
         choice = with_units(choice, of_channels)
     except UserError as error:
         raise UserError(f"{where}: {error}") from None
-    asked = {c: names for c, names in told.candidates.items() if c != "time" or names}
+    ask_of_faults(where, table, choice)
+    # A shaken structure is told by any of its responses; imposed cycles by both, and a time only where there are several.
+    responses = choice.columns.keys() - {"time", "ground_acceleration"}
+    is_told = choice.protocol == "ground_motion" and responses
+    asked = {c: names for c, names in told.candidates.items() if names or (c != "time" and not is_told)}
     missing = [c for c in choice.columns if c not in choice.units]
     if asked or missing:
         raise UserError(_question(where, files, table, choice, asked, missing))
     return choice, told.notes
-
-
-def _channel_or_column(table: Found, name: str) -> str:
-    return name if name in ("elongation", "force", "time", "ground_acceleration") else column_named(table, name)
 
 
 def _question(

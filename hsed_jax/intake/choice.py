@@ -128,6 +128,8 @@ def campaign_of(name: str, tables: Mapping[str, Found], choice: Choice) -> Made:
             raise UserError(f"choose the column of the {channel.replace('_', ' ')}")
     if not choice.columns.keys() - {"time", "ground_acceleration"}:
         raise UserError("choose the column of elongation or force: the ground alone says nothing of the specimen")
+    for id, table in tables.items():
+        ask_of_faults(f"record {id!r}", table, choice)
     named = [channel for channel in order if channel in choice.columns]
     for channel in named:
         if not choice.units.get(channel):
@@ -169,8 +171,6 @@ def _numbers(id: str, table: Found, choice: Choice, channel: str) -> np.ndarray:
     terms = [("+", said)] if said in table.names else _terms(said) or [("+", said)]
     total = 0.0
     for sign, column in terms:
-        if column in table.faults:
-            raise UserError(f"record {id!r}: {table.faults[column]}")
         if column not in table.columns:
             raise UserError(f"record {id!r} has no column {column!r}; its columns are {', '.join(table.columns)}")
         numbers = table.columns[column]
@@ -179,6 +179,18 @@ def _numbers(id: str, table: Found, choice: Choice, channel: str) -> np.ndarray:
         numbers = np.where(missing, np.nan, numbers)
         total = total + numbers if sign == "+" else total - numbers
     return np.asarray(total, dtype=float)
+
+
+def ask_of_faults(where: str, table: Found, choice: Choice) -> None:
+    """Refuse a column that is wanted and is none of numbers; no other one is taken in its place.
+
+    Raises:
+        UserError: with what is wrong with the first one.
+    """
+    for said in choice.columns.values():
+        for _, column in [("+", said)] if said in table.names else _terms(said):
+            if column in table.faults:
+                raise UserError(f"{where}: {table.faults[column]}")
 
 
 def _ask_of_sentinels(id: str, table: Found, choice: Choice, column: str) -> None:

@@ -1,6 +1,5 @@
 """What a file holds, whatever its format: tables of columns with names and units, for the command line and the page alike."""
 
-import re
 from collections.abc import Collection, Iterable
 from itertools import chain, count
 from pathlib import Path
@@ -13,7 +12,7 @@ from hsed_jax.intake.found import Found
 from hsed_jax.intake.words import is_channel
 from hsed_jax.measurements.containers import CONTAINERS
 from hsed_jax.measurements.layout import Laid, table_in
-from hsed_jax.measurements.sheets import STAMP, is_missing, read_text, sheet_of
+from hsed_jax.measurements.sheets import EITHER, STAMP, is_missing, read_text, sheet_of
 from hsed_jax.measurements.tables import Table
 from hsed_jax.plain import shown, stem_of
 
@@ -21,7 +20,6 @@ TEXT = ("csv", "txt", "tsv", "dat", "out", "asc", "prn", "lvm", "tra")
 WORKBOOKS = ("xlsx", "xlsm")
 FORMATS = (*TEXT, *WORKBOOKS, *CONTAINERS)
 """Endings of files that can be read."""
-_EITHER = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
 
 
 class Opened(NamedTuple):
@@ -164,7 +162,7 @@ def _ask_of_thousands(table: Table, position: int, name: str) -> None:
     marked = []
     for k, row in enumerate(table.rows):
         if "." in (cell := row[position].strip()) or "," in cell:
-            if not _EITHER.fullmatch(cell):
+            if not EITHER.fullmatch(cell):
                 return  # a number that is surely a decimal
             marked.append((k, cell))
     if not marked:

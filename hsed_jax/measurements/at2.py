@@ -7,7 +7,7 @@ import numpy as np
 
 from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
-from hsed_jax.measurements.tables import read_text
+from hsed_jax.measurements.sheets import read_text
 from hsed_jax.measurements.units import parse_unit
 from hsed_jax.plain import MOST, in_range, shown
 

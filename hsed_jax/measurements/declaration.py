@@ -8,7 +8,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from hsed_jax.errors import UserError
 from hsed_jax.measurements.campaign import Campaign, Protocol
 from hsed_jax.measurements.experiment import Channel, Noise
-from hsed_jax.measurements.tables import read_text
+from hsed_jax.measurements.sheets import read_text
 from hsed_jax.measurements.units import parse_unit
 from hsed_jax.plain import Magnitude, dump_yaml, parse_yaml, shown
 

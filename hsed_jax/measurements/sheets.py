@@ -17,9 +17,11 @@ _SAMPLED, _HEADS = 300, 400
 _LONG = 5000
 # Of the cells of a line that the right separator makes, so many are numbers.
 _LEAST_SHARE = 0.3
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
-_COMMA_NUMBER = re.compile(r"[+-]?(\d+,\d*|,\d+)([eEdD][+-]?\d+)?")
-_NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)", re.IGNORECASE)
+NUMBER_WITH_POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
+NUMBER_WITH_COMMA = re.compile(r"[+-]?(\d+,\d*|,\d+)([eEdD][+-]?\d+)?")
+NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)", re.IGNORECASE)
+# What may be a number with three decimals as well as one with thousands separators.
+EITHER = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
 _LINE_WITH_ERROR = re.compile(r"#([A-Z0-9/]+[!?]|N/A|NV|N/D)(\s*[,;\t ]|\s*$)|##+\s*[,;\t]")
 _NUMBERS = (int, float, datetime.datetime, datetime.time, datetime.timedelta)
 _INTEGER = re.compile(r"[+-]?\d+")
@@ -71,8 +73,8 @@ def kind_of(cell: Any, is_text: bool = True) -> int:
     if not cell:
         return BLANK
     if not is_text:
-        return MISSING if cell.casefold() in _MISSING or _NOT_FINITE.fullmatch(cell) else TEXT
-    if any(pattern.fullmatch(cell) for pattern in (_NUMBER, _COMMA_NUMBER, _NOT_FINITE, STAMP)):
+        return MISSING if cell.casefold() in _MISSING or NOT_FINITE.fullmatch(cell) else TEXT
+    if any(pattern.fullmatch(cell) for pattern in (NUMBER_WITH_POINT, NUMBER_WITH_COMMA, NOT_FINITE, STAMP)):
         return NUMBER
     return MISSING if cell.casefold() in _MISSING else TEXT
 
@@ -90,9 +92,9 @@ def sheet_of(path: Path, text: str | None = None) -> Sheet:
     """
     text = read_text(path) if text is None else text
     ask(path, cells=max(text.count("\n"), text.count("\r")))
-    lines = list(_lines(text))
+    lines = list(lines_of(text))
     bare = [line.strip() for line in lines]
-    comments = {k for k, line in enumerate(bare) if _is_comment(line)}
+    comments = {k for k, line in enumerate(bare) if is_comment(line)}
     start = next((k for k, line in enumerate(bare) if line), 0)
     if re.fullmatch(r"sep=.", bare[start]):  # Excel's own first line names the separator
         delimiter: str | None = bare[start][-1]
@@ -155,13 +157,15 @@ def _decoded_by_script(data: bytes) -> str:
     return data.decode("cp1252", errors="replace")
 
 
-def _lines(text: str) -> Iterator[str]:
+def lines_of(text: str) -> Iterator[str]:
     """Lines with their ends, as a spreadsheet counts them."""
     return (found[0] for found in re.finditer(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+", text))
 
 
-def _is_comment(line: str) -> bool:
+def is_comment(line: str) -> bool:
+    """Whether a line is a comment."""
     # '#DIV/0!' is a cell of a spreadsheet, and must not vanish as a comment.
+    line = line.strip()
     return line.startswith(("#", "%", "//")) and not _LINE_WITH_ERROR.match(line)
 
 

@@ -9,17 +9,20 @@ from pathlib import Path
 import numpy as np
 
 from hsed_jax.errors import UserError
-from hsed_jax.measurements.budget import ask, ask_of_file
+from hsed_jax.measurements.budget import ask
+from hsed_jax.measurements.sheets import (
+    EITHER,
+    NOT_FINITE,
+    NUMBER_WITH_COMMA,
+    NUMBER_WITH_POINT,
+    is_comment,
+    lines_of,
+    read_text,
+)
 from hsed_jax.plain import shown
 
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
-_SPECIAL = re.compile(r"[+-]?(nan|inf|infinity)", re.IGNORECASE)
-_COMMA_NUMBER = re.compile(r"[+-]?(\d+,\d*|,\d+)([eEdD][+-]?\d+)?")
 _SPREADSHEET_ERROR = re.compile(r"#([A-Z0-9/]+[!?]|N/A|NV|N/D|#+)")
-_LINE_WITH_ERROR = re.compile(r"#([A-Z0-9/]+[!?]|N/A|NV|N/D)(\s*[,;\t ]|\s*$)|##+\s*[,;\t]")
 _DATE = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}.*|\d{1,2}[- ][A-Za-z]{3}.*|\d{1,2}:\d{2}.*")
-# What may be a number with three decimals as well as one with thousands separators.
-_EITHER = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}([.,' \u00a0\u202f]\d{3})+([.,]\d*)?")
 
 
@@ -80,12 +83,14 @@ class Table:
         if not self.decimal_comma:
             return False
         positions = [self.position(c) for c in columns]
-        comma = any("," in row[i] and _COMMA_NUMBER.fullmatch(row[i].strip()) for row in self.rows for i in positions)
-        mark, pattern = (",", _COMMA_NUMBER) if comma else (".", _NUMBER)
-        doubtful = next(self._marked(positions, mark, _EITHER), None)
+        comma = any(
+            "," in row[i] and NUMBER_WITH_COMMA.fullmatch(row[i].strip()) for row in self.rows for i in positions
+        )
+        mark, pattern = (",", NUMBER_WITH_COMMA) if comma else (".", NUMBER_WITH_POINT)
+        doubtful = next(self._marked(positions, mark, EITHER), None)
         if doubtful is not None:
             every = range(len(self.columns))
-            is_decimal = (not _EITHER.fullmatch(cell) for *_, cell in self._marked(every, mark, pattern))
+            is_decimal = (not EITHER.fullmatch(cell) for *_, cell in self._marked(every, mark, pattern))
             if not any(is_decimal):
                 row, position, cell = doubtful
                 number = cell.replace(",", ".")
@@ -138,11 +143,11 @@ class Table:
             return np.array([self._number(i, column, cell, comma) for i, cell in enumerate(cells)])
 
     def _number(self, row: int, column: str, cell: str, comma: bool) -> float:
-        if _SPECIAL.fullmatch(cell):
+        if NOT_FINITE.fullmatch(cell):
             return float(cell)
-        if _NUMBER.fullmatch(cell) and not (comma and "." in cell):
+        if NUMBER_WITH_POINT.fullmatch(cell) and not (comma and "." in cell):
             return float(cell.replace("d", "e").replace("D", "e"))
-        if comma and _COMMA_NUMBER.fullmatch(cell):
+        if comma and NUMBER_WITH_COMMA.fullmatch(cell):
             return float(cell.replace(",", ".").replace("d", "e").replace("D", "e"))
         raise UserError(f"{self.where(row, column)}: {self._fault(cell, comma)}")
 
@@ -150,11 +155,11 @@ class Table:
         said = shown(cell)
         if not cell:
             return "the cell is empty; write a number, or nan where a sample is missing"
-        if comma and _NUMBER.fullmatch(cell):
+        if comma and NUMBER_WITH_POINT.fullmatch(cell):
             return f"{said} has a decimal point where other cells have a decimal comma; use one of them throughout"
         if _SPREADSHEET_ERROR.fullmatch(cell):
             return f"{said} is an error of the spreadsheet; mend its formula or write a number"
-        if _COMMA_NUMBER.fullmatch(cell) or _THOUSANDS.fullmatch(cell):
+        if NUMBER_WITH_COMMA.fullmatch(cell) or _THOUSANDS.fullmatch(cell):
             return (
                 f"{said} has a decimal comma or thousands separators; write a decimal point and no thousands "
                 "separators (a decimal comma is read where semicolons or tabs separate the columns)"
@@ -171,7 +176,7 @@ def can_head_record(name: str) -> bool:
 
 def is_number(cell: str) -> bool:
     """Return whether a cell is a number, with either decimal mark; a row of such cells is no header."""
-    return any(pattern.fullmatch(cell) for pattern in (_NUMBER, _COMMA_NUMBER, _SPECIAL))
+    return any(pattern.fullmatch(cell) for pattern in (NUMBER_WITH_POINT, NUMBER_WITH_COMMA, NOT_FINITE))
 
 
 def read_experiment_table(path: Path) -> Table:
@@ -217,7 +222,7 @@ def read_record_table(path: Path, wanted: Iterable[str]) -> Table:
     present = [d for d in (";", "\t", ",", None) if len(_header(text, d)) > 1]
     meant = max([*present, ","], key=lambda d: len(wanted & set(_header(text, d))))
     delimiter, rows, numbers = _split(path, text, meant, skipped)
-    keep = [i for i, row in enumerate(rows) if row and not (i and _is_comment(",".join(row)))]
+    keep = [i for i, row in enumerate(rows) if row and not (i and is_comment(",".join(row)))]
     while keep and not any(cell.strip() for cell in rows[keep[-1]]):
         keep.pop()  # the empty rows that a spreadsheet leaves below the table
     rows, numbers = [rows[i] for i in keep], [numbers[i] for i in keep]
@@ -236,53 +241,17 @@ def read_record_table(path: Path, wanted: Iterable[str]) -> Table:
     return Table(path, tuple(columns), fitted, numbers, delimiter in (";", "\t"), has_header)
 
 
-def read_text(path: Path) -> str:
-    """Read a text file in the encodings that spreadsheets write.
-
-    Raises:
-        UserError: The file cannot be read, is empty or beyond the budget, or is a workbook.
-    """
-    ask_of_file(path, whole=True)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror})") from None
-    if data.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):
-        raise UserError(f"{path}: this is a spreadsheet workbook, not text; save it as CSV")
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        text = data.decode("utf-16", errors="replace")
-    else:
-        try:
-            text = data.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            text = data.decode("cp1252", errors="replace")
-    if not text.strip():
-        raise UserError(f"{path}: the file is empty")
-    return text
-
-
-def _is_comment(line: str) -> bool:
-    line = line.strip()
-    # '#DIV/0!' is a cell of a spreadsheet, and must not vanish as a comment.
-    return line.startswith(("#", "%", "//")) and not _LINE_WITH_ERROR.match(line)
-
-
 def _without_preamble(path: Path, text: str) -> tuple[str, int, str]:
     """Return the text from the first row that is neither blank nor comment, the rows before it, the last comment."""
     comment, start = "", 0
-    for skipped, line in enumerate(_lines(text)):
+    for skipped, line in enumerate(lines_of(text)):
         bare = line.strip()
-        if _is_comment(bare):
+        if is_comment(bare):
             comment = bare.lstrip("#%/ \t")
         elif bare.strip(",;") and not re.fullmatch(r"sep=.", bare):  # Excel's own first line names the separator
             return text[start:], skipped, comment
         start += len(line)
     raise UserError(f"{path}: the file has no data")
-
-
-def _lines(text: str) -> Iterator[str]:
-    """Lines with their ends, as a spreadsheet counts them; one at a time, as a list of them takes as much memory again."""
-    return (found[0] for found in re.finditer(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+", text))
 
 
 def _cells(line: str, delimiter: str | None) -> list[str]:
@@ -295,7 +264,7 @@ def _cells(line: str, delimiter: str | None) -> list[str]:
 
 
 def _header(text: str, delimiter: str | None) -> list[str]:
-    return [cell.strip() for cell in _cells(next(_lines(text)).rstrip("\r\n"), delimiter)]
+    return [cell.strip() for cell in _cells(next(lines_of(text)).rstrip("\r\n"), delimiter)]
 
 
 def _split(path: Path, text: str, delimiter: str | None, skipped: int) -> tuple[str | None, list[list[str]], list[int]]:
@@ -303,9 +272,9 @@ def _split(path: Path, text: str, delimiter: str | None, skipped: int) -> tuple[
     lines = text.count("\n") + text.count("\r")
     ask(path, cells=lines + (text.count(delimiter) if delimiter else sum(1 for _ in re.finditer(r"\S+", text))))
     if delimiter is None:
-        rows = [line.split() for line in _lines(text)]
+        rows = [line.split() for line in lines_of(text)]
     else:
-        rows, reader = [], csv.reader(_lines(text), delimiter=delimiter, strict=True)
+        rows, reader = [], csv.reader(lines_of(text), delimiter=delimiter, strict=True)
         try:
             rows.extend(reader)
         except csv.Error as error:

@@ -26,7 +26,10 @@ class ParserOfFiles(argparse.ArgumentParser):
         takes_column = getattr(self._option_string_actions.get("--force"), "nargs", None) == "?"
         for k, word in enumerate(words[:-1]) if takes_column else ():
             following = words[k + 1]
-            if word == "--force" and (_is_other(following) or "=" in following or Path(following).exists()):
+            is_study = Path(following).suffix.lower() in _STUDIES
+            if word == "--force" and (
+                is_study or "=" in following or is_file(Path(following)) or is_folder(Path(following))
+            ):
                 return super().parse_known_args([*words[:k], *words[k + 1 :], "--force"], namespace)
         return super().parse_known_args(words, namespace)
 

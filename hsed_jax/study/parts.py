@@ -16,8 +16,12 @@ def check_names(where: str, given: Mapping[str, Any], known: Mapping[str, Any]) 
 
 
 def within(where: str, value: float, known: Parameter) -> float:
-    """A fixed value, if it is possible."""
-    if not known.lower <= value <= known.upper:
+    """A fixed value, if it is possible; of a physical form, bounds other than zero depend on scales that are not known here."""
+    is_physical = known.physical is not None and where.rpartition(".")[2] == known.physical.name != known.name
+    low, high = known.lower, known.upper
+    if is_physical:
+        low, high = (0.0 if low == 0 else -float("inf")), (0.0 if high == 0 else float("inf"))
+    if not low <= value <= high:
         raise UserError(f"{where}: {value:g} is outside what is possible, {possible(known)}")
     return value
 
