@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from hsed_jax.diagnosis.batch import Batch
 from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.descent import Descent, Target, Task
-from hsed_jax.diagnosis.evidence import laplace, of_any_size, sample_posterior
+from hsed_jax.diagnosis.evidence import laplace, sample_posterior
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.inference.priors import Prior
 
@@ -75,42 +75,6 @@ def test_evidence_of_a_linear_gaussian_model_is_exact(columns):
     sampled = sample_posterior(fit, models, target, 2000, 0)
     assert sampled.log_evidence == pytest.approx(exact, abs=4 / np.sqrt(sampled.effective))
     assert sampled.effective > 1000
-
-
-def of_size(prior, data):
-    """log Z of an effect of any size, its size and standard deviation."""
-    models = NestedModels(Analytic(lambda theta: theta[0][:, None] * DESIGN[:, 2]), Box({"delta": prior}), np.zeros(1))
-    target = Target(data[None], np.full((1, 12), SIGMA), np.ones((1, 1, 12)), np.zeros((1, 12)))
-    (fit,) = models.fit(target, [Task(models.member(np.arange(1)), models.box.x(np.array([0.5])))])
-    deviation = SIGMA / np.linalg.norm(DESIGN[:, 2])
-    return laplace(fit, models) + of_any_size(fit, models, 0), models.theta(fit.x, fit.member)[0], deviation
-
-
-def test_evidence_of_an_effect_of_any_size_is_that_of_a_density_flat_in_its_logarithm():
-    data = 1.5 * DESIGN[:, 2] + SIGMA * np.random.default_rng(4).standard_normal(12)
-    _, size, deviation = of_size(Prior("half_normal", 30.0), data)
-
-    def height(delta, sides):
-        left = np.sum((data - delta * DESIGN[:, 2]) ** 2) / SIGMA**2
-        return np.exp(-0.5 * left) / (sides * delta * np.log(100))
-
-    for name, sides in (("half_normal", 1), ("normal", 2)):
-        exact = np.log(quad(height, size - 8 * deviation, size + 8 * deviation, (sides,))[0])
-        # Whatever unit its prior was written in: the density of a Gaussian tail is all that a hundred times as wide a one lacks.
-        for scale in (5.0, 30.0, 3e3):
-            prior = Prior(name, scale if sides == 1 else [0.0, scale])
-            assert of_size(prior, data)[0] == pytest.approx(exact, abs=0.02)
-
-
-def test_an_effect_that_is_not_seen_counts_as_one_that_just_is():
-    # The fit rests at nothing, where a density flat in the logarithm has no bound.
-    data = DATA - (DATA @ DESIGN[:, 2]) / (DESIGN[:, 2] @ DESIGN[:, 2]) * DESIGN[:, 2]
-    found, size, deviation = of_size(Prior("normal", [0.0, 30.0]), data)
-    assert abs(size) < 1e-3 * deviation
-    expected = -0.5 * np.sum((data / SIGMA) ** 2) + np.log(
-        np.sqrt(2 * np.pi) * deviation / (2 * 3 * deviation * np.log(100))
-    )
-    assert found == pytest.approx(expected, abs=0.01)
 
 
 def test_sampled_moments_are_those_of_the_gaussian_posterior():

@@ -166,9 +166,9 @@ class _Beside:
         words, before, floor = best.place.words, self._before, self.problem.train.noise**2
         if not now.error < before.error or before.error**2 - now.error**2 < _MATERIAL * (before.error**2 - floor):
             return f"{words} takes the error on experiments that were not used from {before.error:.3f} to {now.error:.3f} only"
-        if not now.gain.mean > now.gain.standard_error:
+        if not now.gain.total > now.gain.standard_error:
             return (
-                f"{words} takes a squared error of {now.gain.mean:.2g} ± {now.gain.standard_error:.2g} only away from "
+                f"{words} takes a squared error of {now.gain.total:.2g} ± {now.gain.standard_error:.2g} only away from "
                 "predictions of experiments that were not used"
             )
         return ""

@@ -5,26 +5,19 @@ mixture, of which the spread between the explanations is a part of its own:
 
 $$\bar f = \sum_k w_k f_k,\qquad \operatorname{var} = \sum_k w_k\,\operatorname{var}_k + \sum_k w_k (f_k-\bar f)^2 .$$
 
-The weights are posterior probabilities (Bayesian model averaging, Hoeting et al. 1999) where the evidence ranked the models.
-Where prediction did, since all are wrong, they are those of stacking (Breiman 1996): not negative, summing to one, and with the
-least squared error of $\bar f$ on experiments left out in turn.
+The weights are the probabilities of the models by what they predict (`hsed_jax.diagnosis.score`).
 """
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy.optimize import nnls
 
 from hsed_jax.criticism.prediction import Prediction
-from hsed_jax.diagnosis.fits import Model, shares_of
+from hsed_jax.diagnosis.fits import Model
 from hsed_jax.diagnosis.problem import Problem
-from hsed_jax.diagnosis.rivals import predictive
+from hsed_jax.diagnosis.rivals import predictive, shares_of
 from hsed_jax.diagnosis.search import Search
-
-# How firmly the weights of stacking are held to a sum of one, in units of the whole residual.
-_HELD = 1e3
 
 
 class Explanation(NamedTuple):
@@ -89,7 +82,7 @@ def averaged(problem: Problem, search: Search, models: Sequence[Model]) -> Avera
     """
     rows = np.arange(problem.rows + len(problem.candidates))
     means, spreads, ok = (np.stack(each) for each in zip(*(_moments(problem, m, rows) for m in models), strict=True))
-    weights = _weights(problem, search, models)
+    weights = shares_of(models)
     shares = weights[:, None] * (ok > 0)
     shares = (shares / np.maximum(shares.sum(axis=0), 1e-300))[..., None]
     mean = np.sum(shares * means, axis=0)
@@ -114,41 +107,6 @@ def _moments(problem: Problem, model: Model, rows: np.ndarray) -> tuple[np.ndarr
     """Prediction of a model, its sd by the parameters, (r, J), and whether it converged, (r,)."""
     mean, spread, ok = predictive(problem.models, model.fit, rows)
     return mean, np.sqrt(np.sum(spread**2, axis=2)), ok
-
-
-def _weights(problem: Problem, search: Search, models: Sequence[Model]) -> Float[np.ndarray, " m"]:
-    """Posterior probabilities among the models, or those of stacking where prediction chose the first."""
-    if models[0].effects not in search.predicted:
-        return shares_of(models)
-    predicted = search.left_out([m.effects for m in models])
-    left_out = search.held_out.folds.left_out.any(axis=0)
-    sigma = problem.train.sigma(search.errors, problem.train.values)
-    return stacking(predicted, problem.train.values, sigma, left_out)
-
-
-def stacking(
-    predicted: Sequence[np.ndarray | None],
-    measured: Float[np.ndarray, "n J"],
-    sigma: Float[np.ndarray, "n J"],
-    left_out: Bool[np.ndarray, "n J"],
-) -> Float[np.ndarray, " m"]:
-    """Weights with the least squared error of the average on what was left out.
-
-    Arguments:
-        predicted: by model, of what was left out, (n, J); None where a simulation failed, which gets no weight.
-        measured: what was measured.
-        sigma: in what units errors count.
-        left_out: where there is anything.
-    """
-    able = [i for i, one in enumerate(predicted) if one is not None]
-    found = np.zeros(len(predicted))
-    if not able:
-        return np.full(len(predicted), 1 / len(predicted))
-    columns = np.stack([(predicted[i] / sigma)[left_out] for i in able], axis=1)
-    held = _HELD * np.sqrt(np.sum(columns**2))
-    design = np.vstack([columns, np.full(len(able), held)])
-    found[able] = nnls(design, np.append((measured / sigma)[left_out], held))[0]
-    return found / found.sum()
 
 
 def _prediction(

@@ -1,7 +1,7 @@
 """Which physical effect is missing, how large it is, how sure that is, and what would tell it from its look-alikes."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -13,16 +13,13 @@ from hsed_jax.diagnosis.averaging import averaged
 from hsed_jax.diagnosis.descent import Descent
 from hsed_jax.diagnosis.evidence import Sampled, gaussian, sample_posterior
 from hsed_jax.diagnosis.findings import Candidate, Diagnosis
-from hsed_jax.diagnosis.fits import Model, Set, shares_of
-from hsed_jax.diagnosis.held_out import Gain
+from hsed_jax.diagnosis.fits import Model, Set
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.diagnosis.rivals import difference, joined, look_alikes_of, next_experiment, rivals_of, separation
 from hsed_jax.diagnosis.scores import score_p_value
 from hsed_jax.diagnosis.search import Search
 
-# Models with at least this probability have their evidence confirmed by sampling.
-_CLOSE = 0.01
-_MOST_CLOSE = 8
+# Draws of the posterior of a model that is told of.
 _DRAWS = 240
 # Draws that must count before a sample is believed.
 _ENOUGH = 30
@@ -31,7 +28,7 @@ _MOST_EXPERIMENTS = 6
 # Effects that are shown while a search goes on.
 _SHOWN = 5
 # An effect with this probability is likely: where it is not named, it is said why.
-_LIKELY = 0.1
+_LIKELY = 0.2
 # Nats between two optima of the model as it is that are worth a word.
 _APART = 2.0
 
@@ -70,13 +67,12 @@ def diagnose(
         report("what was found, on all experiments")
         search.adopt(coarse)
     report("probabilities and sizes")
-    models = search.all()
-    best, sampled, models = _confirmed(problem, search, models)
-    search.best = best.effects
-    probabilities = shares_of(models)
-    ranking = _ranking(problem, search, models, probabilities, sampled)
-    none = search.model(())
-    rivals = rivals_of(problem, search, models, best)
+    models, best, none = search.all(), search.model(search.best), search.model(())
+    sampled = {
+        m.effects: sample_posterior(m.fit, problem.models, search.target, _DRAWS, problem.seed) for m in (none, best)
+    }
+    ranking = _ranking(problem, search, models, sampled)
+    rivals = rivals_of(models, best)
     # A clear winner still has a runner-up to be told from.
     information = separation(problem, search, [best, *(rivals or [m for m in models if m is not best][:1])])
     look_alikes = look_alikes_of(problem, search, best, models) if best.effects else []
@@ -109,7 +105,7 @@ def diagnose(
         error_after=(problem.train.error(best.fit.predicted), tests[1]),
         noise_floor=problem.train.noise,
         parameters={
-            "before": _law(problem, none.fit, sampled.get(none.effects) or _sample(problem, search, none)),
+            "before": _law(problem, none.fit, sampled[none.effects]),
             "after": _law(problem, best.fit, sampled[best.effects]),
         },
         optimum={problem.names[k]: float(theta[k]) for k in best.fit.free},
@@ -133,12 +129,12 @@ def _started(problem: Problem, report: Callable[[str], None]) -> Search:
 def _leading(problem: Problem, search: Search) -> dict[str, Any]:
     """What leads in a search that goes on: the best set, and the probabilities of the models so far."""
     models, best = search.all(), search.model(search.best)
-    before, probabilities = search.model(()), shares_of(models)
+    before = search.model(())
     ranking = [
         {
             "effect": effect,
             "family": problem.catalogue[effect].family,
-            "probability": _probability(effect, models, probabilities),
+            "probability": _probability(effect, models),
         }
         for effect in problem.effects
     ]
@@ -158,46 +154,12 @@ def _leading(problem: Problem, search: Search) -> dict[str, Any]:
 # Probabilities and sizes.
 
 
-def _probability(effect: str, models: list[Model], probabilities: np.ndarray) -> float:
+def _probability(effect: str, models: list[Model]) -> float:
     """Probability that an effect takes part, over all models."""
-    return min(float(sum(p for m, p in zip(models, probabilities, strict=True) if effect in m.effects)), 1.0)
+    return min(sum(m.probability for m in models if effect in m.effects), 1.0)
 
 
-def _sample(problem: Problem, search: Search, model: Model) -> Sampled:
-    return sample_posterior(model.fit, problem.models, search.target, _DRAWS, problem.seed)
-
-
-def _confirmed(problem: Problem, search: Search, models: list[Model]) -> tuple[Model, dict[Set, Sampled], list[Model]]:
-    """The best model after close calls were confirmed by sampling, the samples, and all models with their evidence."""
-    shares = shares_of(models)
-    chosen = search.model(search.best)
-    close = [m for m, share in zip(models, shares, strict=True) if share >= _CLOSE][:_MOST_CLOSE]
-    if chosen.effects in search.predicted or not (chosen.effects or search.is_open()):
-        # It is not evidence that chose, or nothing is named whatever they come to.
-        close = [chosen]
-    if all(m.effects != chosen.effects for m in close):
-        close.append(chosen)
-    sampled = {m.effects: _sample(problem, search, m) for m in close}
-    confirmed = []
-    for m in models:
-        found = sampled.get(m.effects)
-        if found is not None and found.effective >= _ENOUGH:
-            more = found.log_evidence - m.fit_log_evidence
-            m = m._replace(log_evidence=m.log_evidence + more, log_posterior=m.log_posterior + more)
-        confirmed.append(m)
-    confirmed.sort(key=lambda m: -m.log_posterior)
-    # Only an exchange is left to be decided: whether there is one more effect was a matter of odds.
-    same_size = [m for m in confirmed if len(m.effects) == len(chosen.effects) and m.effects in sampled]
-    if chosen.effects in search.predicted:
-        # Nor is it evidence that chose.
-        return next(m for m in same_size if m.effects == chosen.effects), sampled, confirmed
-    fit_for_use = [m for m in same_size if m.effects == chosen.effects or not search.harms(m.effects)]
-    return fit_for_use[0], sampled, confirmed
-
-
-def _ranking(
-    problem: Problem, search: Search, models: list[Model], probabilities: np.ndarray, sampled: dict[Set, Sampled]
-) -> list[Candidate]:
+def _ranking(problem: Problem, search: Search, models: list[Model], sampled: dict[Set, Sampled]) -> list[Candidate]:
     by_set = {m.effects: m for m in models}
     best = search.best
     shown: dict[str, tuple[Model, Model]] = {}
@@ -211,18 +173,17 @@ def _ranking(
             continue  # it promises less than others, and was not fitted
         instead = [m for m in options if len(m.effects) <= max(len(best), 1)] or options
         beside = by_set.get(best | {effect})
-        if beside is None or beside.log_posterior <= by_set[best].log_posterior:
+        if beside is None or beside.probability <= by_set[best].probability:
             beside = instead[0]
         shown[effect] = beside, by_set[beside.effects - {effect}]
     tests = search.unseen([model.effects for model, _ in shown.values()])
+    gains = {m.effects: gain for m, gain in _gains(search, [model for model, _ in shown.values()])}
     found = []
     for (effect, (model, without)), test in zip(shown.items(), tests, strict=True):
         sample = sampled.get(model.effects)
         score = search.scores[effect]
-        probability = _probability(effect, models, probabilities)
-        is_likely = probability >= _LIKELY or (
-            model.effects > best and model.log_posterior > by_set[best].log_posterior
-        )
+        probability = _probability(effect, models)
+        is_likely = probability >= _LIKELY
         found.append(
             Candidate(
                 effect=effect,
@@ -231,7 +192,7 @@ def _ranking(
                 log_evidence_gain=model.log_evidence - without.log_evidence,
                 rao_statistic=score,
                 rao_p_value=score_p_value(score),
-                score=_gain(search.predicted.get(model.effects)),
+                score=gains.get(model.effects),
                 estimate=_estimate(problem, effect, model, sample),
                 form=model.forms[effect] or None,
                 forms=dict(sorted(model.shares[effect].items(), key=lambda item: -item[1]))
@@ -247,19 +208,20 @@ def _ranking(
                                         -c.log_evidence_gain))  # fmt: skip
 
 
-def _gain(gain: Gain | None) -> dict[str, float] | None:
-    """What prediction said of a model; None where it did not decide."""
-    if gain is None or not math.isfinite(gain.mean):
-        return None
-    return {"gain": gain.mean, "standard_error": gain.standard_error}
+def _gains(search: Search, models: Sequence[Model]) -> list[tuple[Model, dict[str, float]]]:
+    """By how many nats models that were scored predict what is left out better than the model as it is."""
+    scored = [m for m in models if m.probability > 0]
+    gains = search.gains([m.effects for m in scored], frozenset())
+    return [(m, {"gain": g.total, "standard_error": g.standard_error})
+            for m, g in zip(scored, gains, strict=True) if math.isfinite(g.total)]  # fmt: skip
 
 
 def _reason(search: Search, model: Model, best: Model) -> str | None:
     """Why a model with a likely effect is not the one that is named."""
     if not model.effects > best.effects:
-        odds = math.exp(min(best.log_posterior - model.log_posterior, 700.0))
+        odds = best.probability / max(model.probability, 1e-300)
         return f"{' + '.join(sorted(best.effects - model.effects))} in its place is {odds:.2g} times as probable"
-    return search.obstacle(model) or "the search ended before it"
+    return search.obstacle(model.effects) or "the search ended before it"
 
 
 def _estimate(problem: Problem, effect: str, model: Model, sample: Sampled | None) -> dict[str, dict[str, Any]]:

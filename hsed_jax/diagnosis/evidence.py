@@ -17,10 +17,6 @@ from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.inference.importance import Proposal, weigh
 
 _FLOOR = 1e-6
-# Sizes of effects span so much: what changes a response by a hundredth of itself up to what makes it another one.
-_SIZES = np.log(100.0)
-# An amplitude that is seen is at least so many of its standard deviations.
-_SEEN = 3.0
 
 
 class Sampled(NamedTuple):
@@ -83,28 +79,6 @@ def laplace(fit: Descent, models: NestedModels) -> float:
     tail = _log_interval(slopes * deviation, slopes * deviation + width / deviation)
     log_z += float(np.sum(0.5 * (slopes * deviation) ** 2 + 0.5 * np.log(2 * np.pi * deviation**2) + tail))
     return log_z
-
-
-def of_any_size(fit: Descent, models: NestedModels, amplitude: int) -> float:
-    r"""What log Z gains where an effect may be of any size: the density 1/δ log S of its amplitude δ in place of its prior's.
-
-    A prior's scale is a convention, and so is the characteristic value that the amplitude is relative to: a friction of a
-    thousandth of the largest force is a tenth of what a small experiment dissipates.  What is known beforehand of a missing
-    effect is how much of the response it may be, which is as likely in every decade (Jeffreys 1946), from hardly seen to all
-    of it, whatever its unit.  An amplitude that is less than is seen counts as that.
-
-    Arguments:
-        fit: where it is.
-        models: of the fit.
-        amplitude: its column.
-    """
-    place = int(np.flatnonzero(fit.free == amplitude)[0])
-    neutral, box = models.neutral[amplitude], models.box
-    deviation = np.sqrt(gaussian(fit)[1][place, place])
-    size = max(abs(fit.x[amplitude] - neutral), _SEEN * deviation)
-    sides = int(box.low[amplitude] < neutral) + int(box.high[amplitude] > neutral)
-    density = float(box.log_density(fit.x[None], fit.free[[place]])[0, 0])
-    return -float(np.log(sides * size * _SIZES)) - density
 
 
 def sample_posterior(fit: Descent, models: NestedModels, target: Target, draws: int, seed: int) -> Sampled:

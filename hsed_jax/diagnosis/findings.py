@@ -34,8 +34,8 @@ class Candidate:
         error_train, error_test: normalised errors of the model with it; test: of experiments that were not used, the test
             split or, without one, experiments left out in turn; infinite where a simulation fails.
         reason: why it is not named though it is likely; None where it is named, or unlikely.
-        score: where prediction decided, the squared error that the model with it takes away from what was left out (`gain`),
-            with its `standard_error`.
+        score: by how many nats the model with it predicts what is left out better than the model as it is (`gain`), with the
+            `standard_error`; None where it was not scored.
         form: the one of its forms in which all of this is said, the most probable one or, under a wrong model, the one that
             predicts best; None where it has but one.
         forms: probabilities of its forms.

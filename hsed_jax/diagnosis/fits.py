@@ -1,9 +1,8 @@
-r"""Fits of sets of effects, each effect in several forms, and what a set is worth over its forms.
+r"""Fits of sets of effects, each effect in several forms, and what evidence and prediction say of them.
 
 The evidence of a set is the sum of those of its forms, which share its prior probability, $Z_S = \sum_f p(f)\,Z_f$: half of it
 belongs to the default form of each effect and half to the others alike.  So many forms buy nothing, and an effect is compared
-with another whatever formulas the two have; and, since of its size nothing is known beforehand
-(`hsed_jax.diagnosis.evidence.of_any_size`), whatever unit the amplitude of either was written in.
+with another whatever formulas the two have.
 """
 
 import math
@@ -12,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.special import logsumexp, softmax
+from scipy.special import logsumexp
 
 from hsed_jax.diagnosis.descent import Descent, Member, Target, Task
-from hsed_jax.diagnosis.evidence import laplace, of_any_size
+from hsed_jax.diagnosis.evidence import laplace
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import FormColumns, Forms
 
@@ -43,18 +42,18 @@ class Model(NamedTuple):
         forms: of each effect the form in which it is taken, by its label.
         shares: of each effect the probabilities of its forms.
         fit: where the fit of these forms ended.
-        fit_log_evidence: log Z of that alone.
-        log_evidence: log Z over the forms, with effects of any size.
+        log_evidence: log Z over the forms.
         log_posterior: log Z plus the log prior of the set.
+        probability: by what its forms predict; zero where none of them was scored.
     """
 
     effects: Set
     forms: Mapping[str, str]
     shares: Mapping[str, Mapping[str, float]]
     fit: Descent
-    fit_log_evidence: float
     log_evidence: float
     log_posterior: float
+    probability: float
 
 
 class Fits:
@@ -64,6 +63,9 @@ class Fits:
         models: the large model.
         law: indices of the parameters that every model has.
         effects: the forms of each candidate.
+
+    Attributes:
+        probabilities: of the choices that were scored by what they predict.
     """
 
     def __init__(self, models: NestedModels, law: Int[np.ndarray, " p"], effects: Mapping[str, Forms]):
@@ -71,7 +73,7 @@ class Fits:
         self._known: dict[Choice, Descent] = {}
         self._hopeless: set[Choice] = set()
         self._evidence: dict[Choice, tuple[Descent, float]] = {}
-        self._preferred: dict[Set, Choice] = {}
+        self.probabilities: dict[Choice, float] = {}
 
     def __contains__(self, effects: Set) -> bool:
         """Whether a set was fitted in any form."""
@@ -89,17 +91,12 @@ class Fits:
         """Take the fit of the model without effects."""
         self._known[frozenset()] = fit
 
-    def prefer(self, choices: Iterable[Choice]) -> None:
-        """Take the sets of these choices in their forms, and all others in the most probable ones."""
-        self._preferred = {names_of(choice): choice for choice in choices}
-
     def top(self, effects: Set) -> Choice:
-        """The forms in which a set that was fitted is taken."""
-        preferred = self._preferred.get(effects)
-        return preferred if preferred in self._known else max(self.of(effects), key=self._worth)
+        """The forms in which a set that was fitted is taken: those that predict best, or else those of most evidence."""
+        return max(self.of(effects), key=lambda choice: (self.probabilities.get(choice, 0.0), self._worth(choice)))
 
     def likeliest(self, effects: Set, most: int) -> list[Choice]:
-        """The most probable forms of a set that was fitted, at most so many."""
+        """The forms of a set that was fitted of most evidence, at most so many."""
         return sorted(self.of(effects), key=self._worth, reverse=True)[:most]
 
     def __getitem__(self, choice: Choice) -> Descent:
@@ -125,16 +122,18 @@ class Fits:
 
     def model(self, effects: Set, log_prior: float) -> Model:
         """A set that was fitted, over its forms."""
-        choices = self.of(effects)
+        choices, top = self.of(effects), self.top(effects)
         worths = np.asarray([self._worth(choice) for choice in choices])
         total = float(np.asarray(logsumexp(worths)))
+        predicted = np.asarray([self.probabilities.get(choice, 0.0) for choice in choices])
+        weights = (
+            predicted if predicted.any() else np.exp(worths - total) if math.isfinite(total) else np.ones(len(choices))
+        )
         shares: dict[str, dict[str, float]] = {effect: {} for effect in sorted(effects)}
-        for choice, worth in zip(choices, worths, strict=True):
+        for choice, share in zip(choices, weights / weights.sum(), strict=True):
             for effect, label in choice:
-                share = math.exp(worth - total) if math.isfinite(total) else 1 / len(choices)
-                shares[effect][label] = shares[effect].get(label, 0.0) + share
-        top = self.top(effects)
-        return Model(effects, dict(top), shares, self._known[top], self._log_evidence(top), total, total + log_prior)
+                shares[effect][label] = shares[effect].get(label, 0.0) + float(share)
+        return Model(effects, dict(top), shares, self._known[top], total, total + log_prior, float(predicted.sum()))
 
     def fit(
         self, target: Target, choices: Iterable[Choice], starts: Mapping[Choice, list[np.ndarray]] | None = None
@@ -277,13 +276,12 @@ class Fits:
     # What a choice is worth.
 
     def _worth(self, choice: Choice) -> float:
-        """log Z where effects may be of any size, plus the log prior of its forms."""
-        of_sizes = sum(self._of_any_size(choice, pair) for pair in choice)
-        return self._log_evidence(choice) + of_sizes + sum(self._log_share(pair) for pair in choice)
+        """log Z plus the log prior of its forms."""
+        return self._log_evidence(choice) + self.log_share(choice)
 
-    def _of_any_size(self, choice: Choice, pair: tuple[str, str]) -> float:
-        fit = self._known[choice]
-        return of_any_size(fit, self.models, int(self._form(pair).columns[0])) if np.isfinite(fit.cost) else 0.0
+    def log_share(self, choice: Choice) -> float:
+        """Log prior probability of the forms among those of their effects."""
+        return sum(self._log_share(pair) for pair in choice)
 
     def _log_share(self, pair: tuple[str, str]) -> float:
         others = len(self.effects[pair[0]]) - 1
@@ -296,11 +294,6 @@ class Fits:
         if choice not in self._evidence or self._evidence[choice][0] is not fit:
             self._evidence[choice] = (fit, laplace(fit, self.models))
         return self._evidence[choice][1]
-
-
-def shares_of(models: Sequence[Model]) -> np.ndarray:
-    """Posterior probabilities of models, among themselves."""
-    return np.asarray(softmax([m.log_posterior for m in models]))
 
 
 def names_of(choice: Choice) -> Set:

@@ -1,6 +1,5 @@
 """Explanations that are as good: which effects stand for one another, and which experiment would tell them apart."""
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -9,18 +8,14 @@ from jaxtyping import Float
 
 from hsed_jax.diagnosis.descent import Descent
 from hsed_jax.diagnosis.evidence import gaussian
-from hsed_jax.diagnosis.fits import Model, Set, shares_of
+from hsed_jax.diagnosis.fits import Model, Set
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.diagnosis.search import Search
 
-# Rivals whose posterior odds against the best are at least this are as good: to be named, an effect needs ten, too.
+# Rivals whose odds against the best are at least this are as good: to be named, an effect needs ten, too.
 _AS_GOOD = 1 / 10
-# Of so many models of other physics it is asked whether they predict as well.
-_MOST_TRIED = 8
-# A rival mends the model, too, if it gains at least this share of what the best one gains.
-_MENDS = 0.5
-# A model whose posterior odds against the best are less than this is excluded.
+# A model whose odds against the best are less than this is excluded.
 _EXCLUDED = 0.01
 # Sd of a parameter that neither data nor bounds hold, in coordinates of order one.
 _WIDEST = 10.0
@@ -44,11 +39,7 @@ def separation(problem: Problem, search: Search, rivals: Sequence[Model]) -> Flo
         return np.zeros(count)
     predictions = [predictive(problem.models, m.fit, rows) for m in rivals]
     root = np.sqrt(search.worth[problem.train.groups]) / problem.sigma(search.errors, predictions[0].mean)
-    shares = shares_of(rivals)
-    if rivals[0].effects in search.predicted:
-        # Of wrong models the evidence says nothing.
-        shares = np.full(len(rivals), 1 / len(rivals))
-    return expected_log_bayes_factor(predictions, root, shares, problem.pending)
+    return expected_log_bayes_factor(predictions, root, shares_of(rivals), problem.pending)
 
 
 class Predictive(NamedTuple):
@@ -150,46 +141,25 @@ def next_experiment(
     return dict(problem.candidates[best]), float(information[best])
 
 
-def rivals_of(problem: Problem, search: Search, models: Sequence[Model], best: Model) -> list[Model]:
-    """Models that name something else (and no more) and are as good as the best: as probable; or, where
-    prediction chose it, of other physics, no larger, and no worse by one standard error on what was left out."""
-    others = [m for m in models if m.effects != best.effects and len(m.effects) <= len(best.effects)]
-    as_probable = [m for m in others if m.log_posterior - best.log_posterior >= math.log(_AS_GOOD)]
-    if best.effects not in search.predicted:
-        return as_probable
-    unlike = [m for m in others if m not in as_probable and m.effects and _families(problem, best, m)]
-    unlike = search.fit_alike(unlike, [best])[:_MOST_TRIED]
-    gains = search.gains([m.effects for m in unlike], best.effects)
-    return [*as_probable, *(m for m, gain in zip(unlike, gains, strict=True) if gain.mean + gain.standard_error >= 0)]
+def shares_of(models: Sequence[Model]) -> Float[np.ndarray, " m"]:
+    """Probabilities of models among themselves; alike where none was scored."""
+    found = np.asarray([m.probability for m in models])
+    return found / found.sum() if found.any() else np.full(len(found), 1 / len(found))
 
 
-def _families(problem: Problem, best: Model, other: Model) -> set[str]:
-    """Kinds of physics of what another model has in place of the best."""
-    return {problem.catalogue[e].family for e in other.effects - best.effects} - {
-        problem.catalogue[e].family for e in best.effects
-    }
+def rivals_of(models: Sequence[Model], best: Model) -> list[Model]:
+    """Models that name something else, and no more effects, and are as good as the best."""
+    return [m for m in _instead(models, best, _AS_GOOD) if len(m.effects) <= len(best.effects)]
 
 
 def look_alikes_of(problem: Problem, search: Search, best: Model, models: Sequence[Model]) -> list[list[str]]:
     """For each named effect, those that could stand in its place: with predictions that differ by less than the noise, and not
-    excluded by the evidence, for which many samples tell what no single one does."""
+    excluded, since many samples tell what no single one does."""
     rows = np.arange(problem.rows + len(problem.candidates))
-    exchanged = [
-        m
-        for m in models
-        if len(m.effects) == len(best.effects)
-        and m.effects != best.effects
-        and m.log_posterior - best.log_posterior >= math.log(_EXCLUDED)
-    ]
     groups = []
     for effect in sorted(best.effects):
-        without = search.model(best.effects - {effect})
-        gain = best.log_evidence - without.log_evidence
-        others = [
-            m
-            for m in exchanged
-            if m.effects > without.effects and m.log_evidence - without.log_evidence >= _MENDS * gain
-        ]
+        rest = best.effects - {effect}
+        others = [m for m in _instead(models, best, _EXCLUDED) if m.effects > rest and len(m.effects - rest) == 1]
         if not others:
             continue
         outputs, ok = problem.models.predict([(m.fit.x, m.fit.member) for m in (best, *others)], rows)
@@ -202,10 +172,15 @@ def look_alikes_of(problem: Problem, search: Search, best: Model, models: Sequen
             )
             both = (converged > 0) & (ok[0] > 0)
             if both.any() and np.all(by_output[:, both] < 1):
-                alike.append(next(iter(m.effects - without.effects)))
+                alike.append(next(iter(m.effects - rest)))
         if alike:
             groups.append([effect, *alike])
     return groups
+
+
+def _instead(models: Sequence[Model], best: Model, least: float) -> list[Model]:
+    """Other models whose odds against the best are at least so much."""
+    return [m for m in models if m.effects != best.effects and m.probability >= least * best.probability > 0]
 
 
 def difference(best: Set, rival: Set) -> list[str]:

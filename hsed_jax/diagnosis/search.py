@@ -1,8 +1,10 @@
-r"""Which set of effects do the measurements support?  A search over nested models, by evidence.
+r"""Which set of effects do the measurements support?  A search over nested models, by what they predict.
 
 Forward steps add the effect that is supported best; after each, every model one change away (an effect less, one more, one
-exchanged for another or for a pair) is fitted, so that a wrong first step is taken back.  Sets of k out of K effects share the
-prior probability of their size, $2^{-k-1}/\binom{K}{k}$: looking at thirty candidates does not invent physics.
+exchanged for another or for a pair) is fitted, so that a wrong first step is taken back.  The evidence of the fits says which of
+them may lead.  These are scored by the log density of what they were not fitted to (`hsed_jax.diagnosis.score`), and that alone
+decides.  Sets of k out of K effects share the prior probability of their size, $2^{-k-1}/\binom{K}{k}$: looking at thirty
+candidates does not invent physics.
 
 **How wrong a model may be is learned, not assumed.**  A real specimen follows no textbook formula.  All models of a round are
 therefore judged with the errors that the best of them leaves: the error of an output is the declared one or that model's
@@ -18,38 +20,34 @@ from jaxtyping import Float, Int
 
 from hsed_jax.diagnosis.descent import Descent, Target, Task
 from hsed_jax.diagnosis.fits import Choice, Fits, Model, Set, names_of
-from hsed_jax.diagnosis.held_out import Gain, HeldOut, by_prediction, to_take_away
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Forms, amplitude_of, of_other_drivers, of_other_shapes
 from hsed_jax.diagnosis.propose import beside, pairs
+from hsed_jax.diagnosis.score import Gain, HeldOut, weights_of
 from hsed_jax.diagnosis.scores import Around, score_p_value
 from hsed_jax.errors import UserError
 
 MOST_EFFECTS = 4
-# Posterior odds that a further effect needs.
-_ODDS = 10.0
+# Odds that a further effect needs: it predicts better in four of five resamplings of the pieces.
+_ODDS = 4.0
 # A score test opens the gate that the size of the residual keeps shut, at this level for all candidates together.
 _STRICT = 1e-3
 # Standard deviations of the square of the noise that are no surprise.
 _DEVIATIONS = 3.0
-# By this share a further effect may raise the squared error on experiments that nothing is fitted to: they are few.
-_CHANCE = 0.05
-# Of so many models it is asked what they predict of experiments left out, where evidence does not rank them.
-_POOL = 24
-# What leaves more than so many times what another model leaves does not predict as well.
-_WORSE = 2.0
+# An effect is material that takes away this share of the squared error beyond the noise.  A textbook formula is off by as much.
+_MATERIAL = 0.1
+# So many sets of most evidence are scored, each in so many of its forms.
+_POOL, _FORMS = 10, 2
 # Of the models that rank first so many are considered to go on from.
 _TRIED = 5
 # In place of an effect so many others, the most probable ones, are tried with so many beside each that promise most.
 _OTHERS, _BESIDE = 3, 2
-# All forms are fitted of so many sets (of three times as many of one effect), if they are no more nats below the most
-# probable one than this, or gain half as much as it.
+# All forms are fitted of so many sets (of three times as many of one effect), if they are no more nats below the one of most
+# evidence than this, or gain half as much as it.
 _DEEP, _NEAR = 2, 10.0
 # Of so many sets that rank first so many forms are fitted anew, once the errors are known.
 _AGAIN = 3
-# Of so many likely forms of a set it is asked what they predict, where evidence does not rank them.
-_FORMS = 6
 # With so many drivers the shapes of a form are fitted, where these may be the most probable.
 _DRIVERS = 2
 
@@ -65,8 +63,8 @@ class Search:
         is_explained: whether the noise explains the size of a fit's residual; nothing is added to it then, unless a score test
             is sure of it.
         report: called with what is being done, for a progress bar.
-        test: experiments that nothing is fitted to, the rows after those measured: an effect that predicts them worse is not
-            named.
+        test: experiments that nothing is fitted to, the rows after those measured: an effect with which the model predicts them
+            worse than it does as it is, is not named.
         start: the model without further effects as it is known already, (P,): one of the starts of its fit.
 
     Attributes:
@@ -75,8 +73,7 @@ class Search:
         best: the set that is supported.
         path: the sets that were best, from none on.
         scores: Rao's score statistic of each candidate in the model as it is.
-        predicted: what sets gained in the prediction of what was left out, where that ranked them.
-        on_round: called when models were judged and when a round has ended.
+        on_round: called when models were scored and when a round has ended.
         missed: by how many nats the best fit of the model as it is beats the one from `start`.
     """
 
@@ -105,11 +102,9 @@ class Search:
         self.scores: dict[str, float] = {}
         self.missed = 0.0
         self.on_round: Callable[[], None] = lambda: None
-        self.predicted: dict[Set, Gain] = {}
         self._tried: set[Set] = set()
         self._pairs: list[Set] = []
         self._pointed: dict[Set, tuple[Descent, Target, Set]] = {}
-        self._growing: tuple[Set, Target, bool] = self.best, self.target, True
 
     def run(self) -> None:
         """Search, from the model as it is."""
@@ -123,10 +118,11 @@ class Search:
                 self._fit_pairs()
                 self._deepen([*around, *self._pairs])
             self._judge()
-            if not self.best and self.measured.is_far_above_noise(self.all()[0].fit.predicted):
+            if not self.best and self.measured.is_far_above_noise(self._lowest().predicted):
                 self._report("every effect beside any law")
                 self._fits.look_all_over(self.target)
                 self._judge()
+            self._score()
             self.on_round()
             before, self.best = self.best, self._next()
             self.on_round()
@@ -134,6 +130,7 @@ class Search:
                 return
             if self.best in self.path:
                 self._judge()
+                self._score()
                 return
             self.path.append(self.best)
 
@@ -144,8 +141,9 @@ class Search:
         sets = dict.fromkeys([best, *(best - {e} for e in best), *coarse.path, *leading])
         choices = {coarse._fits.top(s): [coarse._fits.best(s).x] for s in sets if s}
         self._fits.fit(self.target, choices, choices)
-        self.best, self.path, self.predicted = best, coarse.path, coarse.predicted
+        self.best, self.path = best, coarse.path
         self._judge()
+        self._score()
 
     def model(self, effects: Iterable[str]) -> Model:
         """A model that was fitted."""
@@ -155,32 +153,24 @@ class Search:
     def all(self) -> list[Model]:
         """All models that were fitted to the end of the last round, the most probable first."""
         found = [self.model(effects) for effects in self._around()]
-        return sorted(found, key=lambda m: -m.log_posterior)
+        return sorted(found, key=lambda m: (-m.probability, -m.log_posterior))
 
     def unseen(self, chosen: Sequence[Set]) -> list[float]:
         """Error on the experiments that nothing is fitted to, for several sets; without any, on those left out in turn."""
         return self.held_out.unseen(self.target, [self._fits.best(effects) for effects in chosen])
 
+    def odds(self, one: Set, other: Set) -> float:
+        """Odds of one set against another by what they predict."""
+        fits = [self._fits.best(effects) for effects in (one, other)]
+        priors = np.asarray([self._log_prior(len(effects)) for effects in (one, other)])
+        weights = weights_of(self.held_out.densities(self.target, fits), priors)
+        return float(weights[0] / max(weights[1], 1e-300))
+
     def gains(self, chosen: Sequence[Set], over: Set) -> list[Gain]:
-        """By how much sets predict what was left out better than another set: in every part of it, each from the others."""
-        before, *after = map(self.held_out.squares, self.left_out([over, *chosen]))
-        return [Gain(before - squares) for squares in after]
-
-    def left_out(self, chosen: Sequence[Set]) -> list[np.ndarray | None]:
-        """What sets predict of every part that is left out, each from the others; None where a simulation fails."""
-        return self.held_out.left_out(self.target, [self._fits.best(effects) for effects in chosen])
-
-    def harms(self, larger: Set, here: Set = frozenset()) -> bool:
-        """Whether a set predicts what nothing is fitted to worse than another one or the model as it is, or not at all."""
-        if self.held_out.test is None:
-            return False
-        plain, now, then = self.unseen([frozenset(), here, larger])
-        return not (then**2 <= (1 + _CHANCE) * now**2 and then <= plain)
-
-    def fit_alike(self, models: Sequence[Model], others: Sequence[Model]) -> list[Model]:
-        """Those models that may predict as well as others: what fits so much worse than the best of these does not."""
-        lowest = min((self.measured.error(m.fit.predicted) for m in others), default=math.inf)
-        return [m for m in models if self.measured.error(m.fit.predicted) <= _WORSE * lowest]
+        """What sets gain in log density over another set, piece by piece of what is left out [nats]."""
+        fits = [self._fits.best(effects) for effects in (over, *chosen)]
+        before, *after = self.held_out.densities(self.target, fits)
+        return [Gain(own - before) for own in after]
 
     def pointed_at(self, chosen: Set) -> Set:
         """The candidates that a score test around a fitted set is sure of, with their number accounted for."""
@@ -193,30 +183,40 @@ class Search:
             self._pointed[chosen] = fit, self.target, found
         return found
 
-    def obstacle(self, larger: Model) -> str | None:
-        """Why a model with one effect more than the best is not the one to go on from; None where nothing is against it."""
-        here = self.model(self.best)
-        odds = larger.log_posterior - here.log_posterior
-        if odds <= math.log(_ODDS) and not self.measured.is_far_above_noise(here.fit.predicted):
-            return f"its posterior odds of {math.exp(odds):.2g} are less than {_ODDS:.0f}"
-        if self._is_explained(here.fit) and not larger.effects & self.pointed_at(self.best):
+    def obstacle(self, larger: Set) -> str | None:
+        """Why a set with more effects than the best is not the one to go on from; None where nothing is against it."""
+        odds = self.odds(larger, self.best)
+        if odds < _ODDS:
+            return f"its odds of {odds:.2g} by what it predicts are less than {_ODDS:.0f}"
+        if self._is_explained(self._fits.best(self.best)) and not larger & self.pointed_at(self.best):
             return "the noise explains what is left, and no score test is sure of it"
-        if self.harms(larger.effects, self.best):
-            now, then = self.unseen([self.best, larger.effects])
-            return f"it takes the error on experiments that were not used from {now:.3f} to {then:.3g}"
-        predictions = self.left_out([frozenset(), self.best, larger.effects])
-        before, now, then = map(self.held_out.error, predictions)
-        is_last, is_as_large = self._is_explained(larger.fit), len(larger.fit.free) <= len(here.fit.free)
-        needed = to_take_away(before, now, self.measured.noise, not self.best, is_last, is_as_large)
-        if not then < now or now**2 - then**2 < needed:
-            return f"with training experiments left out in turn the error goes from {now:.3f} to {then:.3g} only"
-        gain = Gain(self.held_out.squares(predictions[1]) - self.held_out.squares(predictions[2]))
-        if not is_last and not gain.mean > gain.standard_error:
-            return (
-                "of training experiments left out in turn it takes away a squared error of "
-                f"{gain.mean:.2g} ± {gain.standard_error:.2g} only"
-            )
+        if self.harms(larger):
+            plain, unseen = self.unseen([frozenset(), larger])
+            return f"it takes the error on experiments that were not used from {plain:.3f} to {unseen:.3g}"
+        fits = [self._fits.best(effects) for effects in (frozenset(), self.best, larger)]
+        before, now, after = self.held_out.errors(self.target, fits)
+        if not now**2 - after**2 >= self._material(before, now):
+            return f"with training experiments left out in turn the error goes from {now:.3f} to {after:.3g} only"
         return None
+
+    def harms(self, effects: Set) -> bool:
+        """Whether a set predicts what nothing is fitted to worse than the model as it is, or not at all."""
+        if self.held_out.test is None:
+            return False
+        plain, then = self.unseen([frozenset(), effects])
+        return not then <= plain
+
+    def _material(self, before: float, now: float) -> float:
+        """The squared error on what is left out that a further effect has to take away.
+
+        It is a share of what the model as it is leaves beyond the noise, since the formula of an effect is off by as much.  What
+        leaves clearly more than the noise is no such rest: the noise once more and the same share of the rest are enough.
+
+        Arguments:
+            before, now: error of the model as it is, and of the one that the effect is added to.
+        """
+        noise = self.measured.noise**2
+        return min(_MATERIAL * max(before**2 - noise, 0.0), noise + _MATERIAL * max(now**2 - noise, 0.0))
 
     def start(self) -> None:
         """The model without further effects, and a first look at every candidate from its gradient."""
@@ -276,7 +276,7 @@ class Search:
         return frozenset((effect, best[effect]) for effect in effects)
 
     def _deepen(self, sets: Iterable[Set]) -> None:
-        """Fit the most probable sets in further forms of each of their effects: with other drivers, and in other shapes."""
+        """Fit the sets of most evidence in further forms of each of their effects: with other drivers, and in other shapes."""
         ranked = sorted((self.model(s) for s in sets if s in self._fits), key=lambda m: -m.log_posterior)
         # A formula that is not the specimen's costs many nats where the noise is small.
         top = ranked[0].log_posterior
@@ -293,54 +293,38 @@ class Search:
             self._fits.fit(self.target, dict.fromkeys(choices))
 
     def _judge(self) -> None:
-        """Take the errors from the best model of the round, and fit all again with them."""
+        """Take the errors from the best fit of the round, and fit all again with them."""
         around = self._around()
         for _ in range(2):
-            lowest = min(around, key=lambda s: self._fits.best(s).cost - self._log_prior(len(s)))
-            self._judge_by(self._fits.best(lowest))
+            self._judge_by(self._lowest())
             self._fits.judge(self.target, around)
         if self.best or self.is_open():
-            first = [m.effects for m in self.all() if m.effects][:_AGAIN]
+            ranked = sorted(map(self.model, around), key=lambda m: -m.log_posterior)
+            first = [m.effects for m in ranked if m.effects][:_AGAIN]
             self._fits.look_again(self.target, [self._fits.top(s) for s in first])
 
+    def _score(self) -> None:
+        """Give the choices that may lead their probabilities by what they predict; all others have none."""
+        self._report("what they predict of what is left out")
+        always = [
+            self._fits.top(s)
+            for s in {frozenset(), self.best, *(self.best - {e} for e in self.best)}
+            if s in self._fits
+        ]
+        ranked = sorted(map(self.model, self._around()), key=lambda m: -m.log_posterior)
+        likely = [choice for m in ranked[:_POOL] for choice in self._fits.likeliest(m.effects, _FORMS)]
+        pool = list(dict.fromkeys([*always, *likely]))
+        densities = self.held_out.densities(self.target, [self._fits[choice] for choice in pool])
+        priors = np.asarray([self._log_prior(len(choice)) + self._fits.log_share(choice) for choice in pool])
+        self._fits.probabilities = dict(zip(pool, weights_of(densities, priors).tolist(), strict=True))
+
     def _next(self) -> Set:
-        """The set to go on from: the first that is supported and predicts what was not used."""
-        for candidate in self._candidates()[:_TRIED]:
-            is_larger = len(candidate.effects) > len(self.best)
-            if self.obstacle(candidate) is None if is_larger else not self.harms(candidate.effects):
-                return candidate.effects
-        # Judged anew, what was best may predict worse than the model as it is.
-        return self.path[-2] if self.best and self.harms(self.best) else self.best
-
-    def _candidates(self) -> list[Model]:
-        """Models more probable than the best, the most probable first where the noise explains what that one leaves, else in the
-        order of `by_prediction`.  Where the best leaves many times the noise, whatever their odds they have to predict better
-        than it by more than a standard error, or with an effect less no worse by that."""
-        here, others = self.model(self.best), [m for m in self.all() if m.effects != self.best]
-        likely = [m for m in others if m.log_posterior > here.log_posterior]
-        is_wrong = not self._evidence_decides(here.fit)
-        pool = (others if is_wrong else likely)[:_POOL]
-        pool = [*pool[:_TRIED], *self.fit_alike(pool[_TRIED:], pool)]
-        if not pool or (likely and self._evidence_decides(likely[0].fit)):
-            return likely
-        self._report("what they predict of experiments left out")
-        self._choose_forms([here, *pool[:_TRIED]] if is_wrong else [])
-        pool = [self.model(m.effects) for m in pool]
-        found = list(zip(pool, self.gains([m.effects for m in pool], self.best), strict=True))
-        self.predicted |= {m.effects: gain for m, gain in found}
-        if is_wrong:
-            # A set of fewer effects is no simpler where their forms have more parameters.
-            fewer = [m.effects < self.best and len(m.fit.free) <= len(here.fit.free) for m, _ in found]
-            least = [(-1 if is_less else 1) * g.standard_error for is_less, (_, g) in zip(fewer, found, strict=True)]
-            found = [one for one, enough in zip(found, least, strict=True) if one[1].mean > enough]
-        return [found[i][0] for i in by_prediction([gain for _, gain in found], [len(m.fit.free) for m, _ in found])]
-
-    def _choose_forms(self, models: Sequence[Model]) -> None:
-        """Take sets that leave many times the noise in those of their likely forms that predict best what is left out."""
-        wrong = [m.effects for m in models if self.measured.is_far_above_noise(m.fit.predicted)]
-        forms = [self._fits.likeliest(effects, _FORMS) for effects in wrong]
-        best = self.held_out.foremost(self.target, [[self._fits[choice] for choice in own] for own in forms])
-        self._fits.prefer(own[number] for own, number in zip(forms, best, strict=True))
+        """The set to go on from: the most probable one that nothing is against."""
+        for model in self.all()[:_TRIED]:
+            is_larger = len(model.effects) > len(self.best)
+            if self.obstacle(model.effects) is None if is_larger else not self.harms(model.effects):
+                return model.effects
+        return frozenset() if self.harms(self.best) else self.best
 
     def _neighbours(self) -> list[Set]:
         """The sets one change away from the best."""
@@ -351,25 +335,16 @@ class Search:
         return [best, *fewer, *exchanged, *more]
 
     def _may_grow(self) -> bool:
-        """Whether a further effect could take away what it has to, were it to leave nothing but the noise."""
+        """Whether a further effect could be material, were it to leave nothing but the noise."""
         if not self.best:
             return True
         if len(self.best) == MOST_EFFECTS or not self.is_open():
             return False
-        of_set, of_target, may_grow = self._growing
-        if of_set != self.best or of_target is not self.target:
-            before, now = map(self.held_out.error, self.left_out([frozenset(), self.best]))
-            noise = self.measured.noise
-            needed = min(to_take_away(before, now, noise, False, is_last, False) for is_last in (True, False))
-            # The noise that there is may be less than what is expected of it, by so much of its square.
-            by_chance = _DEVIATIONS * math.sqrt(2 / self.measured.used.sum())
-            may_grow = now**2 - max(1 - by_chance, 0.0) * noise**2 >= needed
-            self._growing = self.best, self.target, may_grow
-        return may_grow
-
-    def _evidence_decides(self, fit: Descent) -> bool:
-        """Whether a model may be the true one: its noise is known, and explains what it leaves."""
-        return not np.isnan(self.measured.declared).any() and self._is_explained(fit)
+        fits = [self._fits.best(effects) for effects in (frozenset(), self.best)]
+        before, now = self.held_out.errors(self.target, fits)
+        # The noise that there is may be less than what is expected of it, by so much of its square.
+        by_chance = _DEVIATIONS * math.sqrt(2 / self.measured.used.sum())
+        return now**2 - max(1 - by_chance, 0.0) * self.measured.noise**2 >= self._material(before, now)
 
     def is_open(self) -> bool:
         """Whether anything is left for a further effect to explain, by size or by a score test."""
@@ -381,6 +356,11 @@ class Search:
         sets = [s for s in near if s in self._fits]
         alone = [frozenset({e}) for e in self.effects if not any(e in s for s in sets)]
         return [*sets, *(s for s in alone if s in self._fits)]
+
+    def _lowest(self) -> Descent:
+        """The fit of the round that leaves least, with what a set's size costs."""
+        lowest = min(self._around(), key=lambda s: self._fits.best(s).cost - self._log_prior(len(s)))
+        return self._fits.best(lowest)
 
     def _judge_by(self, fit: Descent) -> None:
         self.errors, self.worth, self.target = self.measured.standard(fit.predicted, self.held_out.folds.fitted)

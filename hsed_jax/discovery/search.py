@@ -14,7 +14,7 @@ from scipy.special import ndtri
 from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.descent import Descent, Target, Task
 from hsed_jax.diagnosis.evidence import laplace
-from hsed_jax.diagnosis.held_out import Gain, folds_of, left_out_predictions
+from hsed_jax.diagnosis.score import Gain, folds_of, left_out_predictions
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.diagnosis.scores import Around

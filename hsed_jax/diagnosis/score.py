@@ -1,27 +1,42 @@
-"""Errors on what was not fitted: experiments left out in turn, and of one or two what comes later."""
+r"""What models are worth: the log density of measurements that they were not fitted to.
+
+The measurements are left out part by part.  A model is fitted to the rest, predicts the part, and scores
+
+$$s = -\tfrac12\sum_{i}\Big(\frac{y_i - f_i(\hat\theta)}{\sigma_i}\Big)^2$$
+
+nats, up to a constant that all models share.  σ is the largest of three: the declared noise, what the best model of the round
+leaves where it is fitted, and what the best model of all leaves of this part of an experiment.  So a part that no model predicts
+does not outweigh all others.
+
+A sum of nats is as uncertain as the pieces that it is made of differ.  Samples of a smooth residual are not independent, but
+pieces of a history are nearly so.  The probabilities of several models are therefore averages over the Bayesian bootstrap of the
+pieces, with the prior probabilities π of the models (pseudo-BMA+, Yao et al. 2018):
+
+$$p_M = \mathrm E_b\,\frac{\pi_M\,e^{\sum_p b_p s_{Mp}}}{\sum_N \pi_N\,e^{\sum_p b_p s_{Np}}},
+  \qquad b\sim P\,\mathrm{Dirichlet}(1).$$
+"""
 
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
+from scipy.special import softmax
 
 from hsed_jax.diagnosis.descent import Descent, Target, Task
-from hsed_jax.diagnosis.measured import WRONG, Measured
+from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
+from hsed_jax.inference.likelihood import whitened
 
 # Of more experiments than so few, they are left out in turn: two parts say nothing of how sure their mean is.
 _FEW = 2
 _FOLDS = 6
 _BLOCKS = 4
-# Share of the squared held-out error, less the noise, that an effect takes away; the first may take less, if that is all.
-# A textbook formula is off by a third of its effect: the last that is left beside an effect, if smaller, is no other physics.
-_MATERIAL, _FORMULA = 0.05, 0.1
-# Where what is left is far above the noise, this share of it is enough: the model is wrong, and prediction decides.
-_PART = 0.05
-# Where what is left is so many times the noise, squared, one that leaves nothing is no accident (second: no more parameters).
-_CLEAR, _SEEN = 2.0, 1.2
+# A history that is left out makes so many pieces.
+_PIECES = 8
+# Draws of the bootstrap: a weight is known to a hundredth.
+_DRAWS = 2000
 
 
 class Folds(NamedTuple):
@@ -30,69 +45,59 @@ class Folds(NamedTuple):
     fitted: Bool[np.ndarray, "F n J"]
     left_out: Bool[np.ndarray, "F n J"]
 
+    def pieces(self, groups: Int[np.ndarray, " J"]) -> Int[np.ndarray, "n J"]:
+        """The piece that each sample belongs to, −1 where a sample is never left out; a piece is of one part and experiment."""
+        found, count = np.full(self.left_out.shape[1:], -1), 0
+        for part in self.left_out[1:]:
+            for row in np.flatnonzero(part.any(axis=1)):
+                for own in (part[row] & (groups == group) for group in np.unique(groups)):
+                    size = int(own.sum())
+                    found[row, own] = count + (np.arange(size) * _PIECES // size if size >= _PIECES else 0)
+                count += _PIECES
+        return found
+
 
 class Gain(NamedTuple):
-    """Squared normalised errors that a model takes away from predictions of what was not fitted.
+    """What a model gains over another one in predictions of what was not fitted.
 
     Attributes:
-        parts: of every part that was left out, (F,); minus infinity where a simulation fails.
+        parts: of every part that was left out, (P,); minus infinity where a simulation fails.
     """
 
-    parts: Float[np.ndarray, " F"]
+    parts: Float[np.ndarray, " P"]
 
     @property
-    def mean(self) -> float:
+    def total(self) -> float:
         """Over the parts."""
-        return float(np.mean(self.parts)) if np.isfinite(self.parts).all() else -math.inf
+        return float(np.sum(self.parts)) if np.isfinite(self.parts).all() else -math.inf
 
     @property
     def standard_error(self) -> float:
-        """Of the mean; infinite where that is."""
-        return _standard_error(self.parts)
-
-    def is_as_good_as(self, lead: "Gain") -> bool:
-        """Whether it is no more than one standard error of the difference behind."""
-        return math.isfinite(self.mean) and lead.mean - self.mean <= _standard_error(lead.parts - self.parts)
-
-
-def _standard_error(parts: np.ndarray) -> float:
-    if not np.isfinite(parts).all():
-        return math.inf
-    return float(np.std(parts, ddof=1) / math.sqrt(len(parts))) if len(parts) > 1 else 0.0
+        """Of the total; infinite where that is."""
+        if not np.isfinite(self.parts).all():
+            return math.inf
+        count = len(self.parts)
+        return float(np.std(self.parts, ddof=1) * math.sqrt(count)) if count > 1 else 0.0
 
 
-def by_prediction(gains: Sequence[Gain], sizes: Sequence[int]) -> list[int]:
-    """The order of models: those that predict as well as the best of them, by one standard error, the one of fewest parameters
-    first (Breiman et al. 1984), and then the others by what they gain.
+def weights_of(
+    densities: Float[np.ndarray, "M P"], log_priors: Float[np.ndarray, " M"], draws: int = _DRAWS
+) -> Float[np.ndarray, " M"]:
+    """Probabilities of models by what they predict.
 
     Arguments:
-        gains: of each model over another one.
-        sizes: how many parameters each has.
+        densities: log densities of each model by piece; minus infinity where a simulation fails.
+        log_priors: of the models.
+        draws: of the Bayesian bootstrap.
     """
-    lead = max(gains, key=lambda gain: gain.mean, default=None)
-
-    def place(i: int) -> tuple[bool, float]:
-        is_alike = lead is not None and gains[i].is_as_good_as(lead)
-        return not is_alike, sizes[i] if is_alike else -gains[i].mean
-
-    return sorted(range(len(gains)), key=place)
-
-
-def to_take_away(before: float, now: float, noise: float, is_first: bool, is_last: bool, is_as_large: bool) -> float:
-    """The squared error on what was left out that a further effect has to take away.
-
-    Arguments:
-        before, now, noise: error of the model as it is, of the one that it is added to, and the noise floor.
-        is_first: there is no other effect.
-        is_last: it leaves no more than the noise.
-        is_as_large: the model has no more parameters with it, as another form of what there was has fewer.
-    """
-    if not is_last:
-        needed = _MATERIAL * (before**2 - noise**2)
-        return min(needed, _PART * (now**2 - noise**2)) if now > WRONG * noise else needed
-    # Two effects that leave nothing are no more than one that leaves something, and needs as many parameters for it.
-    is_clear = now**2 > (_SEEN if is_as_large else _CLEAR) * noise**2
-    return 0.0 if is_first or is_clear else _FORMULA * (before**2 - noise**2)
+    able = np.isfinite(densities).all(axis=1)
+    found = np.zeros(len(densities))
+    if not able.any():
+        return np.full(len(densities), 1 / len(densities))
+    count = densities.shape[1]
+    shares = count * np.random.default_rng(0).dirichlet(np.ones(count), size=draws)
+    found[able] = softmax(shares @ densities[able].T + log_priors[able], axis=1).mean(axis=0)
+    return found
 
 
 def folds_of(used: Bool[np.ndarray, "n J"], groups: np.ndarray) -> Folds:
@@ -128,6 +133,7 @@ class HeldOut:
     def __init__(self, models: NestedModels, measured: Measured, test: Measured | None):
         self.models, self.measured, self.test = models, measured, test
         self.folds = folds_of(measured.used, measured.groups)
+        self._pieces = self.folds.pieces(measured.groups)
         # What the last target's fits predict, by identity; the fit is kept with it, so that no other one gets its number.
         self._target: Target | None = None
         self._predicted: dict[int, tuple[Descent, np.ndarray | None]] = {}
@@ -136,7 +142,7 @@ class HeldOut:
         """Error of fits on the test experiments; without any, on those left out in turn (on what comes later, where there
         are one or two).  Infinite where a simulation fails: what cannot be predicted is no improvement."""
         if self.test is None:
-            return [self.error(predicted) for predicted in self.left_out(target, fits)]
+            return self.errors(target, fits)
         rows = len(self.measured.values) + np.arange(len(self.test.values))
         outputs, ok = self.models.predict([(f.x, f.member) for f in fits], rows)
         return [
@@ -144,7 +150,28 @@ class HeldOut:
             for predicted, converged in zip(outputs, ok, strict=True)
         ]
 
-    def left_out(self, target: Target, fits: Sequence[Descent]) -> list[np.ndarray | None]:
+    def errors(self, target: Target, fits: Sequence[Descent]) -> list[float]:
+        """Error of what each model predicts of all that is left out in turn."""
+        scored = self.folds.left_out.any(axis=0)
+        predicted = self._left_out(target, fits)
+        return [math.inf if one is None else self.measured.error(one, scored) for one in predicted]
+
+    def densities(self, target: Target, fits: Sequence[Descent]) -> Float[np.ndarray, "M P"]:
+        """Log density of what is left out by model and piece, in nats, up to a constant; minus infinity where one fails."""
+        kept = self._pieces >= 0
+        # Of what was not measured there are no pieces.
+        pieces, piece = np.unique(self._pieces[kept], return_inverse=True)
+        squares = np.full((len(fits), len(pieces)), np.inf)
+        for own, predicted in zip(squares, self._left_out(target, fits), strict=True):
+            if predicted is not None:
+                off = np.where(kept, (predicted - target.values) / target.sigma, 0.0)
+                own[:] = np.bincount(piece, whitened(off, target.memory)[kept] ** 2)
+        # The part of an experiment that each piece is of.
+        _, part = np.unique(pieces // _PIECES, return_inverse=True)
+        lowest = np.min([np.bincount(part, own) for own in squares], axis=0) / np.bincount(part, np.bincount(piece))
+        return -0.5 * squares / np.where(np.isfinite(lowest), np.maximum(lowest, 1.0), 1.0)[part]
+
+    def _left_out(self, target: Target, fits: Sequence[Descent]) -> list[np.ndarray | None]:
         """Of each model what it predicts of every part that is left out, (n, J), as `left_out_predictions` says."""
         if target is not self._target:
             self._target, self._predicted = target, {}
@@ -153,25 +180,6 @@ class HeldOut:
             found = left_out_predictions(self.models, target, self.folds, new)
             self._predicted |= {id(fit): (fit, one) for fit, one in zip(new, found, strict=True)}
         return [self._predicted[id(fit)][1] for fit in fits]
-
-    def foremost(self, target: Target, options: Sequence[Sequence[Descent]]) -> list[int]:
-        """Of each of several choices between fits the one that predicts best what is left out, by `by_prediction`."""
-        every = [fit for fits in options for fit in fits]
-        predicted = iter(self.left_out(target, every))
-        found = []
-        for fits in options:
-            gains = [Gain(-self.squares(next(predicted))) for _ in fits]
-            found.append(by_prediction(gains, [len(fit.free) for fit in fits])[0])
-        return found
-
-    def error(self, predicted: np.ndarray | None) -> float:
-        """Error of what a model predicts of the folds."""
-        return math.inf if predicted is None else self.measured.error(predicted, self.folds.left_out.any(axis=0))
-
-    def squares(self, predicted: np.ndarray | None) -> np.ndarray:
-        """Squared errors of it, fold by fold, (F,)."""
-        parts = self.folds.left_out[1:]
-        return np.full(len(parts), np.inf) if predicted is None else self.measured.squares(predicted, parts)
 
 
 def left_out_predictions(
