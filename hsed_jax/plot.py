@@ -226,7 +226,7 @@ def population(calibration: Calibration, level: str | None = None) -> np.ndarray
 
 
 def ranking(diagnosis: Diagnosis) -> Axes:
-    """The candidates for what is missing: log-evidence gain as bars, probability beside them, what is named in blue.
+    """The candidates for what is missing: what they predict as bars, probability beside them, what is named in blue.
 
     Raises:
         UserError: the diagnosis looked at no candidate, since the noise explains the residual.

@@ -317,20 +317,17 @@ def test_an_effect_that_raises_the_error_of_what_nothing_is_fitted_to_is_not_nam
         assert "not used" in found.obstacle(frozenset({"effect_3"}))
 
 
-def test_no_set_may_raise_the_error_above_that_of_the_model_as_it_is():
-    search = found_in(data_of(0, effect_3=0.5))
-    named, larger = search.best, search.best | {"effect_0"}
-    assert named == {"effect_3"}
-    search.held_out.test = search.measured
-    errors = {frozenset(): 1.0, named: 0.9, larger: 0.95}
-    search.unseen = lambda chosen: [errors[effects] for effects in chosen]
-    assert not search.harms(larger)
-    errors[larger] = 1.001
-    assert search.harms(larger)
-    # What was named is given up where, judged anew, it does.
-    assert search._next() == named
-    errors |= {e.effects: 1.01 for e in search.all() if e.effects}
-    assert search._next() == frozenset()
+def test_what_predicts_the_test_split_worse_than_the_model_as_it_is_has_no_probability():
+    # Where nothing is fitted to, the specimen has the second effect only.
+    values, unlike = data_of(3, effect_3=0.5, effect_5=0.4), data_of(4, effect_5=0.4)
+    functions = np.concatenate([FUNCTIONS, FUNCTIONS], axis=1)
+    models = NestedModels(Dictionary(functions), BOX, np.zeros(2 + K))
+    found = Search(models, measured_of(values), LAW, EFFECTS, lambda fit: False, test=measured_of(unlike))
+    found.start()
+    found.run()
+    assert found.best == {"effect_5"}
+    assert all(m.probability == 0 for m in found.all() if m.effects == {"effect_3"})
+    assert sum(m.probability for m in found.all() if "effect_5" in m.effects) > 0.9
 
 
 def test_no_model_fits_worse_than_one_that_it_contains_or_than_a_larger_one_without_its_effect():

@@ -38,7 +38,8 @@ IMPROVED = {
 
 def candidate(effect, gain, probability=0.0):
     estimate = {"delta": {"mean": 0.4, "sd": 0.1, "q05": 0.2, "q95": 0.6, "unit": "1"}}
-    return Candidate(effect, "family", probability, gain, 3.0, 0.01, estimate, 0.1, 0.2)
+    score = {"gain": gain, "standard_error": 1.0} if np.isfinite(gain) else None
+    return Candidate(effect, "family", probability, gain, 3.0, 0.01, estimate, 0.1, 0.2, score=score)
 
 
 def diagnosis(candidates, effects=(), look_alikes=()):
@@ -63,7 +64,7 @@ def texts(picture):
     return [text.get_text() for text in picture.figure.findobj(matplotlib.text.Text) if text.get_text()]
 
 
-def test_a_bar_is_how_far_the_evidence_is_behind_and_named_effects_and_look_alikes_stand_out():
+def test_a_bar_is_how_much_worse_a_candidate_predicts_and_named_effects_and_look_alikes_stand_out():
     found = diagnosis(
         [candidate("pinching", 800.0, 0.97), candidate("slip", 790.5, 0.03), candidate("gap", -2.0, 1e-9)],
         ["pinching"],
@@ -82,9 +83,9 @@ def test_a_bar_is_how_far_the_evidence_is_behind_and_named_effects_and_look_alik
     assert bars["look-alike of what is named"][0].get_hatch()
     assert [tick.get_text() for tick in panel.get_yticklabels()] == ["pinching", "slip", "gap"]
     assert {"0.970", "0.030", "< 0.001", "0.0", "−9.5", "−802.0"} <= set(texts(picture))
-    assert "gains 800 nats" in picture.caption and "among the listed formulas" in picture.caption
+    assert "the best one gains 800 nats" in picture.caption and "among the listed formulas" in picture.caption
     assert "pinching or slip" in picture.caption
-    assert "pinching with a gain of 800 and a probability of 0.970" in picture.alt
+    assert "pinching with a gain of 800 nats and a probability of 0.970" in picture.alt
 
 
 def test_hatched_bars_stand_in_a_page(tmp_path):
@@ -126,7 +127,8 @@ def test_the_best_candidates_are_shown_the_named_ones_first():
     shown = [tick.get_text() for tick in panel.get_yticklabels()]
     assert shown == ["named", *(f"effect {i}" for i in range(19, 8, -1))]
     assert (
-        "9 weaker candidates are not shown" in ranking(diagnosis([candidate("named", 0.5), *many], ["named"])).caption
+        "9 candidates that fit worse are not shown"
+        in ranking(diagnosis([candidate("named", 0.5), *many], ["named"])).caption
     )
 
 

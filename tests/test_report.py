@@ -75,7 +75,8 @@ def summary():
     estimate = {"delta": {"mean": 0.3, "sd": 0.01, "q05": 0.28, "q95": 0.32, "unit": "1"}}
     before = comparison(ERRORS["before"])
     before["where"] = [{"sentence": "70 % of the squared error is after 2 s"}]
-    candidate = {"effect": "hardening", "family": "post-yield", "probability": 0.9987, "log_evidence_gain": 812.5,
+    candidate = {"effect": "hardening", "family": "post-yield", "probability": 0.9987, "log_evidence_gain": 800.0,
+                 "score": {"gain": 812.5, "standard_error": 20.0},
                  "estimate": estimate, "error_train": 0.05, "error_test": 0.055}  # fmt: skip
     other = candidate | {"effect": "slip", "probability": 0.0013, "log_evidence_gain": 3.5}
     calibration = {"map": {"A": 5e5}, "posterior": posterior, "divergences": 3}

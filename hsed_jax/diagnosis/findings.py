@@ -267,13 +267,13 @@ class Diagnosis(Tabular):
                     c.called if c.form is None else f"{c.called} ({c.form})",
                     c.family,
                     cell(c.probability),
-                    cell(c.log_evidence_gain, ".1f"),
+                    "–" if c.score is None else f"{c.score['gain']:.1f} ± {c.score['standard_error']:.1f}",
                     error_cell(c.error_train),
                     error_cell(c.error_test),
                     f"{amplitude} = {cell(size['mean'], '.3g')} ± {cell(size['sd'], '.2g')}{unit}",
                 )
             )
-        heads = ("effect", "family", "probability", "log-evidence", "error train", "error test", "estimate")
+        heads = ("effect", "family", "probability", "predicts better [nats]", "error train", "error test", "estimate")
         notes = self._notes
         if self.next_experiment is not None:
             inputs = ", ".join(f"{name} = {value:.4g}" for name, value in self.next_experiment.items())

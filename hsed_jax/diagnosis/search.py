@@ -185,26 +185,20 @@ class Search:
 
     def obstacle(self, larger: Set) -> str | None:
         """Why a set with more effects than the best is not the one to go on from; None where nothing is against it."""
+        fits = [self._fits.best(effects) for effects in (frozenset(), self.best, larger)]
+        if self.held_out.test is not None:
+            plain, _, unseen = self.unseen([frozenset(), self.best, larger])
+            if not unseen <= plain:
+                return f"it takes the error on experiments that were not used from {plain:.3f} to {unseen:.3g}"
         odds = self.odds(larger, self.best)
         if odds < _ODDS:
             return f"its odds of {odds:.2g} by what it predicts are less than {_ODDS:.0f}"
         if self._is_explained(self._fits.best(self.best)) and not larger & self.pointed_at(self.best):
             return "the noise explains what is left, and no score test is sure of it"
-        if self.harms(larger):
-            plain, unseen = self.unseen([frozenset(), larger])
-            return f"it takes the error on experiments that were not used from {plain:.3f} to {unseen:.3g}"
-        fits = [self._fits.best(effects) for effects in (frozenset(), self.best, larger)]
         before, now, after = self.held_out.errors(self.target, fits)
         if not now**2 - after**2 >= self._material(before, now):
             return f"with training experiments left out in turn the error goes from {now:.3f} to {after:.3g} only"
         return None
-
-    def harms(self, effects: Set) -> bool:
-        """Whether a set predicts what nothing is fitted to worse than the model as it is, or not at all."""
-        if self.held_out.test is None:
-            return False
-        plain, then = self.unseen([frozenset(), effects])
-        return not then <= plain
 
     def _material(self, before: float, now: float) -> float:
         """The squared error on what is left out that a further effect has to take away.
@@ -304,7 +298,10 @@ class Search:
             self._fits.look_again(self.target, [self._fits.top(s) for s in first])
 
     def _score(self) -> None:
-        """Give the choices that may lead their probabilities by what they predict; all others have none."""
+        """Give the choices that may lead their probabilities by what they predict.
+
+        All others have none, nor has a choice that predicts what nothing is fitted to worse than the model as it is.
+        """
         self._report("what they predict of what is left out")
         always = [
             self._fits.top(s)
@@ -314,17 +311,20 @@ class Search:
         ranked = sorted(map(self.model, self._around()), key=lambda m: -m.log_posterior)
         likely = [choice for m in ranked[:_POOL] for choice in self._fits.likeliest(m.effects, _FORMS)]
         pool = list(dict.fromkeys([*always, *likely]))
-        densities = self.held_out.densities(self.target, [self._fits[choice] for choice in pool])
+        fits = [self._fits[choice] for choice in pool]
+        densities = self.held_out.densities(self.target, fits)
+        if self.held_out.test is not None:
+            unseen = np.asarray(self.held_out.unseen(self.target, fits))
+            densities[unseen > unseen[pool.index(frozenset())]] = -np.inf
         priors = np.asarray([self._log_prior(len(choice)) + self._fits.log_share(choice) for choice in pool])
         self._fits.probabilities = dict(zip(pool, weights_of(densities, priors).tolist(), strict=True))
 
     def _next(self) -> Set:
         """The set to go on from: the most probable one that nothing is against."""
         for model in self.all()[:_TRIED]:
-            is_larger = len(model.effects) > len(self.best)
-            if self.obstacle(model.effects) is None if is_larger else not self.harms(model.effects):
+            if len(model.effects) <= len(self.best) or self.obstacle(model.effects) is None:
                 return model.effects
-        return frozenset() if self.harms(self.best) else self.best
+        return self.best
 
     def _neighbours(self) -> list[Set]:
         """The sets one change away from the best."""

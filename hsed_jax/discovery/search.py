@@ -14,9 +14,9 @@ from scipy.special import ndtri
 from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.descent import Descent, Target, Task
 from hsed_jax.diagnosis.evidence import laplace
-from hsed_jax.diagnosis.score import Gain, folds_of, left_out_predictions
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Problem
+from hsed_jax.diagnosis.score import Gain, folds_of, left_out_predictions
 from hsed_jax.diagnosis.scores import Around
 from hsed_jax.discovery.places import Place, Reaches
 from hsed_jax.discovery.screen import ByPolynomials, Promised, evidence, learned, located, screened
@@ -267,4 +267,4 @@ def judged(
     if tested == 1:
         squares, _ = left_out(*now)
     squares_before, _ = (held_out if tested > 1 else left_out)(*before)
-    return Judged(float(error), Gain(squares_before - squares))
+    return Judged(float(error), Gain((squares_before - squares) / len(squares)))

@@ -34,12 +34,12 @@ _MEASURED = {**style.MEASURED, "label": "measured", "linewidth": 0.9}
 
 @style.in_house_style
 def ranking(diagnosis: Diagnosis) -> Picture:
-    """The best candidates: how far the evidence of each is behind that of the best, and its probability.
+    """The best candidates: how much worse than the best each predicts what was left out, and its probability.
 
     What is named and its look-alikes stand out.
 
     Arguments:
-        diagnosis: `ranking` with at least one candidate.
+        diagnosis: `ranking` with at least one candidate that was scored.
     """
     shown = _best(diagnosis)
     alike = {effect for group in diagnosis.look_alikes for effect in group} - set(diagnosis.effects)
@@ -52,8 +52,9 @@ def ranking(diagnosis: Diagnosis) -> Picture:
     }
     kinds = [_kind(candidate, diagnosis, alike) for candidate in shown]
     places = -np.arange(len(shown), dtype=float)
-    best = max(candidate.log_evidence_gain for candidate in shown)
-    behind = np.asarray([candidate.log_evidence_gain - best for candidate in shown])
+    gains = np.asarray([0.0 if candidate.score is None else candidate.score["gain"] for candidate in shown])
+    best = float(gains.max())
+    behind = gains - best
     # What is further behind than any odds that matter is cut, or it would leave nothing of the others.
     left = -_BEHIND if behind.min() < -_BEHIND else 1.1 * min(behind.min(), -1.0)
     for kind, (text, look) in enumerate(looks.items()):
@@ -73,7 +74,7 @@ def ranking(diagnosis: Diagnosis) -> Picture:
         tick.set_fontweight("bold" if kind == 0 else "normal")
     panel.grid(False, axis="y")
     panel.set_ylim(places[-1] - 0.6, 0.6)
-    panel.set_xlabel("Log evidence behind the best [nats]")
+    panel.set_xlabel("Log density of what was left out, behind the best [nats]")
     for place, *texts in [
         (0.9, "behind", "probability"),
         *(
@@ -93,22 +94,23 @@ def ranking(diagnosis: Diagnosis) -> Picture:
     first = shown[0]
     return Picture(
         figure,
-        "Candidates for what is missing: how far the logarithm of the evidence of each is behind that of the best, which gains "
-        f"{style.amount(best)} nats, and the probability that it takes part.  {EXPLAINED}"
+        "Candidates for what is missing: how much worse than the best one the model with each predicts what was left out (log "
+        f"density; the best one gains {style.amount(best)} nats), and the probability that it takes part.  {EXPLAINED}"
         + (f"  Arrows: more than {_BEHIND:.0f} nats behind." if cut.any() else "")
         + (f"  The noise hides from one another: {groups}." if groups else "")
-        + (f"  {rest} weaker candidates are not shown." if rest else ""),
+        + (f"  {rest} candidates that fit worse are not shown." if rest else ""),
         f"{len(shown)} horizontal bars. Verdict: {diagnosis.verdict.replace('_', ' ')}. First is "
-        f"{first.effect.replace('_', ' ')} with a gain of {style.amount(first.log_evidence_gain)} and a probability of "
+        f"{first.effect.replace('_', ' ')} with a gain of {style.amount(gains[0])} nats and a probability of "
         f"{probability_text(first.probability)}.",
     )
 
 
 def _best(diagnosis: Diagnosis) -> list[Candidate]:
-    """What is named, in its order, then what gains most."""
-    known = [c for c in diagnosis.ranking if np.isfinite(c.log_evidence_gain)] or diagnosis.ranking
-    named = [c for c in known if c.effect in diagnosis.effects]
-    others = sorted((c for c in known if c not in named), key=lambda c: -c.log_evidence_gain)
+    """What is named, in its order, then what predicts best; what fits far worse was not scored."""
+    scored = [c for c in diagnosis.ranking if c.score is not None] or diagnosis.ranking
+    named = [c for c in diagnosis.ranking if c.effect in diagnosis.effects]
+    others = [c for c in scored if c not in named]
+    others.sort(key=lambda c: 0.0 if c.score is None else -c.score["gain"])
     return [*named, *others][: max(_SHOWN, len(named))]
 
 

@@ -235,7 +235,7 @@ def _ranking(run: FinishedRun) -> dict[str, Any]:
         "size (90 % interval)",
         f"probability {AMONG}",
         "right, where unlisted",
-        "log-evidence gain",
+        "predicts better by",
         "error, fitted",
         "error, not used",
     ]
@@ -246,7 +246,8 @@ def _ranking(run: FinishedRun) -> dict[str, Any]:
         sizes = [_size(name, e) for name, e in known[: None if named[-1] else 1]]
         probability = candidate.get("probability", 0.0)
         numbers = [probability_text(probability, named[-1]), worth_text(probability)]
-        numbers += [f"{candidate['log_evidence_gain']:.1f}" if "log_evidence_gain" in candidate else "–"]
+        score = candidate.get("score")
+        numbers += ["–" if score is None else f"{score['gain']:.1f} ± {score['standard_error']:.1f} nats"]
         numbers += [error_cell(candidate.get(key)) for key in ("error_train", "error_test")]
         means = {name: e["mean"] for name, e in candidate["estimate"].items() if "mean" in e}
         rows.append([style.words(called(candidate["effect"], means)), candidate["family"], "; ".join(sizes), *numbers])
