@@ -213,9 +213,9 @@ def scored(cases: Sequence[tuple[str, Case]]) -> Iterator[dict[str, Any]]:
 def diagnosed(folder: Path) -> dict[str, Any]:
     """What the package finds in a campaign folder: the key `diagnosis` of `summary.json`."""
     from hsed_jax.config.load import load_study
+    from hsed_jax.diagnosis.candidates import problem_of
     from hsed_jax.diagnosis.diagnose import diagnose
     from hsed_jax.study.build import Built
-    from hsed_jax.study.candidates import problem_of
 
     built = Built(load_study(folder / "study.yaml"))
     assert built.measured is not None

@@ -28,6 +28,7 @@ from hsed_jax.design.discrepancy import discrepancy, variance_over
 from hsed_jax.design.kriging import fit_kriging
 from hsed_jax.diagnosis.batch import Predictions
 from hsed_jax.diagnosis.box import Box
+from hsed_jax.diagnosis.candidates import problem_of
 from hsed_jax.diagnosis.descent import Descent, Member, Target, Task
 from hsed_jax.diagnosis.evidence import laplace
 from hsed_jax.diagnosis.fits import spread
@@ -35,7 +36,6 @@ from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.rivals import Predictive, expected_log_bayes_factor, predictive
 from hsed_jax.inference.priors import Prior
 from hsed_jax.study.build import Built
-from hsed_jax.study.candidates import problem_of
 
 INITIAL, MOST, CERTAIN, CANDIDATES = 2, 12, 0.95, 64
 # Sizes: relative change of the response at their median, and the sd of their logarithm; experiments and sizes that tell.

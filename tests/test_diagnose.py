@@ -13,6 +13,7 @@ import hsed_jax as hx
 from hsed_jax.diagnosis.averaging import averaged
 from hsed_jax.diagnosis.batch import Batch
 from hsed_jax.diagnosis.box import Box
+from hsed_jax.diagnosis.candidates import problem_of
 from hsed_jax.diagnosis.diagnose import diagnose
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
@@ -29,7 +30,6 @@ from hsed_jax.physics.effects import EFFECTS as CATALOGUE
 from hsed_jax.physics.effects.forms import Form
 from hsed_jax.physics.scales import Scales
 from hsed_jax.study.build import Built
-from hsed_jax.study.candidates import problem_of
 
 # --- a dictionary: law + sum of amplitude × function, so that every answer is known in closed form -----------------------
 

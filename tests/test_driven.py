@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 import hsed_jax as hx
 from hsed_jax.analysis.calibration import campaign_of
 from hsed_jax.config.excitation_entry import ExcitationEntry
+from hsed_jax.diagnosis.candidates import applicable
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, write_campaign
 from hsed_jax.physics.declared import DECLARED
@@ -20,7 +21,6 @@ from hsed_jax.physics.excitations import EXCITATIONS, Applied, Imposed
 from hsed_jax.physics.excitations.cyclic import CyclicElongation
 from hsed_jax.physics.timeline import Timeline, times
 from hsed_jax.study.build import Built
-from hsed_jax.study.candidates import applicable
 
 FRAME = """
 study: pushed

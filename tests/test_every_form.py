@@ -9,6 +9,7 @@ import pytest
 
 import hsed_jax as hx
 from hsed_jax.config.schema import CalibrationEntry, Study
+from hsed_jax.diagnosis.candidates import with_effects
 from hsed_jax.errors import UserError
 from hsed_jax.exports.calibrated import Calibrated
 from hsed_jax.exports.counterparts import material
@@ -22,7 +23,6 @@ from hsed_jax.physics.laws.base import Turn
 from hsed_jax.physics.simulator import Conditions, Simulator
 from hsed_jax.physics.specimen import unserved
 from hsed_jax.study.build import Built
-from hsed_jax.study.candidates import with_effects
 
 LAWS = {
     "bouc_wen": {"A": {"uniform": [2e6, 9e6]}, "beta": {"uniform": [50.0, 200.0]}, "gamma": 0.0, "n": 1.0},

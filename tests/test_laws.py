@@ -15,6 +15,7 @@ from laws_in_steps import Bilinear, MenegottoPinto, Takeda, shaken
 
 import hsed_jax as hx
 from hsed_jax.config.load import load_study
+from hsed_jax.diagnosis.candidates import applicable
 from hsed_jax.errors import UserError
 from hsed_jax.physics.declared import SPRING_LAWS
 from hsed_jax.physics.effects import EFFECTS
@@ -31,7 +32,6 @@ from hsed_jax.physics.structures import RayleighDamping, Structure
 from hsed_jax.plain import dump_yaml
 from hsed_jax.run import main
 from hsed_jax.study.build import Built
-from hsed_jax.study.candidates import applicable
 from hsed_jax.study.plan import check_added
 
 ROOT = Path(__file__).parents[1]

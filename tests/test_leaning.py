@@ -10,6 +10,7 @@ from test_init import loop
 
 import hsed_jax as hx
 from hsed_jax.config.schema import Study
+from hsed_jax.diagnosis.candidates import problem_of
 from hsed_jax.diagnosis.diagnose import diagnose
 from hsed_jax.inference.leaning import ANYTHING, Leaning, caution, leaning
 from hsed_jax.inference.priors import Prior
@@ -18,7 +19,6 @@ from hsed_jax.reporting.digest import verdict
 from hsed_jax.run import main
 from hsed_jax.runs.reading import read_run
 from hsed_jax.study.build import Built
-from hsed_jax.study.candidates import problem_of
 from hsed_jax.study.possible import possible_of
 
 POSITIVE = (0.0, math.inf)

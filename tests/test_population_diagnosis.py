@@ -8,11 +8,11 @@ from test_diagnose import NOISE, C, spring_campaign, spring_study
 
 from hsed_jax.analysis.calibration import calibrate_built
 from hsed_jax.analysis.specimens import over_specimens
+from hsed_jax.diagnosis.candidates import problem_of
 from hsed_jax.diagnosis.diagnose import diagnose
 from hsed_jax.diagnosis.specimens import weigh_explanations
 from hsed_jax.measurements import Campaign, Record
 from hsed_jax.study.build import Built
-from hsed_jax.study.candidates import problem_of
 
 STRENGTHS = (1.0, 1.08, 0.93, 1.02, 0.97, 1.1)
 FEW = ["viscous_damping", "hardening", "slip"]

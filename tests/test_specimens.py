@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import hsed_jax as hx
+from hsed_jax.diagnosis.candidates import applicable, with_effects
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import overview, write_campaign
 from hsed_jax.physics.effects import EFFECTS, Catalogue
@@ -21,7 +22,6 @@ from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator, Timeline
 from hsed_jax.physics.structures import ModalDamping, Spring, Structure
 from hsed_jax.study.build import Built
-from hsed_jax.study.candidates import applicable, with_effects
 
 MASSES = (2.0e4, 1.5e4)
 RATIO = 0.03

@@ -11,6 +11,7 @@ from scipy.special import softmax
 
 from hsed_jax.analysis.calibration import Calibration
 from hsed_jax.analysis.remedy import diagnose
+from hsed_jax.diagnosis.candidates import problem_of, with_effects
 from hsed_jax.diagnosis.diagnose import noise_explains
 from hsed_jax.diagnosis.findings import Diagnosis
 from hsed_jax.diagnosis.problem import Problem
@@ -29,7 +30,6 @@ from hsed_jax.physics.effects.coordinates import COORDINATES
 from hsed_jax.physics.effects.free_function import FreeForce, FreeFunction
 from hsed_jax.physics.simulator import Simulator
 from hsed_jax.study.build import Built
-from hsed_jax.study.candidates import problem_of, with_effects
 
 # Formulas that are fitted inside the simulation.
 _FORMULAS = 8

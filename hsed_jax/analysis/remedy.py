@@ -17,6 +17,7 @@ from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.improve import Step, Trail, step_of
 from hsed_jax.design.acquisition import Given
 from hsed_jax.diagnosis import diagnose as diagnosing
+from hsed_jax.diagnosis.candidates import problem_of, with_effects
 from hsed_jax.diagnosis.descent import Descent, Member, Target, Task
 from hsed_jax.diagnosis.findings import Diagnosis
 from hsed_jax.diagnosis.problem import Problem
@@ -28,7 +29,6 @@ from hsed_jax.measurements import Campaign
 from hsed_jax.physics.effects.forms import default_form
 from hsed_jax.plain import dump_yaml
 from hsed_jax.study.build import Built
-from hsed_jax.study.candidates import problem_of, with_effects
 from hsed_jax.tables import Table, Tabular
 
 # Candidates of a design among which the one that separates rivals best is looked for: a Sobol' set's beginning fills it.

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hsed_jax.config.load import load_study
+from hsed_jax.diagnosis.candidates import applicable, with_effects
 from hsed_jax.errors import UserError
 from hsed_jax.inference.observation import conditions_of
 from hsed_jax.measurements import Campaign, Experiment, read_campaign
@@ -21,7 +22,6 @@ from hsed_jax.physics.pairs import Pair
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.simulator import AbstractModel, Conditions
 from hsed_jax.study.build import Built
-from hsed_jax.study.candidates import applicable, with_effects
 
 # Quantiles of a prior that a slider goes between.
 _ENDS = (0.02, 0.98)
