@@ -127,12 +127,12 @@ class Search:
             before, self.best = self.best, self._next()
             self.on_round()
             if self.best == before:
-                return
+                break
             if self.best in self.path:
                 self._judge()
-                self._score()
-                return
+                break
             self.path.append(self.best)
+        self._score(is_over=True)
 
     def adopt(self, coarse: "Search") -> None:
         """Judge what a search over some of the experiments has found: its best set, those on its way, and those that lead."""
@@ -143,7 +143,7 @@ class Search:
         self._fits.fit(self.target, choices, choices)
         self.best, self.path = best, coarse.path
         self._judge()
-        self._score()
+        self._score(is_over=True)
 
     def model(self, effects: Iterable[str]) -> Model:
         """A model that was fitted."""
@@ -297,10 +297,14 @@ class Search:
             first = [m.effects for m in ranked if m.effects][:_AGAIN]
             self._fits.look_again(self.target, [self._fits.top(s) for s in first])
 
-    def _score(self) -> None:
+    def _score(self, is_over: bool = False) -> None:
         """Give the choices that may lead their probabilities by what they predict.
 
         All others have none, nor has a choice that predicts what nothing is fitted to worse than the model as it is.
+
+        Arguments:
+            is_over: the best set is the one to be named.  Sets with more effects were not accepted in its place, and count only
+                if they have its effects, too.
         """
         self._report("what they predict of what is left out")
         always = [
@@ -308,7 +312,8 @@ class Search:
             for s in {frozenset(), self.best, *(self.best - {e} for e in self.best)}
             if s in self._fits
         ]
-        ranked = sorted(map(self.model, self._around()), key=lambda m: -m.log_posterior)
+        counted = [s for s in self._around() if not is_over or len(s) <= max(len(self.best), 1) or s > self.best]
+        ranked = sorted(map(self.model, counted), key=lambda m: -m.log_posterior)
         likely = [choice for m in ranked[:_POOL] for choice in self._fits.likeliest(m.effects, _FORMS)]
         pool = list(dict.fromkeys([*always, *likely]))
         fits = [self._fits[choice] for choice in pool]
