@@ -221,7 +221,7 @@ def _reason(search: Search, model: Model, best: Model) -> str | None:
     if not model.effects > best.effects:
         odds = best.probability / max(model.probability, 1e-300)
         return f"{' + '.join(sorted(best.effects - model.effects))} in its place is {odds:.2g} times as probable"
-    return search.obstacle(model.effects) or "the search ended before it"
+    return search.obstacle(model.effects, best.effects) or "the search ended before it"
 
 
 def _estimate(problem: Problem, effect: str, model: Model, sample: Sampled | None) -> dict[str, dict[str, Any]]:

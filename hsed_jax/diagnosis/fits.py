@@ -17,6 +17,7 @@ from hsed_jax.diagnosis.descent import Descent, Member, Target, Task
 from hsed_jax.diagnosis.evidence import laplace
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import FormColumns, Forms
+from hsed_jax.diagnosis.score import ODDS
 
 # A fit that another one shows to be improvable by more nats than this goes on from there.
 _CAUGHT = 0.1
@@ -92,8 +93,13 @@ class Fits:
         self._known[frozenset()] = fit
 
     def top(self, effects: Set) -> Choice:
-        """The forms in which a set that was fitted is taken: those that predict best, or else those of most evidence."""
-        return max(self.of(effects), key=lambda choice: (self.probabilities.get(choice, 0.0), self._worth(choice)))
+        """The forms in which a set that was fitted is taken: of those that predict as well as the best, the ones of fewest
+        parameters; where none was scored, those of most evidence."""
+        scored = {c: p for c in self.of(effects) if (p := self.probabilities.get(c, 0.0)) > 0}
+        if not scored:
+            return max(self.of(effects), key=self._worth)
+        alike = [choice for choice, p in scored.items() if ODDS * p >= max(scored.values())]
+        return min(alike, key=lambda choice: (len(self._known[choice].free), -scored[choice]))
 
     def likeliest(self, effects: Set, most: int) -> list[Choice]:
         """The forms of a set that was fitted of most evidence, at most so many."""

@@ -148,8 +148,9 @@ def shares_of(models: Sequence[Model]) -> Float[np.ndarray, " m"]:
 
 
 def rivals_of(models: Sequence[Model], best: Model) -> list[Model]:
-    """Models that name something else, and no more effects, and are as good as the best."""
-    return [m for m in _instead(models, best, _AS_GOOD) if len(m.effects) <= len(best.effects)]
+    """Models that name something else, and no more effects, and are as good as the best; a part of it is not something else."""
+    as_good = _instead(models, best, _AS_GOOD)
+    return [m for m in as_good if len(m.effects) <= len(best.effects) and not m.effects < best.effects]
 
 
 def look_alikes_of(problem: Problem, search: Search, best: Model, models: Sequence[Model]) -> list[list[str]]:

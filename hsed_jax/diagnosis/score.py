@@ -29,6 +29,9 @@ from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.inference.likelihood import whitened
 
+ODDS = 4.0
+"""Odds that more effects, or more parameters, need: they predict better in four of five resamplings of the pieces."""
+
 # Of more experiments than so few, they are left out in turn: two parts say nothing of how sure their mean is.
 _FEW = 2
 _FOLDS = 6

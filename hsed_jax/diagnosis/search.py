@@ -24,13 +24,11 @@ from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Forms, amplitude_of, of_other_drivers, of_other_shapes
 from hsed_jax.diagnosis.propose import beside, pairs
-from hsed_jax.diagnosis.score import Gain, HeldOut, weights_of
+from hsed_jax.diagnosis.score import ODDS, Gain, HeldOut, weights_of
 from hsed_jax.diagnosis.scores import Around, score_p_value
 from hsed_jax.errors import UserError
 
 MOST_EFFECTS = 4
-# Odds that a further effect needs: it predicts better in four of five resamplings of the pieces.
-_ODDS = 4.0
 # A score test opens the gate that the size of the residual keeps shut, at this level for all candidates together.
 _STRICT = 1e-3
 # Standard deviations of the square of the noise that are no surprise.
@@ -38,7 +36,7 @@ _DEVIATIONS = 3.0
 # An effect is material that takes away this share of the squared error beyond the noise.  A textbook formula is off by as much.
 _MATERIAL = 0.1
 # So many sets of most evidence are scored, each in so many of its forms.
-_POOL, _FORMS = 10, 2
+_POOL, _FORMS = 6, 3
 # Of the models that rank first so many are considered to go on from.
 _TRIED = 5
 # In place of an effect so many others, the most probable ones, are tried with so many beside each that promise most.
@@ -47,7 +45,7 @@ _OTHERS, _BESIDE = 3, 2
 # evidence than this, or gain half as much as it.
 _DEEP, _NEAR = 2, 10.0
 # Of so many sets that rank first so many forms are fitted anew, once the errors are known.
-_AGAIN = 3
+_AGAIN = 2
 # With so many drivers the shapes of a form are fitted, where these may be the most probable.
 _DRIVERS = 2
 
@@ -183,17 +181,17 @@ class Search:
             self._pointed[chosen] = fit, self.target, found
         return found
 
-    def obstacle(self, larger: Set) -> str | None:
-        """Why a set with more effects than the best is not the one to go on from; None where nothing is against it."""
-        fits = [self._fits.best(effects) for effects in (frozenset(), self.best, larger)]
+    def obstacle(self, larger: Set, here: Set) -> str | None:
+        """Why a set with more effects than another one is not to be named in its place; None where nothing is against it."""
+        fits = [self._fits.best(effects) for effects in (frozenset(), here, larger)]
         if self.held_out.test is not None:
-            plain, _, unseen = self.unseen([frozenset(), self.best, larger])
+            plain, _, unseen = self.held_out.unseen(self.target, fits)
             if not unseen <= plain:
                 return f"it takes the error on experiments that were not used from {plain:.3f} to {unseen:.3g}"
-        odds = self.odds(larger, self.best)
-        if odds < _ODDS:
-            return f"its odds of {odds:.2g} by what it predicts are less than {_ODDS:.0f}"
-        if self._is_explained(self._fits.best(self.best)) and not larger & self.pointed_at(self.best):
+        odds = self.odds(larger, here)
+        if odds < ODDS:
+            return f"its odds of {odds:.2g} by what it predicts are less than {ODDS:.0f}"
+        if self._is_explained(fits[1]) and not larger & self.pointed_at(here):
             return "the noise explains what is left, and no score test is sure of it"
         before, now, after = self.held_out.errors(self.target, fits)
         if not now**2 - after**2 >= self._material(before, now):
@@ -327,7 +325,7 @@ class Search:
     def _next(self) -> Set:
         """The set to go on from: the most probable one that nothing is against."""
         for model in self.all()[:_TRIED]:
-            if len(model.effects) <= len(self.best) or self.obstacle(model.effects) is None:
+            if len(model.effects) <= len(self.best) or self.obstacle(model.effects, self.best) is None:
                 return model.effects
         return self.best
 
