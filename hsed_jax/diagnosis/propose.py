@@ -33,8 +33,8 @@ def beside(
         is_best: it is the best model so far; of another one, a part of the best, fewer are proposed: what stands in place of the
             rest is looked at closely once it leads.
     """
-    promises = _promises(models, target, fit, effects)
-    ranked = sorted(promises, key=lambda effect: -max(found[0].gain for found in promises[effect].values()))
+    promises = promises_of(models, target, fit, effects)
+    ranked = list(promises)
     reach, starts, drivers = (_REACH, _STARTS, _DRIVERS) if is_best else (_REACH // 2, 1, 1)
     chosen = {}
     for effect in ranked[:reach]:
@@ -65,14 +65,16 @@ def pairs(
     chosen: dict[Choice, list[np.ndarray]] = {}
     for top, fit in singles:
         own = {effect for effect, _ in top}
-        promises = _promises(models, target, fit, {e: forms for e, forms in effects.items() if e not in own})
+        promises = promises_of(models, target, fit, {e: forms for e, forms in effects.items() if e not in own})
         defaults = [(effect, *next(iter(forms.items()))) for effect, forms in promises.items()]
         for effect, label, found in sorted(defaults, key=lambda one: -one[2][0].gain)[:each]:
             chosen.setdefault(top | {(effect, label)}, []).extend(p.start for p in found[:_STARTS])
     return chosen
 
 
-def _promises(
+def promises_of(
     models: NestedModels, target: Target, fit: Descent, effects: Mapping[str, Forms]
 ) -> dict[str, dict[str, list[Promise]]]:
-    return Around(models, target, fit, telling(target, fit)).of_places(effects)
+    """What each effect promises by its drivers, the most promising effect first."""
+    found = Around(models, target, fit, telling(target, fit)).of_places(effects)
+    return dict(sorted(found.items(), key=lambda one: -max(promises[0].gain for promises in one[1].values())))
