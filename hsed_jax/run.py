@@ -201,7 +201,7 @@ def _check(options: Any) -> int:
         # Before anything is computed from the data: steps of a time that is no number are none.
         findings, accepted = check_campaign(built.measured), study.measurements.accepted(built.measured)
         for finding in findings:
-            print(f"{finding}{' (accepted)' if (finding.experiment, finding.kind) in accepted else ''}")
+            print(f"{finding.line} (accepted)" if (finding.experiment, finding.kind) in accepted else finding)
         if any(finding.level == "error" for finding in findings):
             raise UserError(f"{options.study}: the data have errors, listed above; nothing is repaired silently")
     built.check()

@@ -268,9 +268,10 @@ def test_a_suspected_sign_flip_has_to_be_acknowledged(tmp_path, capsys):
     study, run = str(folder / "study.yaml"), tmp_path / "run"
     for command in (["check", study], ["run", study, "--output", str(run)]):
         assert main(command) == 2 and not run.exists()
-        assert 'say in the study: measurements: {accept: ["E01": sign]}' in capsys.readouterr().err
-    assert main(["check", study, 'measurements.accept=["E01": sign]']) == 0
-    assert "is a sign flipped? (accepted)" in capsys.readouterr().out
+        assert "say in the study: measurements: {accept: {E01: sign}}" in capsys.readouterr().err
+    for accepted in ('["E01": sign]', "{all: sign}", "{E01: [offset, sign]}"):
+        assert main(["check", study, f"measurements.accept={accepted}"]) == 0
+        assert "is a sign flipped? (accepted)" in capsys.readouterr().out
     for entry, message in (
         ("{E9: sign}", "measurements.accept: there is no measured experiment 'E9'; measured are E01"),
         ("{E01: sgin}", "measurements.accept"),

@@ -12,7 +12,7 @@ from hsed_jax.config.mechanics import AnyModelEntry, ModelEntry, SpecimenModelEn
 from hsed_jax.config.sections import ErrorsEntry, InputEntry, OwnLawEntry, Positive, Section
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
-from hsed_jax.measurements.checks import DoubtKind
+from hsed_jax.measurements.findings import DoubtKind
 from hsed_jax.physics.outputs import ALLOWED, EQ_18, QUANTITIES, is_quantity, of_each
 from hsed_jax.plain import Number, Whole, name_fault, shown
 from hsed_jax.tables import Table, Tabular
@@ -107,11 +107,14 @@ class CalibrationEntry(Section):
     target_acceptance: Annotated[Number, Field(gt=0, lt=1)] = 0.8
 
 
+_ALL = "all"
+
+
 class MeasurementsEntry(Section):
     """How the measurements are taken."""
 
-    accept: list[dict[str, DoubtKind]] = []
-    """Doubts that were looked at and are no faults, each as `experiment: kind`."""
+    accept: dict[str, DoubtKind | list[DoubtKind]] | list[dict[str, DoubtKind]] = {}
+    """Doubts that were looked at and are no faults, by experiment; `all` is every experiment."""
     samples: Annotated[int, Field(ge=100)] = 4000
     """Longer records of component tests are thinned to about so many samples."""
 
@@ -121,15 +124,19 @@ class MeasurementsEntry(Section):
         Raises:
             UserError: an experiment was not measured.
         """
-        pairs = [pair for entry in self.accept for pair in entry.items()]
+        entries = self.accept if isinstance(self.accept, list) else [self.accept]
+        pairs = [pair for entry in entries for pair in entry.items()]
         known = [] if campaign is None else [experiment.id for experiment in campaign]
-        for experiment, _ in pairs:
-            if experiment not in known:
+        found = set()
+        for experiment, kinds in pairs:
+            if experiment != _ALL and experiment not in known:
                 raise UserError(
                     f"measurements.accept: there is no measured experiment {experiment!r}; measured are "
                     f"{', '.join(known) or 'none'}"
                 )
-        return frozenset(pairs)
+            ids = known if experiment == _ALL and _ALL not in known else [experiment]
+            found |= {(id, kind) for id in ids for kind in ([kinds] if isinstance(kinds, str) else kinds)}
+        return frozenset(found)
 
 
 class ScalesEntry(Section):

@@ -7,7 +7,6 @@ from hsed_jax.measurements.backbones import backbone_of as backbone_of
 from hsed_jax.measurements.campaign import Campaign as Campaign
 from hsed_jax.measurements.characteristics import Characteristics as Characteristics
 from hsed_jax.measurements.characteristics import characteristics as characteristics
-from hsed_jax.measurements.checks import Finding as Finding
 from hsed_jax.measurements.checks import check_campaign as check_campaign
 from hsed_jax.measurements.checks import stop_at_errors as stop_at_errors
 from hsed_jax.measurements.cycle_tables import Columns as Columns
@@ -19,6 +18,8 @@ from hsed_jax.measurements.experiment import Channel as Channel
 from hsed_jax.measurements.experiment import Experiment as Experiment
 from hsed_jax.measurements.experiment import Noise as Noise
 from hsed_jax.measurements.experiment import Record as Record
+from hsed_jax.measurements.findings import DoubtKind as DoubtKind
+from hsed_jax.measurements.findings import Finding as Finding
 from hsed_jax.measurements.histories import read_history as read_history
 from hsed_jax.measurements.noise import noise_estimate as noise_estimate
 from hsed_jax.measurements.overview import overview as overview

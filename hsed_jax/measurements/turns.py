@@ -51,9 +51,7 @@ def turns(elongation: np.ndarray) -> np.ndarray:
 
     Cycles far below the largest have their turns, too, as long as they exceed the noise.
     """
-    reach = float(np.ptp(elongation))
-    noise = noise_estimate(np.arange(elongation.size), elongation) if elongation.size >= 8 else 0.0
-    found = list(_zigzag(elongation, float(np.clip(_NOISE * noise, _LEAST * reach, _MOST * reach))))
+    found = with_slips(elongation).tolist()
     while len(found) > 3:
         values = elongation[found]
         ways = np.abs(np.diff(values))
@@ -66,6 +64,13 @@ def turns(elongation: np.ndarray) -> np.ndarray:
         least = 1 + int(np.flatnonzero(is_slip)[np.argmin(inner[is_slip])])
         del found[least : least + 2]
     return np.asarray(found)
+
+
+def with_slips(elongation: np.ndarray) -> np.ndarray:
+    """Samples at which the elongation turns by more than its noise, slips and both ends included, (h+1,)."""
+    reach = float(np.ptp(elongation))
+    noise = noise_estimate(np.arange(elongation.size), elongation) if elongation.size >= 8 else 0.0
+    return _zigzag(elongation, float(np.clip(_NOISE * noise, _LEAST * reach, _MOST * reach)))
 
 
 def spans(elongation: np.ndarray) -> list[Span]:

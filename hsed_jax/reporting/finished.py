@@ -8,8 +8,7 @@ from typing import Any
 
 import xarray as xr
 
-from hsed_jax.measurements import Campaign
-from hsed_jax.measurements.checks import Finding, check_campaign
+from hsed_jax.measurements import Campaign, Finding, check_campaign
 
 SPLITS = ("train", "test")
 

@@ -1,0 +1,214 @@
+"""Doubts of single channels: magnitudes, plateaus, jumps, noise and base lines."""
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+
+from hsed_jax.measurements.campaign import Campaign
+from hsed_jax.measurements.experiment import Experiment, Record
+from hsed_jax.measurements.findings import Finding
+from hsed_jax.measurements.noise import difference_noise, noise_estimate
+from hsed_jax.measurements.units import channel_dimension, quantity_dimension
+from hsed_jax.physics.display import amount
+from hsed_jax.physics.outputs import is_driver, own_name, quantity
+
+PLAUSIBLE = {
+    "length": (1e-6, 5.0),
+    "velocity": (1e-5, 50.0),
+    "acceleration": (1e-3, 500.0),
+    "force": (1e-2, 1e9),
+    "angle": (1e-6, 2.0),
+    "moment": (1e-2, 1e10),
+    "strain": (1e-6, 10.0),
+    "stress": (1e3, 1e11),
+}
+"""Range of the largest magnitude [SI] by dimension; outside, the unit is suspect."""
+
+PLAUSIBLE_GROUND_ACCELERATION = (1e-2, 40.0)
+"""The same for the ground [m/s²]; the strongest records reach about 4 g."""
+
+PLATEAU = 4  # equal samples at an extreme
+STUCK = 20  # equal samples elsewhere
+JUMP = 5  # a step of the elongation this many times as long as nearly all others, and as those around it
+AROUND = 10  # steps on either side of a jump that it is compared with
+NOISE_FACTOR = 3  # estimated against declared
+QUIET = 10  # samples before the motion that a base line needs
+THOUSANDFOLD = 300.0  # steps that grow or shrink by more, from one sample to the next, are in another unit
+START = 0.02  # share of the largest magnitude at which a record may begin
+
+
+def quantity_doubts(campaign: Campaign, experiment: Experiment) -> Iterator[Finding]:
+    """Quantities of an absurd magnitude."""
+    for name, value in experiment.quantities.items():
+        low, high = PLAUSIBLE.get(quantity_dimension(name, campaign.pair).name, (0.0, np.inf))
+        low = 0.0 if quantity(name).is_signed else low
+        if not low <= abs(value) <= high:
+            yield Finding("doubt", experiment.id, name, None, _absurd(campaign, name, abs(value), low, high), "unit")
+
+
+def channel_doubts(campaign: Campaign, id: str, record: Record) -> Iterator[Finding]:
+    """Doubts of every channel by itself, and the error of one that measured nothing."""
+    for name, values in record.channels.items():
+        if np.ptp(values) == 0:
+            # A free vibration has a constant ground and no force; any other constant channel measured nothing.
+            shown = amount(campaign.pair, name, float(values[0]))
+            message = f"it is constant ({shown}) over the whole record; a dead sensor?"
+            if is_driver(name):
+                yield Finding("doubt", id, name, None, message, "constant")
+            else:
+                yield Finding("error", id, name, None, message)
+            continue
+        yield from _plateaus(campaign, id, record, name)
+        yield from _magnitude(campaign, id, record, name)
+        yield from _noise(campaign, id, record, name)
+        yield from _thousandfold(campaign, id, record, name)
+        yield from _jumps(campaign, id, record, name)
+    yield from _base_lines(campaign, id, record)
+
+
+def _plateaus(campaign: Campaign, id: str, record: Record, name: str) -> Iterator[Finding]:
+    values = record.channels[name]
+    changes = np.flatnonzero(np.diff(values)) + 1
+    runs = [(a, b) for a, b in pairwise([0, *changes.tolist(), values.size]) if b - a >= PLATEAU]
+    steps = np.abs(np.diff(values))
+    quantum = steps[steps > 0].min()
+    clipped, stuck = [], []
+    for start, end in runs:
+        if start == 0 or end == values.size:
+            continue  # rest before and after the motion
+        # Rounding flattens a smooth peak too, but then the samples beside it are one or two digits away.
+        sharp = max(steps[start - 1], steps[end - 1]) > 5 * quantum
+        if values[start] in (values.max(), values.min()):
+            if sharp and values[start] != values[0]:
+                clipped.append((start, end))
+        elif sharp and end - start >= STUCK and values[start] != 0:  # an open gap holds exactly no force
+            stuck.append((start, end))
+    for found, word in ((clipped, "stays at its extreme"), (stuck, "does not change")):
+        if found:
+            start, end = max(found, key=lambda run: run[1] - run[0])
+            shown = amount(campaign.pair, name, float(values[start]))
+            message = f"{word} ({shown}) for {end - start} samples, {len(found)} such stretches"
+            reason = "clipped, or held there?" if found is clipped else "a stuck sensor, or held there?"
+            kind = "clipped" if found is clipped else "stuck"
+            yield Finding("doubt", id, name, float(record.time[found[0][0]]), f"{message}: {reason}", kind)
+
+
+def _magnitude(campaign: Campaign, id: str, record: Record, name: str) -> Iterator[Finding]:
+    low, high = PLAUSIBLE.get(channel_dimension(name, campaign.pair).name, (0.0, np.inf))
+    if name == "ground_acceleration":
+        low, high = PLAUSIBLE_GROUND_ACCELERATION
+    peak = int(np.argmax(np.abs(record.channels[name])))
+    value = float(np.abs(record.channels[name][peak]))
+    if not low <= value <= high:
+        yield Finding("doubt", id, name, float(record.time[peak]), _absurd(campaign, name, value, low, high), "unit")
+
+
+def _absurd(campaign: Campaign, name: str, value: float, low: float, high: float) -> str:
+    plausible = f"{amount(campaign.pair, name, low, 6).split(' ')[0]} to {amount(campaign.pair, name, high, 6)}"
+    return f"the largest magnitude is {amount(campaign.pair, name, value)}, plausible is {plausible}: is the unit right?"
+
+
+def _noise(campaign: Campaign, id: str, record: Record, name: str) -> Iterator[Finding]:
+    noise, values = campaign.channels[name].noise, record.channels[name]
+    if noise is None or len(record) < 50:
+        return
+    declared = noise.standard_deviation(values)
+    second, third, fourth = (difference_noise(record.time, values, order) for order in (2, 3, 4))
+    # On white noise every order estimates the same; a signal that is not resolved by the samples tells them apart.
+    if not 0.75 * third < fourth < 1.33 * third and third > declared:
+        return
+    if third > NOISE_FACTOR * declared or NOISE_FACTOR * min(second, third) < declared:
+        message = (
+            f"the samples scatter by about {amount(campaign.pair, name, third, 2)}, "
+            f"the declared noise is {amount(campaign.pair, name, declared, 2)}"
+        )
+        yield Finding("doubt", id, name, None, message, "noise")
+
+
+def _thousandfold(campaign: Campaign, id: str, record: Record, name: str) -> Iterator[Finding]:
+    """Steps that change a thousandfold from one sample to the next: another unit from there on."""
+    steps = np.diff(record.channels[name])
+    if steps.size < 4 * AROUND:
+        return
+    windows = np.lib.stride_tricks.sliding_window_view(steps, AROUND)
+    typical = np.median(np.abs(windows), axis=1)
+    # Noise goes to and fro, a motion one way: rest before a motion is no other unit.
+    moves = np.abs(windows.sum(axis=1)) > 0.5 * np.abs(windows).sum(axis=1)
+    before, after = typical[: -AROUND - 1], typical[AROUND + 1 :]  # the step between is that of the change
+    counts = moves[: -AROUND - 1] & moves[AROUND + 1 :] & (before > 0) & (after > 0)
+    # In another unit the value changes with its steps: a motion that comes to rest is none.
+    values = np.abs(record.channels[name])
+    here, there = values[AROUND : AROUND + before.size], values[AROUND + 1 : AROUND + 1 + before.size]
+    counts &= np.abs(there - here) > 0.5 * np.maximum(np.maximum(here, there), 1e-300)
+    ratio = np.where(counts, after / np.where(before > 0, before, 1.0), 1.0)
+    factor = np.maximum(ratio, 1 / ratio)
+    if factor.max() > THOUSANDFOLD:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            apart = np.abs(np.log(there / here) - np.log(ratio))  # where the value changes as its steps do
+        at = int(np.nanargmin(np.where(factor > THOUSANDFOLD, apart, np.inf))) + AROUND
+        word = "grow" if ratio[at - AROUND] > 1 else "shrink"
+        message = (
+            f"its steps {word} {factor[at - AROUND]:.2g}-fold from one sample to the next: does the unit change there?"
+        )
+        yield Finding("doubt", id, name, float(record.time[at + 1]), message, "unit")
+
+
+def _jumps(campaign: Campaign, id: str, record: Record, name: str) -> Iterator[Finding]:
+    """Steps of the elongation that missing rows leave; where a time shows the gap it is no jump."""
+    values = record.channels[name]
+    steps = np.abs(np.diff(values))
+    if own_name(name) != "elongation" or not (steps > 0).sum() >= QUIET:
+        return
+    interval = np.diff(record.time)
+    steps = steps / np.maximum(interval / np.median(interval), 1.0)
+    usual = float(np.quantile(steps[steps > 0], 0.95))
+    jumps = np.flatnonzero(steps > max(JUMP * usual, 0.05 * float(np.ptp(values))))
+    # A pulse after rest has long steps as well, but they come one after the other.
+    padded = np.pad(steps, AROUND)
+    beside = np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1)[jumps].copy()
+    beside[:, AROUND] = 0.0
+    jumps = jumps[steps[jumps] > JUMP * np.quantile(beside, 0.9, axis=1)] if jumps.size else jumps
+    if jumps.size:
+        message = (
+            f"it jumps by {amount(campaign.pair, name, steps[jumps].max())} where nearly all steps are below "
+            f"{amount(campaign.pair, name, usual, 2)}, {jumps.size} times in all: are rows missing?"
+        )
+        yield Finding("doubt", id, name, float(record.time[jumps[0] + 1]), message, "jump")
+
+
+def _base_lines(campaign: Campaign, id: str, record: Record) -> Iterator[Finding]:
+    driver = next(
+        (name for name in (*filter(is_driver, record.channels), "elongation") if name in record.channels), None
+    )
+    if driver is None:
+        return
+    drive = record.channels[driver] - np.median(record.channels[driver][:QUIET])
+    # A first small loading is a motion, too: it begins where the driver leaves its own noise.
+    noise = 5 * noise_estimate(record.time, record.channels[driver])
+    quiet = int(np.argmax(np.abs(drive) > min(max(noise, 1e-6 * np.abs(drive).max()), 0.01 * np.abs(drive).max())))
+    if quiet < QUIET:
+        yield from _starts(campaign, id, record)
+        return
+    for name, values in record.channels.items():
+        if name.endswith("_absolute") or name.startswith("velocity"):
+            continue
+        offset, scatter = float(np.mean(values[:quiet])), float(np.std(values[:quiet]))
+        # Drift and hum are not independent from sample to sample, so no 1/sqrt(n): the offset must stand out by itself.
+        if abs(offset) > max(0.02 * float(np.abs(values).max()), scatter):
+            size = amount(campaign.pair, name, offset)
+            message = f"it is {size} on average before the motion starts ({quiet} samples): an offset?"
+            yield Finding("doubt", id, name, float(record.time[0]), message, "offset")
+
+
+def _starts(campaign: Campaign, id: str, record: Record) -> Iterator[Finding]:
+    """An elongation that begins elsewhere while the force begins at zero."""
+    if not {"force", "elongation"} <= record.channels.keys():
+        return
+    elongation, force = record["elongation"], record["force"]
+    begins = np.abs(elongation[0]) > START * np.abs(elongation).max()
+    scatter = 5 * noise_estimate(np.arange(len(record)), elongation)
+    if begins and abs(elongation[0]) > scatter and np.abs(force[0]) < START * np.abs(force).max():
+        size, none = amount(campaign.pair, "elongation", float(elongation[0])), amount(campaign.pair, "force", float(force[0]))
+        message = f"it begins at {size} while the {campaign.pair.force} begins at {none}: an offset?"
+        yield Finding("doubt", id, "elongation", float(record.time[0]), message, "offset")

@@ -1,0 +1,73 @@
+"""What a check of measured data says: one fault, its place, and the setting that accepts it."""
+
+import json
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+DoubtKind = Literal[
+    "unit",
+    "constant",
+    "gap",
+    "jump",
+    "clipped",
+    "stuck",
+    "noise",
+    "offset",
+    "sign",
+    "timing",
+    "drift",
+    "slip",
+    "hold",
+    "monotonic",
+    "copy",
+    "overlap",
+    "beyond",
+]
+"""What may be doubted, as `measurements.accept` of a study names it."""
+
+# Ids that YAML reads as what they are.
+_PLAIN = re.compile(r"(?!(?:y|n|yes|no|on|off|true|false|null)$)[A-Za-z]\w*", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One fault.
+
+    Attributes:
+        level: `error`: the data cannot be used so; `doubt`: they can, but somebody should look.
+        experiment: Its id.
+        channel: The channel or quantity.
+        time: When it begins [s], where it has a time; the row, where rows stand for time.
+        message: What was found.
+        kind: What is doubted; None of an error.
+        has_time: Whether the records have a time.
+    """
+
+    level: Literal["error", "doubt"]
+    experiment: str
+    channel: str
+    time: float | None
+    message: str
+    kind: DoubtKind | None = None
+    has_time: bool = True
+
+    @property
+    def line(self) -> str:
+        """The finding as one line, without the setting that accepts it."""
+        when = "" if self.time is None else f", t = {self.time:g} s" if self.has_time else f", row {self.time:.0f}"
+        return f"{self.level}: {self.experiment}, {self.channel}{when}: {self.message}"
+
+    @property
+    def setting(self) -> str:
+        """What accepts a doubt, as a key of `measurements` of a study; empty of an error."""
+        return "" if self.kind is None else f"accept: {{{yaml_key(self.experiment)}: {self.kind}}}"
+
+    def __str__(self) -> str:
+        """Return the finding as one line, with the setting that accepts it."""
+        return f"{self.line} [{self.setting}]" if self.setting else self.line
+
+
+def yaml_key(id: str) -> str:
+    """An id as YAML reads it back."""
+    return id if _PLAIN.fullmatch(id) else json.dumps(id)
