@@ -84,10 +84,8 @@ def _beyond(campaign: Campaign) -> Iterator[Finding]:
         for experiment in campaign.test:
             value = _largest(experiment, name)
             if value is not None and value > BEYOND * largest:
-                message = (
-                    f"it goes to {amount(campaign.pair, name, value)}, fitted to {amount(campaign.pair, name, largest)}: a prediction "
-                    "of what no fitted experiment has seen"
-                )
+                there, ours = (amount(campaign.pair, name, size) for size in (value, largest))
+                message = f"it goes to {there}, fitted to {ours}: a prediction of what no fitted experiment has seen"
                 yield Finding("doubt", experiment.id, name, None, message, "beyond")
 
 

@@ -106,7 +106,9 @@ def _magnitude(campaign: Campaign, id: str, record: Record, name: str) -> Iterat
 
 def _absurd(campaign: Campaign, name: str, value: float, low: float, high: float) -> str:
     plausible = f"{amount(campaign.pair, name, low, 6).split(' ')[0]} to {amount(campaign.pair, name, high, 6)}"
-    return f"the largest magnitude is {amount(campaign.pair, name, value)}, plausible is {plausible}: is the unit right?"
+    return (
+        f"the largest magnitude is {amount(campaign.pair, name, value)}, plausible is {plausible}: is the unit right?"
+    )
 
 
 def _noise(campaign: Campaign, id: str, record: Record, name: str) -> Iterator[Finding]:
@@ -209,6 +211,9 @@ def _starts(campaign: Campaign, id: str, record: Record) -> Iterator[Finding]:
     begins = np.abs(elongation[0]) > START * np.abs(elongation).max()
     scatter = 5 * noise_estimate(np.arange(len(record)), elongation)
     if begins and abs(elongation[0]) > scatter and np.abs(force[0]) < START * np.abs(force).max():
-        size, none = amount(campaign.pair, "elongation", float(elongation[0])), amount(campaign.pair, "force", float(force[0]))
+        size, none = (
+            amount(campaign.pair, "elongation", float(elongation[0])),
+            amount(campaign.pair, "force", float(force[0])),
+        )
         message = f"it begins at {size} while the {campaign.pair.force} begins at {none}: an offset?"
         yield Finding("doubt", id, "elongation", float(record.time[0]), message, "offset")

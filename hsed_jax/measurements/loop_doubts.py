@@ -154,7 +154,10 @@ def _energy(campaign: Campaign, id: str, record: Record, owner: str, found: np.n
     # A passive specimen gives back at most what it held at the start; a twentieth is left for noise and delay.
     allowed = 0.05 * float(np.abs(done).sum()) + abs(float(force[0] * elongation[0]))
     if done.sum() < -allowed:
-        what, size = campaign.pair.words("the work of force on elongation"), amount(campaign.pair, named(owner, "dissipated_energy"), float(done.sum()))
+        what, size = (
+            campaign.pair.words("the work of force on elongation"),
+            amount(campaign.pair, named(owner, "dissipated_energy"), float(done.sum())),
+        )
         message = f"{what} is {size}: a specimen cannot give energy; "
         least = late_by(force, elongation, found) if found.size >= FEWEST else None
         longest = int(2 * LONGEST * float(np.median(np.diff(found))))
