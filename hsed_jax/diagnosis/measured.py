@@ -65,8 +65,8 @@ class Measured(NamedTuple):
     def scales(self, predicted: Float[np.ndarray, "n J"]) -> Float[np.ndarray, "n J"]:
         """c in σ = s·c: one, or where an error is relative the predicted quantity or the RMS of the measured history; the
         measured quantity where that is what the error is relative to."""
-        of_measured = np.asarray([error.of_measured for error in self.errors])[self.groups]
-        is_predicted = (np.bincount(self.groups)[self.groups] == 1) & ~of_measured
+        of_measured = np.asarray([error.of_measured for error in self.errors], dtype=bool)[self.groups]
+        is_predicted = (np.bincount(self.groups)[self.groups] == 1) & np.logical_not(of_measured)
         known = np.where(is_predicted, predicted, self.values)
         return self.expected_scales(known, self.used)
 
