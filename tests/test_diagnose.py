@@ -2,6 +2,7 @@
 
 import json
 import math
+from contextlib import closing, suppress
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -25,10 +26,13 @@ from hsed_jax.diagnosis.search import Search
 from hsed_jax.inference.likelihood import Columns, Error, sigma_of
 from hsed_jax.inference.likelihood import data_of as data_of_measurements
 from hsed_jax.inference.priors import Prior
+from hsed_jax.interruptions import Interrupted
 from hsed_jax.measurements import Campaign, Channel, Experiment, Noise, Record
 from hsed_jax.physics.effects import EFFECTS as CATALOGUE
 from hsed_jax.physics.effects.forms import Form
 from hsed_jax.physics.scales import Scales
+from hsed_jax.runs.folder import RunFolder
+from hsed_jax.runs.progress import Progress
 from hsed_jax.study.build import Built
 
 # --- a dictionary: law + sum of amplitude × function, so that every answer is known in closed form -----------------------
@@ -152,6 +156,65 @@ class Two(Dictionary):
         thetas[:, 1] = -0.7 + 0.3 * (b + 0.7) * (b - 3)
         thetas[:, 7] *= np.maximum(b - 2, 0)
         return super().__call__(thetas, experiments)
+
+
+class Impatient(Dictionary):
+    """Interrupts when so many batches were asked for; their rounding is that of a program of its own."""
+
+    def __init__(self, patience, rounding):
+        super().__init__(FUNCTIONS * (1.0 + rounding))
+        self.patience, self.asked = patience, 0
+
+    def __call__(self, thetas, experiments):
+        self.asked += 1
+        if self.asked > self.patience:
+            raise Interrupted
+        return super().__call__(thetas, experiments)
+
+
+def test_a_search_that_was_interrupted_and_goes_on_makes_no_fit_twice(tmp_path, monkeypatch):
+    fits: dict[str, list] = {"_descended": [], "_again": []}
+
+    def noted(name, of):
+        def fitted(models, target, tasks, *kept):
+            ends = of(models, target, tasks, *kept)
+            fits[name].append([(*map(int, task.member.free), task.use) for task in tasks])
+            return ends
+
+        return fitted
+
+    for name in fits:
+        monkeypatch.setattr(NestedModels, name, noted(name, getattr(NestedModels, name)))
+    values = data_of(1, effect_3=0.5, effect_5=0.4)
+
+    def searched(name, patience=10**9, rounding=0.0, resume=False):
+        """The search, whether it ended or not; what it fitted, by parameters and experiments, and what it had from before."""
+        fits.update(_descended=[], _again=[])
+        folder, batch = (
+            RunFolder(tmp_path / name, {"study": "x", "seed": 0}, resume=resume),
+            Impatient(patience, rounding),
+        )
+        with closing(folder), Progress("diagnose", show=False, store=folder) as watch:
+            models = NestedModels(batch, BOX, np.zeros(2 + K), watch)
+            search = Search(models, measured_of(values), LAW, EFFECTS, lambda fit: False)
+            with suppress(Interrupted):
+                search.start()
+                search.run()
+        return search, batch.asked, fits["_descended"], fits["_again"]
+
+    whole, batches, all_of_them, none = searched("whole")
+    assert whole.best == {"effect_3", "effect_5"} and not none
+    before = 0
+    for share in (0.3, 0.8):
+        _, _, made, _ = searched(f"to {share}", patience=int(share * batches))
+        assert before < len(made) < len(all_of_them)
+        before = len(made)
+        # Another process makes other programs of the same models, which round in another way.
+        found, _, rest, had = searched(f"to {share}", rounding=1e-13, resume=True)
+        assert had == made and len(had) + len(rest) == len(all_of_them)
+        assert found.best == whole.best
+        for effects in (frozenset(), whole.best):
+            assert found.model(effects).fit.cost == pytest.approx(whole.model(effects).fit.cost, abs=1e-3)
 
 
 def test_an_effect_is_found_that_does_nothing_beside_the_law_as_it_was_fitted():

@@ -506,6 +506,33 @@ def test_a_form_is_its_equation(name, label):
             assert np.ptp(expected) > 1e-3 * np.abs(expected).max() or (name, form.name) in CONSTANT
 
 
+FLOORED = {
+    ("support_flexibility", "power"): F,
+    ("support_flexibility", "free"): F,
+    ("yield_sharpness", "free"): STRENGTH,
+}
+
+
+@pytest.mark.parametrize(("name", "label"), FLOORED)
+def test_a_form_has_the_floor_that_its_equation_says(name, label):
+    form, scale = forms_of(EFFECTS[name])[label], FLOORED[name, label]
+    (said,) = re.findall(r"\\max\(\|[Fz][^,]*, ([^)]+)\)", form.equation)
+    floor = float(re.sub(r"10\^\{(-\d+)\}", r"1e\1", said))
+    share = floor * np.array([0.0, 0.3, 0.999, 1.001, 2.0])
+    at = point({key: np.repeat(values[7], share.size) for key, values in state().items()} | {"z": share * scale})
+    p = SimpleNamespace(**drawn(name, label, 0.8) | {"bedding": 0.0})
+    values = {key: value for key, value in vars(p).items() if hasattr(EFFECTS[name](), key)}
+    (found,) = jax.vmap(EFFECTS[name](**form.held, **values).contribute)(at).values()
+    reached = np.maximum(share, floor)
+    if name == "yield_sharpness":
+        expected = 1 - p.of_part + p.of_part * reached**p.delta
+        assert f"$10^{{{round(np.log10(floor))}}}$" in EFFECTS[name].__doc__
+    else:
+        expected = p.delta * U / F * p.power * reached ** (p.power - 1)
+    np.testing.assert_allclose(found, expected, rtol=1e-11)
+    assert found[0] == found[2] and abs(found[4] / found[2] - 1) > 0.01 * p.delta * floor
+
+
 @pytest.mark.parametrize("label", forms_of(EFFECTS["support_flexibility"]))
 def test_a_support_is_told_by_its_elongation_only_where_its_compliance_is_one_number(label):
     # What loosens has no elongation that follows from the force alone: the code has its tangent.
@@ -823,8 +850,8 @@ def respond(effects) -> np.ndarray:
     return np.asarray(response.channels["force"])
 
 
-def by_scipy(eta=None, nu=None, force=None, bristle=1.0) -> np.ndarray:
-    """The same by DOP853 from turn to turn; eta, nu of energy, path and force of the bristle."""
+def by_scipy(eta=None, nu=None, force=None, bristle=1.0, compliance=None) -> np.ndarray:
+    """The same by DOP853 from turn to turn; eta, nu and compliance in series of energy, path and force of the bristle."""
     omega = 2 * np.pi / PERIOD
     t = np.arange(STEPS + 1) * STEP
     nothing = lambda e, s: 1.0  # noqa: E731
@@ -834,7 +861,9 @@ def by_scipy(eta=None, nu=None, force=None, bristle=1.0) -> np.ndarray:
         z, e, s, q = y
         v = AMPLITUDE * omega * np.cos(omega * time)
         total = z + (force(q) if force else 0.0)
-        slope = (A * v - nu(e, s) * BETA * abs(v) * z) / eta(e, s)
+        tangent = (A - nu(e, s) * BETA * np.sign(v) * z) / eta(e, s)
+        # What is in series takes its share of the elongation: of the increment, so that a force that stays moves nothing.
+        slope = tangent * v / (1 + tangent * (compliance(e, s) if compliance else 0.0))
         return [slope, total * v, abs(v), (v - abs(v) * q) / bristle]
 
     turns = [0.0, *(PERIOD * np.arange(0.25, 2, 0.5)), t[-1]]
@@ -864,6 +893,10 @@ CASES = {
     "a bristle": (
         {"coulomb_friction": {"form": "bristle", "delta": 0.2, "bristle": 0.1}},
         {"force": lambda q: 0.2 * F * q, "bristle": 0.1 * U},
+    ),
+    "a tangent that loosens": (
+        {"support_flexibility": {"form": "loosening", "delta": 0.3, "worn": 2.0, "wears": 0.5}},
+        {"compliance": lambda e, s: 0.3 * U / F * (1 + 2.0 * (1 - np.exp(-np.maximum(e, 0) / (0.5 * E))))},
     ),
 }
 
