@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from hsed_jax.measurements import read_at2 as read_at2
     from hsed_jax.measurements import read_campaign as read_campaign
     from hsed_jax.measurements import write_campaign as write_campaign
+    from hsed_jax.physics.protocols import protocol_history as protocol_history
     from hsed_jax.runs.ask_tell import AskTell as AskTell
     from hsed_jax.runs.workflow import run as run
     from hsed_jax.study.initial import initial_study as initial_study
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 # Public names by the module they live in, imported when first used: `hsed --help` answers before JAX is loaded.
 _HOMES = {
     "analysis.calibration": ("calibrate", "campaign_of", "compare", "locate", "simulate"),
+    "physics.protocols": ("protocol_history",),
     "runs.ask_tell": ("AskTell",),
     "study.initial": ("initial_study",),
     "config.load": ("load_study",),

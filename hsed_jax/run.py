@@ -69,6 +69,7 @@ def command_line() -> argparse.ArgumentParser:
     """The parser of `hsed`."""
     from hsed_jax.app import command as app
     from hsed_jax.exports import command as exporting
+    from hsed_jax.reporting import protocols
     from hsed_jax.runs import beginning
     from hsed_jax.sweeps import command as sweeping
 
@@ -110,6 +111,7 @@ def command_line() -> argparse.ArgumentParser:
     effects.add_argument("--study", metavar="STUDY.yaml", help="with the effects of this study's own")
     effects.add_argument("--trust", action="store_true", help="execute the Python files that the study names")
     effects.set_defaults(command=_effects)
+    protocols.add_command(commands)
     app.add_command(commands)
     return parser
 

@@ -1,12 +1,12 @@
 """What a study may say of its excitation: a section for each that there is, made of the settings that it declares."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, create_model, model_validator
 
 from hsed_jax.config.sections import Positive, Section
-from hsed_jax.physics.declared import DECLARED, Declared
+from hsed_jax.physics.declared import DECLARED, Declared, Setting
 from hsed_jax.plain import Number, Whole
 
 Value = Number | str
@@ -17,12 +17,17 @@ _TYPES: dict[str, Any] = {
 }
 
 
+def _field(setting: Setting) -> tuple[Any, Any]:
+    """The type and the default of a setting, as pydantic makes a field of them."""
+    kind: Any = Literal[*setting.words] if setting.kind == "word" else _TYPES[setting.kind]
+    if setting.is_optional:
+        return kind | None, None
+    return kind, ... if setting.default is None else setting.default
+
+
 def _section(excitation: Declared) -> type[Section]:
     fields: dict[str, Any] = {"file": (str, ...)} if excitation.of_file else {}
-    fields |= {
-        name: (_TYPES[known.kind], ... if known.default is None else known.default)
-        for name, known in excitation.settings.items()
-    }
+    fields |= {name: _field(known) for name, known in excitation.settings.items()}
     return create_model(f"{excitation.name.title().replace('_', '')}Entry", __base__=Section, **fields)
 
 

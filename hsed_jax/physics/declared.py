@@ -6,8 +6,11 @@ figures and reports ask here.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
+
+from hsed_jax.errors import UserError
+from hsed_jax.physics.protocols import PROTOCOLS
 
 SPRING_LAWS = ("bouc_wen", "elastic", "bilinear", "menegotto_pinto", "takeda")
 """Names of the laws that come with the package (`hsed_jax.physics.laws`)."""
@@ -48,16 +51,21 @@ class Setting:
     Attributes:
         meaning: a noun.
         unit: SI unit, or "1".
-        kind: `number`: a number or the name of an input; `numbers`: a list of these; `whole`: a fixed whole number, at least 1.
-        default: None: it must be given.
+        kind: `number`: a number or the name of an input; `numbers`: a list of these; `whole`: a fixed whole number, at least 1;
+            `word`: a key of `words`.
+        default: None: it must be given, unless `is_optional`.
         is_positive: whether it must be.
+        is_optional: whether it may be left out, as other settings say; it is then None.
+        words: what a `word` stands for.
     """
 
     meaning: str
     unit: str
-    kind: Literal["number", "numbers", "whole"] = "number"
+    kind: Literal["number", "numbers", "whole", "word"] = "number"
     default: float | None = None
     is_positive: bool = False
+    is_optional: bool = False
+    words: Mapping[str, Any] = field(default_factory=dict)
 
 
 def _all_possible(settings: Mapping[str, Any]) -> tuple[str, str] | None:
@@ -100,13 +108,37 @@ def _one_oscillation(settings: Mapping[str, Any]) -> tuple[str, str] | None:
     return ("gamma", "the number of oscillations is positive and not 1, but it is 1") if is_one else None
 
 
+def _amplitudes_or_protocol(settings: Mapping[str, Any]) -> tuple[str, str] | None:
+    """Amplitudes with their cycles, or a protocol with its reference and steps."""
+    given = {name for name, value in settings.items() if value is not None}
+    if not given & {"amplitudes", "protocol"}:
+        return "amplitudes", f"give amplitudes, or a protocol ({', '.join(PROTOCOLS)}) with its reference"
+    if "amplitudes" in given:
+        return next(((name, f"leave out amplitudes, or {name}") for name in _OF_PROTOCOLS if name in given), None)
+    if "cycles" in given:
+        return "cycles", "leave it out: the protocol tells how many there are"
+    known = PROTOCOLS[settings["protocol"]]
+    if "reference" not in given:
+        return "reference", f"this key is required with a protocol; amplitudes are relative to it: {known.relative_to}"
+    try:
+        known.steps(settings["steps"])
+    except UserError as fault:
+        return "steps", str(fault)
+    return None
+
+
+_OF_PROTOCOLS = ("protocol", "reference", "steps")
+
+
 def _of_cycles(settings: Mapping[str, Any], duration: float | None) -> str:
+    rate = f"the rate at most {_told(settings['rate'])} m/s"
+    if name := settings.get("protocol"):
+        known = PROTOCOLS[name]
+        extent = f"{known.extent(settings.get('steps'))} times the reference {_told(settings['reference'])} m"
+        return f"Elongation imposed by the loading protocol {known.title}: {extent}, {rate}"
     amplitudes = ", ".join(_told(value) for value in settings["amplitudes"])
-    cycles = settings.get("cycles", 2)
-    return (
-        f"{cycles} cycle{'s' if cycles > 1 else ''} of elongation imposed at each amplitude {amplitudes} m, the rate at most "
-        f"{_told(settings['rate'])} m/s"
-    )
+    cycles = settings.get("cycles") or CYCLES
+    return f"{cycles} cycle{'s' if cycles > 1 else ''} of elongation imposed at each amplitude {amplitudes} m, {rate}"
 
 
 def _told(value: float | str) -> str:
@@ -148,12 +180,18 @@ CYCLIC_ELONGATION = Declared(
     "imposed",
     IMPOSED_ELONGATION,
     {
-        "amplitudes": Setting("amplitude", "m", kind="numbers", is_positive=True),
+        "amplitudes": Setting("amplitude", "m", kind="numbers", is_positive=True, is_optional=True),
         "rate": Setting("rate", "m/s", is_positive=True),
-        "cycles": Setting("number of cycles", "1", kind="whole", default=2),
+        "cycles": Setting("number of cycles", "1", kind="whole", is_optional=True),
+        "protocol": Setting("loading protocol", "1", kind="word", is_optional=True, words=PROTOCOLS),
+        "reference": Setting("reference", "m", is_positive=True, is_optional=True),
+        "steps": Setting("number of steps", "1", kind="whole", is_optional=True),
     },
     _of_cycles,
+    impossible=_amplitudes_or_protocol,
 )
+CYCLES = 2
+"""Full cycles at each amplitude, where a study names neither them nor a protocol."""
 
 DECLARED = {known.name: known for known in (NEAR_FAULT_PULSE, RECORDED_MOTION, HISTORY_OF_A_FORCE, CYCLIC_ELONGATION)}
 """Excitations by their keys in a study."""

@@ -57,17 +57,27 @@ def excitation_of(study: Study) -> Parametrised[AbstractExcitation] | None:
     if kind.of_file:
         columns = read_history(study.folder / settings.pop("file"), kind.of_file[1])
         arrays = {name: jnp.asarray(column) for name, column in zip(kind.of_file, columns, strict=True)}
-    for name, known, value in _each(kind, settings):
-        _check(f"{where}.{name}", known, value, inputs)
     if fault := kind.impossible(settings):
         name, words = fault
         raise UserError(f"{where}.{name}: {words}")
-    values = {name: tuple(value) if isinstance(value, list) else value for name, value in settings.items()}
+    for name, known, value in _each(kind, settings):
+        _check(f"{where}.{name}", known, value, inputs)
+    values = {name: _stands_for(kind.settings[name], value) for name, value in settings.items()}
     return Parametrised(EXCITATIONS[kind.name], tuple(values.items()), arrays)
 
 
+def _stands_for(known: Setting, value: Any) -> Any:
+    """What a class takes: a word of a study could be the name of an input, what it stands for could not."""
+    if value is not None and known.kind == "word":
+        return known.words[value]
+    return tuple(value) if isinstance(value, list) else value
+
+
 def _each(kind: Declared, settings: Mapping[str, Any]) -> Iterator[tuple[str, Setting, Any]]:
+    """Numbers and names of inputs that are given, each with its key."""
     for name, known in kind.settings.items():
+        if settings[name] is None or known.kind == "word":
+            continue
         if known.kind == "numbers":
             yield from ((f"{name}.{i}", known, value) for i, value in enumerate(settings[name]))
         else:

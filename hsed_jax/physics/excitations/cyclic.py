@@ -6,7 +6,7 @@ with $t'$ the time since the first cycle of amplitude $a_j$: the peak rate $v$ i
 rate are continuous where one amplitude follows another.  How long it lasts depends on the amplitudes; a quarter of a cycle has
 the same number of steps at each of them, so that every reversal is the end of a step.
 
-Source of the sequence, two cycles at each of growing amplitudes: FEMA 461 (2007), Section 2.8.
+The amplitudes are a study's own, or those of a published protocol (`hsed_jax.physics.protocols`).
 """
 
 from typing import ClassVar, final
@@ -16,8 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hsed_jax.physics.declared import CYCLIC_ELONGATION, Declared
+from hsed_jax.physics.declared import CYCLES, CYCLIC_ELONGATION, Declared
 from hsed_jax.physics.excitations.base import AbstractForcing, AbstractImposedElongation, Imposed, Scalar, Tabulated
+from hsed_jax.physics.protocols import Protocol
 from hsed_jax.physics.timeline import Timeline
 
 
@@ -26,26 +27,49 @@ class CyclicElongation(AbstractImposedElongation):
     """Cycles of stepwise amplitudes, imposed on the specimen alone.
 
     Arguments:
-        amplitudes: [m], in order.
+        amplitudes: [m], in order; None with a protocol.
         rate: peak rate v [m/s].
-        cycles: full cycles at each amplitude.
+        cycles: full cycles at each amplitude, by default 2; of a protocol None.
+        protocol: a published one instead of amplitudes.
+        reference: what the amplitudes of the protocol are relative to [m].
+        steps: how many steps of the protocol, by default those of its table.
     """
 
     declared: ClassVar[Declared] = CYCLIC_ELONGATION
 
-    amplitudes: tuple[Scalar, ...]
+    amplitudes: tuple[Scalar, ...] | None
     rate: Scalar
-    cycles: int = eqx.field(static=True, default=CYCLIC_ELONGATION.default("cycles"))
+    cycles: int | None = eqx.field(static=True, default=None)
+    protocol: Protocol | None = eqx.field(static=True, default=None)
+    reference: Scalar | None = None
+    steps: int | None = eqx.field(static=True, default=None)
 
     @property
     def branches(self) -> int:
         """Quarters of a cycle, of which each has the same number of steps."""
-        return 4 * self.cycles * len(self.amplitudes)
+        return int(self._ends[-1])
+
+    @property
+    def _levels(self) -> Float[Array, " levels"]:
+        """The amplitudes in order [m]."""
+        if self.protocol is None:
+            return jnp.asarray(self.amplitudes)
+        assert self.reference is not None
+        relative = [level.amplitude for level in self.protocol.levels(self.steps)]
+        return self.reference * jnp.asarray(relative)
+
+    @property
+    def _ends(self) -> np.ndarray:
+        """Quarters of a cycle until the end of each amplitude."""
+        if self.protocol is None:
+            assert self.amplitudes is not None
+            return np.cumsum([4 * (self.cycles or CYCLES)] * len(self.amplitudes))
+        return np.cumsum([level.quarters for level in self.protocol.levels(self.steps)])
 
     @property
     def reach(self) -> Scalar:
         """The longest step of the elongation [m] times the steps of a branch: πa/2 of the largest amplitude."""
-        return jnp.max(jnp.asarray(self.amplitudes)) * (0.5 * jnp.pi)
+        return jnp.max(self._levels) * (0.5 * jnp.pi)
 
     @property
     def duration(self) -> Scalar:
@@ -53,25 +77,21 @@ class CyclicElongation(AbstractImposedElongation):
         return self._starts[-1]
 
     @property
-    def _periods(self) -> Float[Array, " levels"]:
-        return 2 * jnp.pi / self.rate * jnp.asarray(self.amplitudes)
-
-    @property
     def _starts(self) -> Float[Array, " levels_and_end"]:
         """When each amplitude begins, and the end [s]."""
-        return jnp.concatenate([jnp.zeros(1), self.cycles * jnp.cumsum(self._periods)])
+        quarters = np.diff(self._ends, prepend=0)
+        return jnp.concatenate([jnp.zeros(1), jnp.cumsum(0.5 * jnp.pi / self.rate * self._levels * quarters)])
 
     def step_length(self, timeline: Timeline) -> Float[Array, " steps"]:
         """Lengths of the steps [s]: those of one amplitude are equal."""
-        levels = len(self.amplitudes)
-        ends = jnp.interp(jnp.linspace(0, levels, timeline.steps + 1), jnp.arange(levels + 1.0), self._starts)
-        return jnp.diff(ends)
+        borders = jnp.concatenate([jnp.zeros(1), jnp.asarray(self._ends, float)])
+        return jnp.diff(jnp.interp(jnp.linspace(0, self.branches, timeline.steps + 1), borders, self._starts))
 
     def sample(self, time: Scalar) -> Imposed:
         """Elongation and rate at one instant [s]; at rest outside the protocol."""
         starts = self._starts
-        level = jnp.clip(jnp.searchsorted(starts, time, side="right") - 1, 0, len(self.amplitudes) - 1)
-        amplitude = jnp.asarray(self.amplitudes)[level]
+        level = jnp.clip(jnp.searchsorted(starts, time, side="right") - 1, 0, len(starts) - 2)
+        amplitude = self._levels[level]
         phase = self.rate / amplitude * (time - starts[level])
         # A sum of steps that ends with the protocol may do so some rounding later.
         inside = (time >= 0) & (time <= starts[-1] * (1 + 1e-12))
@@ -83,5 +103,6 @@ class CyclicElongation(AbstractImposedElongation):
         """The table of the protocol, exact at its reversals and zeros where `branches` divides `steps`."""
         branch, within = np.divmod(np.arange(2 * steps + 1) * self.branches, 2 * steps)
         turn = np.exp(0.25j * np.pi * within / steps) * np.asarray([1, 1j, -1, -1j])[branch % 4]
-        level = np.minimum(branch // (4 * self.cycles), len(self.amplitudes) - 1)
-        return Tabulated(Imposed(jnp.asarray(self.amplitudes)[level] * turn.imag, self.rate * jnp.asarray(turn.real)))
+        ends = self._ends
+        level = np.minimum(np.searchsorted(ends, branch, side="right"), len(ends) - 1)
+        return Tabulated(Imposed(self._levels[level] * turn.imag, self.rate * jnp.asarray(turn.real)))
