@@ -108,7 +108,7 @@ def initial_study(
     lines += [
         "error: {inflate: true}                      # what the model leaves beyond it counts as error, too",
         "",
-        "calibration: {seconds: 20}                  # budget of NUTS, where importance sampling does not vouch for its draws",
+        "calibration: {seconds: 10}                  # budget of NUTS, where importance sampling does not vouch for its draws",
         "steps: [calibrate, compare, diagnose, improve]   # how wrong, where, which effect is missing; add it",
         "",
     ]
