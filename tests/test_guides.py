@@ -48,7 +48,9 @@ def test_the_raw_files_and_the_texts_of_a_guide_are_a_campaign(cases, tmp_path, 
     said = capsys.readouterr().out
     # The later cycles of the column are larger than those that are fitted, and the guide says so.
     doubts = [line for line in said.splitlines() if line.startswith("doubt")]
-    assert "the study is valid" in said and len(doubts) == (case == "column") and all("beyond" in line for line in doubts)
+    assert (
+        "the study is valid" in said and len(doubts) == (case == "column") and all("beyond" in line for line in doubts)
+    )
     if case == "column":
         shown = block(page, "doubt: later_cycles")
         # What it would cost is this machine's.
