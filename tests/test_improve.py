@@ -85,7 +85,9 @@ def test_the_error_falls_to_the_noise(better, campaign):
 
 def test_what_the_diagnosis_promises_the_improvement_delivers(better, diagnosis):
     assert set(diagnosis.effects) == {"viscous_damping", "hardening"} and not diagnosis.notes
-    assert set(diagnosis.optimum) == set(better.calibration.map)
+    # The forms may be others than the default ones, with parameters of their own.
+    owners = [{name.partition(".")[0] for name in one} for one in (diagnosis.optimum, better.calibration.map)]
+    assert owners[0] == owners[1]
     last = better.trail.steps[-1]
     assert (last.error_train, last.error_test) == pytest.approx(diagnosis.error_after, rel=0.02)
     first = better.trail.steps[0]
