@@ -2,8 +2,12 @@
 
 import json
 import math
+import os
+import subprocess
+import sys
 from contextlib import closing, suppress
 from dataclasses import replace
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -37,6 +41,7 @@ from hsed_jax.study.build import Built
 
 # --- a dictionary: law + sum of amplitude × function, so that every answer is known in closed form -----------------------
 
+ROOT = Path(__file__).resolve().parents[1]
 N, J, K, SIGMA = 6, 40, 8, 0.5
 RANDOM = np.random.default_rng(11)
 # White, so that nothing is like anything else: (2 + K, N, J).
@@ -215,6 +220,38 @@ def test_a_search_that_was_interrupted_and_goes_on_makes_no_fit_twice(tmp_path, 
         assert found.best == whole.best
         for effects in (frozenset(), whole.best):
             assert found.model(effects).fit.cost == pytest.approx(whole.model(effects).fit.cost, abs=1e-3)
+
+
+ORDER = """
+import test_diagnose as here
+from hsed_jax.diagnosis.nested import NestedModels
+asked, fit = [], NestedModels.fit
+
+def noted(models, target, tasks):
+    asked.append([(*map(int, task.member.free), task.use, task.rivals) for task in tasks])
+    return fit(models, target, tasks)
+
+NestedModels.fit = noted
+here.found_in(here.data_of(0, effect_3=0.7, effect_5=0.5, effect_1=0.6))
+print(asked)
+"""
+
+
+@pytest.mark.whole
+def test_every_process_asks_for_the_same_fits_in_the_same_order():
+    # Sets of words are in another order in every process, and fits are kept by their place in the search.
+    paths = os.pathsep.join([str(ROOT / "tests"), str(ROOT)])
+    asked = [
+        subprocess.run(
+            [sys.executable, "-c", ORDER],
+            env=os.environ | {"PYTHONPATH": paths, "PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in ("1", "2")
+    ]
+    assert len(asked[0]) > 1000 and asked[0] == asked[1]
 
 
 def test_an_effect_is_found_that_does_nothing_beside_the_law_as_it_was_fitted():

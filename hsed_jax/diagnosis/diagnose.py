@@ -177,13 +177,12 @@ def _ranking(problem: Problem, search: Search, models: list[Model], sampled: dic
             beside = instead[0]
         shown[effect] = beside, by_set[beside.effects - {effect}]
     tests = search.unseen([model.effects for model, _ in shown.values()])
-    gains = {m.effects: gain for m, gain in _gains(search, [model for model, _ in shown.values()])}
+    gains = _gains(search, [model for model, _ in shown.values()])
     found = []
     for (effect, (model, without)), test in zip(shown.items(), tests, strict=True):
         sample = sampled.get(model.effects)
         score = search.scores[effect]
         probability = _probability(effect, models)
-        is_likely = probability >= _LIKELY
         found.append(
             Candidate(
                 effect=effect,
@@ -200,7 +199,7 @@ def _ranking(problem: Problem, search: Search, models: list[Model], sampled: dic
                 else {},
                 error_train=problem.train.error(model.fit.predicted),
                 error_test=test,
-                reason=_reason(search, model, by_set[best]) if is_likely and effect not in best else None,
+                reason=_reason(search, model, by_set[best]) if probability >= _LIKELY and effect not in best else None,
             )
         )
     # Named effects come first, by what the model would lose without them.
@@ -208,12 +207,11 @@ def _ranking(problem: Problem, search: Search, models: list[Model], sampled: dic
                                         -c.log_evidence_gain))  # fmt: skip
 
 
-def _gains(search: Search, models: Sequence[Model]) -> list[tuple[Model, dict[str, float]]]:
-    """By how many nats models that were scored predict what is left out better than the model as it is."""
-    scored = [m for m in models if m.probability > 0]
-    gains = search.gains([m.effects for m in scored], frozenset())
-    return [(m, {"gain": g.total, "standard_error": g.standard_error})
-            for m, g in zip(scored, gains, strict=True) if math.isfinite(g.total)]  # fmt: skip
+def _gains(search: Search, models: Sequence[Model]) -> dict[Set, dict[str, float]]:
+    """By how many nats sets that were scored predict what is left out better than the model as it is."""
+    scored = [m.effects for m in models if m.probability > 0]
+    gains = zip(scored, search.gains(scored, frozenset()), strict=True)
+    return {s: {"gain": g.total, "standard_error": g.standard_error} for s, g in gains if math.isfinite(g.total)}
 
 
 def _reason(search: Search, model: Model, best: Model) -> str | None:

@@ -136,7 +136,7 @@ class Search:
         """Judge what a search over some of the experiments has found: its best set, those on its way, and those that lead."""
         best = coarse.best
         leading = [m.effects for m in coarse.all()[:_AGAIN]]
-        sets = dict.fromkeys([best, *(best - {e} for e in best), *coarse.path, *leading])
+        sets = dict.fromkeys([best, *_less_one(best), *coarse.path, *leading])
         choices = {coarse._fits.top(s): [coarse._fits.best(s).x] for s in sets if s}
         self._fits.fit(self.target, choices, choices)
         self.best, self.path = best, coarse.path
@@ -183,14 +183,14 @@ class Search:
 
     def obstacle(self, larger: Set, here: Set) -> str | None:
         """Why a set with more effects than another one is not to be named in its place; None where nothing is against it."""
-        fits = [self._fits.best(effects) for effects in (frozenset(), here, larger)]
         if self.held_out.test is not None:
-            plain, _, unseen = self.held_out.unseen(self.target, fits)
+            plain, unseen = self.unseen([frozenset(), larger])
             if not unseen <= plain:
                 return f"it takes the error on experiments that were not used from {plain:.3f} to {unseen:.3g}"
         odds = self.odds(larger, here)
         if odds < ODDS:
             return f"its odds of {odds:.2g} by what it predicts are less than {ODDS:.0f}"
+        fits = [self._fits.best(effects) for effects in (frozenset(), here, larger)]
         if self._is_explained(fits[1]) and not larger & self.pointed_at(here):
             return "the noise explains what is left, and no score test is sure of it"
         before, now, after = self.held_out.errors(self.target, fits)
@@ -278,7 +278,7 @@ class Search:
             self._report(f"forms of {_text(near[0].effects)}")
             choices = []
             leading = [choice for m in near for choice in self._fits.leading(m.effects, several)]
-            for own, (effect, label) in ((choice, form) for choice in leading for form in choice):
+            for own, (effect, label) in ((choice, form) for choice in leading for form in sorted(choice)):
                 # Of what the best set has, in that set alone: beside its forms those of another effect are compared.
                 if effect not in self.best or names_of(own) == self.best:
                     choices += [own - {(effect, label)} | {(effect, o)} for o in others(self.effects[effect], label)]
@@ -305,11 +305,8 @@ class Search:
                 if they have its effects, too.
         """
         self._report("what they predict of what is left out")
-        always = [
-            self._fits.top(s)
-            for s in {frozenset(), self.best, *(self.best - {e} for e in self.best)}
-            if s in self._fits
-        ]
+        near = [s for s in (frozenset(), self.best, *_less_one(self.best)) if s in self._fits]
+        always = [self._fits.top(s) for s in near]
         counted = [s for s in self._around() if not is_over or len(s) <= max(len(self.best), 1) or s > self.best]
         ranked = sorted(map(self.model, counted), key=lambda m: -m.log_posterior)
         likely = [choice for m in ranked[:_POOL] for choice in self._fits.likeliest(m.effects, _FORMS)]
@@ -332,8 +329,8 @@ class Search:
     def _neighbours(self) -> list[Set]:
         """The sets one change away from the best."""
         best, others = self.best, [e for e in self.effects if e not in self.best]
-        fewer = [best - {e} for e in best]
-        exchanged = [best - {out} | {new} for out in best for new in others]
+        fewer = _less_one(best)
+        exchanged = [rest | {new} for rest in fewer for new in others]
         more = [best | {new} for new in others] if self._may_grow() else []
         return [best, *fewer, *exchanged, *more]
 
@@ -370,6 +367,11 @@ class Search:
 
     def _log_prior(self, size: int) -> float:
         return -(size + 1) * math.log(2) - math.log(math.comb(len(self.effects), size))
+
+
+def _less_one(effects: Set) -> list[Set]:
+    """The sets with one effect less, in an order that another process has, too: fits are kept by their place in the search."""
+    return [effects - {effect} for effect in sorted(effects)]
 
 
 def _text(effects: Set) -> str:

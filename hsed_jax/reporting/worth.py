@@ -21,7 +21,7 @@ def worth(probability: float) -> float | None:
 
 
 def shown(probability: float, is_named: bool = False) -> str:
-    """A probability in a table.  An effect that is named though its probability is negligible is named by what it predicts."""
+    """A probability in a table.  An effect that is named never has none: where its number is negligible, words stand for it."""
     if probability < 5e-4:
         return "by prediction" if is_named else "< 0.001"
     return "> 0.999" if probability > 0.9995 else f"{probability:.3f}"
