@@ -12,7 +12,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-HSED = ("-c", "import sys; from hsed_jax.run import main; sys.exit(main())")
+HSED = ("-c", "import sys; from hsed_jax.command_line import main; sys.exit(main())")
 """What makes a Python the `hsed` command."""
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")

@@ -238,7 +238,7 @@ def answered(work: Callable[[], Any]) -> tuple[str, Any]:
 
 def command(*words: str) -> tuple[str, Any]:
     """How a command ended in this process; one line where it refuses."""
-    from hsed_jax.run import main
+    from hsed_jax.command_line import main
 
     with silence() as said:
         how, status = answered(lambda: main(list(words)))

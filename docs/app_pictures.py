@@ -25,7 +25,7 @@ def main() -> None:
     parser.add_argument("raw", help="a file with a column of elongations and one of forces")
     parser.add_argument("folder", help="folder with a run in it; what is dropped goes there, too")
     given = parser.parse_args()
-    code = "from hsed_jax.run import main; raise SystemExit(main())"
+    code = "from hsed_jax.command_line import main; raise SystemExit(main())"
     served = subprocess.Popen(
         [sys.executable, "-c", code, "app", given.folder, "--no-browser"], stdout=subprocess.PIPE, text=True
     )

@@ -7,11 +7,7 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-import hsed_jax
-from hsed_jax.run import command_line
-
-# The module of the command line is not to hide the function `hsed_jax.run` from the pages about Python.
-vars(hsed_jax).pop("run", None)
+from hsed_jax.command_line import command_line
 
 
 class Commands(SphinxDirective):

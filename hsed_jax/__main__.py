@@ -6,7 +6,7 @@ import sys
 def main() -> int:
     """Load the command line and carry out what it says."""
     try:
-        from hsed_jax.run import main as command
+        from hsed_jax.command_line import main as command
 
         return command()
     except KeyboardInterrupt:

@@ -22,11 +22,11 @@ from hsed_jax.app.drops import landed, lay_out, read_within, tables
 from hsed_jax.app.explore import Explorer
 from hsed_jax.app.folder import Folder, checked_name
 from hsed_jax.app.jobs import Job
+from hsed_jax.command_line import main
 from hsed_jax.errors import UserError
 from hsed_jax.intake.choice import Choice, campaign_of, chosen, with_units
 from hsed_jax.intake.found import Found
 from hsed_jax.measurements import check_campaign, read_campaign, write_campaign
-from hsed_jax.run import main
 
 PEAKS = (0, 8, -8, 8, -8, 16, -16, 16, -16, 28, -28, 28, -28, 40, -40, 40, -40, 0)
 # Initial stiffness [kN/mm], 1/mm, loss of stiffness with absorbed energy [1/(kN mm)].
@@ -455,7 +455,7 @@ def served():
 
     def serve(root):
         said = (root / "said.txt").open("w+")
-        code = "from hsed_jax.run import main; raise SystemExit(main())"
+        code = "from hsed_jax.command_line import main; raise SystemExit(main())"
         process = subprocess.Popen(
             [sys.executable, "-c", code, "app", "--no-browser"],
             cwd=root,

@@ -14,11 +14,11 @@ import yaml
 from test_conduct import STUDY as PERFORMED
 
 from hsed_jax import AskTell, campaign_of
+from hsed_jax.command_line import main
 from hsed_jax.config.load import load_study
 from hsed_jax.design.teaching import lesson
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import read_at2, read_campaign
-from hsed_jax.run import main
 from hsed_jax.runs.folder import RunFolder
 from hsed_jax.runs.workflow import Waiting, run
 from hsed_jax.study.build import Built
@@ -62,7 +62,7 @@ def here(*arguments):
 
 
 def elsewhere(*arguments):
-    command = "import sys; from hsed_jax.run import main; sys.exit(main())"
+    command = "import sys; from hsed_jax.command_line import main; sys.exit(main())"
     subprocess.run([sys.executable, "-c", command, *arguments], check=True, capture_output=True)
 
 

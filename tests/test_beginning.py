@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hsed_jax.command_line import main
 from hsed_jax.config.load import load_study
 from hsed_jax.measurements import read_campaign
 from hsed_jax.reporting.loops import sketch
-from hsed_jax.run import main
 from hsed_jax.runs.beginning import ParserOfFiles, add_force, files_of
 from hsed_jax.study.build import Built
 from hsed_jax.study.floors import floors_of

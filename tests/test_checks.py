@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hsed_jax.command_line import main
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import (
     Campaign,
@@ -21,7 +22,6 @@ from hsed_jax.measurements import (
     stop_at_errors,
     write_campaign,
 )
-from hsed_jax.run import main
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 SIGMA = {"elongation": 2e-5, "force": 50.0}

@@ -10,8 +10,8 @@ import pytest
 import xarray as xr
 
 import hsed_jax as hx
+from hsed_jax.command_line import main
 from hsed_jax.diagnosis.findings import Diagnosis
-from hsed_jax.run import main
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 

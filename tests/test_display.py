@@ -18,12 +18,12 @@ from test_plot import STUDY, bare, calibration, fitted, improvement
 
 import hsed_jax as hx
 from hsed_jax.analysis.calibration import Calibration
+from hsed_jax.command_line import _tell as tell
 from hsed_jax.criticism.improve import Step, Trail
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.nuts import Convergence
 from hsed_jax.measurements import Record
 from hsed_jax.physics.response import Response
-from hsed_jax.run import _tell as tell
 from hsed_jax.tables import MOST, Table, Tabular, cell
 
 EVIL = "<script>alert('1')</script> & \"$x$\""

@@ -10,10 +10,10 @@ import test_report
 import xarray as xr
 from matplotlib.figure import Figure
 
+from hsed_jax.command_line import main
 from hsed_jax.drafts import create, extend, write_netcdf, write_whole
 from hsed_jax.errors import UserError
 from hsed_jax.reporting.style import Picture, save
-from hsed_jax.run import main
 from hsed_jax.runs.folder import RunFolder
 from hsed_jax.sweeps.folder import SweepFolder, note
 from hsed_jax.sweeps.plan import Plan

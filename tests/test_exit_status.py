@@ -9,9 +9,9 @@ import sys
 import pytest
 
 from hsed_jax import interruptions
+from hsed_jax.command_line import main
 from hsed_jax.errors import UserError
 from hsed_jax.exit_status import ended
-from hsed_jax.run import main
 
 
 @pytest.fixture(autouse=True)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import hsed_jax as hx
+from hsed_jax.command_line import main
 from hsed_jax.errors import UserError
 from hsed_jax.exports.counterparts import material
 from hsed_jax.exports.scripts import peaks, python_script, tcl_script
@@ -21,7 +22,6 @@ from hsed_jax.physics.laws import LAWS
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Conditions, Recorded, Simulator
 from hsed_jax.physics.timeline import Timeline
-from hsed_jax.run import main
 
 REACH, STEPS = 0.05, 6000
 SCALES = Scales(force=2e4, elongation=0.04, rate=0.3, energy=2e3)

@@ -9,13 +9,13 @@ import pytest
 import yaml
 
 import hsed_jax as hx
+from hsed_jax.command_line import main
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, Channel, Experiment, Noise, Record, write_campaign
 from hsed_jax.models.differences import Differenced, Free
 from hsed_jax.models.function import FunctionModel
 from hsed_jax.physics.simulator import Conditions
-from hsed_jax.run import main
 from hsed_jax.study.build import Built
 
 FUNCTIONS = '''

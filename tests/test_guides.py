@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from hsed_jax.command_line import main
 from hsed_jax.config.load import load_study
-from hsed_jax.run import main
 from hsed_jax.study.build import Built
 
 DOCS = Path(__file__).parents[1] / "docs"

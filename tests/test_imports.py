@@ -1,6 +1,7 @@
 """Imports go downwards only, nothing private of JAX is used, and no module grows beyond 400 lines."""
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -32,6 +33,7 @@ LEVELS = (
     ("plot",),
     ("sweeps",),
     ("app",),
+    ("command_line",),
     ("run", "__main__"),
 )
 LEVEL = {room: level for level, rooms in enumerate(LEVELS) for room in rooms}
@@ -65,7 +67,7 @@ def upward_imports(source: str, module: tuple[str, ...], is_package: bool = Fals
         other = LEVEL.get(parts[1])
         if other is None:
             faults.append(f"line {line}: {name} is imported from the top of the package")
-        elif other > own or (other == own and parts[1] != module[1] and own != len(LEVELS) - 1):
+        elif other > own or (other == own and parts[1] != module[1]):
             faults.append(f"line {line}: {module[1]} imports {name}")
     return faults
 
@@ -118,7 +120,7 @@ def test_reporting_draws_and_computes_nothing(path):
         ("if True:\n    from hsed_jax import config", ("hsed_jax", "physics", "outputs")),
         ("from ..criticism import locate", ("hsed_jax", "design", "space")),
         ("from hsed_jax import backend as b", ("hsed_jax", "errors")),  # beside, not below
-        ("from hsed_jax.run import main", ("hsed_jax", "runs", "folder")),
+        ("from hsed_jax.command_line import main", ("hsed_jax", "runs", "folder")),
         ("from hsed_jax import simulate", ("hsed_jax", "runs", "workflow")),
         ("import numpy", ("hsed_jax", "newroom", "x")),
     ],
@@ -135,7 +137,7 @@ def test_the_checker_catches_an_import_that_is_not_downwards(source, module):
         ("from .outputs import output\nfrom ..errors import UserError", ("hsed_jax", "physics", "integrate")),
         ("from hsed_jax.errors import UserError\nfrom hsed_jax import errors", ("hsed_jax", "measurements", "units")),
         ("from hsed_jax import sweeps", ("hsed_jax", "run")),
-        ("from hsed_jax.run import main", ("hsed_jax",)),
+        ("from hsed_jax.command_line import main", ("hsed_jax",)),
     ],
 )
 def test_the_checker_passes_what_goes_downwards(source, module):
@@ -157,11 +159,12 @@ def test_the_checker_catches_private_jax():
     ("what", "not_needed"),
     [
         (
-            "from hsed_jax.run import main\nassert main(['check', 'configs/paper.yaml', 'calibration.sampler=none']) == 2",
+            "from hsed_jax.command_line import main\n"
+            "assert main(['check', 'configs/paper.yaml', 'calibration.sampler=none']) == 2",
             {"jax", "equinox", "numpyro", "scipy", "pandas", "pint"},
         ),
         (
-            "from hsed_jax.run import main\nassert main(['check', 'configs/paper.yaml']) == 0",
+            "from hsed_jax.command_line import main\nassert main(['check', 'configs/paper.yaml']) == 0",
             {
                 "pint",
                 "scipy",
@@ -186,3 +189,25 @@ def test_a_quick_command_does_not_wait_for_packages_that_it_has_no_use_for(what,
     code = f"import sys\n{what}\nprint('loaded:', *sorted({not_needed} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=PACKAGE.parent, check=True)
     assert done.stdout.splitlines()[-1] == "loaded:"
+
+
+def test_the_rooms_of_the_design_page_are_those_of_the_package_in_the_order_of_their_imports():
+    page = (PACKAGE.parent / "docs" / "design.md").read_text(encoding="utf-8")
+    table = page.split("| room | what it knows |")[1].split("\n\n")[0]
+    named = re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)
+    rooms = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
+    # Two of them are single modules: the figures of a notebook and the command line.
+    assert set(named) == {*rooms, "plot", "command_line"}
+    assert [LEVEL[room] for room in named] == sorted(LEVEL[room] for room in named)
+
+
+def test_run_stays_a_function_whatever_of_the_package_is_imported():
+    code = (
+        "import importlib, pkgutil, hsed_jax\n"
+        "for found in pkgutil.walk_packages(hsed_jax.__path__, 'hsed_jax.'):\n"
+        "    if found.name not in ('hsed_jax.run', 'hsed_jax.__main__') and '.app' not in found.name:\n"
+        "        importlib.import_module(found.name)\n"
+        "print(type(hsed_jax.run).__name__)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=PACKAGE.parent, check=True)
+    assert done.stdout.splitlines()[-1] == "function"

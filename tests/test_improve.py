@@ -9,12 +9,12 @@ import pytest
 from test_diagnose import BETA, NOISE, A, C, spring_campaign, spring_study
 
 import hsed_jax as hx
+from hsed_jax.command_line import main
 from hsed_jax.config.experiments import ExperimentsEntry
 from hsed_jax.diagnosis.candidates import problem_of, with_effects
 from hsed_jax.diagnosis.diagnose import diagnose
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, Experiment, Record, write_campaign
-from hsed_jax.run import main
 from hsed_jax.study.build import Built
 
 pytestmark = pytest.mark.whole

@@ -8,10 +8,10 @@ import pandas as pd
 import pytest
 
 import hsed_jax as hx
+from hsed_jax.command_line import main
 from hsed_jax.config.load import load_study, parse_yaml
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, Channel, Noise, characteristics, read_campaign, write_campaign
-from hsed_jax.run import main
 from hsed_jax.study.build import Built
 from hsed_jax.study.floors import floors_of
 from hsed_jax.study.initial import initial_study

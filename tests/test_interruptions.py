@@ -37,7 +37,7 @@ sys.exit(main())
 
 
 @pytest.mark.parametrize(
-    "module", ["hsed_jax.run", "argparse", "hsed_jax.interruptions", "hsed_jax.app.command", "pydantic"]
+    "module", ["hsed_jax.command_line", "argparse", "hsed_jax.interruptions", "hsed_jax.app.command", "pydantic"]
 )
 def test_one_that_comes_while_the_command_is_loaded_ends_in_one_line(module):
     words = [sys.executable, "-c", LOADING, module, "check", "nowhere.yaml"]

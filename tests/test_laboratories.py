@@ -16,6 +16,7 @@ import pytest
 import scipy.io
 import yaml
 
+from hsed_jax.command_line import run_main
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
 from hsed_jax.laboratories.base import ExperimentFailed
@@ -26,7 +27,6 @@ from hsed_jax.laboratories.request import Programme
 from hsed_jax.laboratories.sensors import Sensors
 from hsed_jax.measurements import Channel, read_at2, read_campaign
 from hsed_jax.physics.simulator import Timeline
-from hsed_jax.run import run_main
 from hsed_jax.runs.workflow import Run, run
 from hsed_jax.study.build import Built
 

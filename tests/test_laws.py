@@ -14,6 +14,7 @@ import pytest
 from laws_in_steps import Bilinear, MenegottoPinto, Takeda, shaken
 
 import hsed_jax as hx
+from hsed_jax.command_line import main
 from hsed_jax.config.load import load_study
 from hsed_jax.diagnosis.candidates import applicable
 from hsed_jax.errors import UserError
@@ -30,7 +31,6 @@ from hsed_jax.physics.simulator import Conditions, Parametrised, Recorded, Simul
 from hsed_jax.physics.specimen import Specimen, unserved
 from hsed_jax.physics.structures import RayleighDamping, Structure
 from hsed_jax.plain import dump_yaml
-from hsed_jax.run import main
 from hsed_jax.study.build import Built
 from hsed_jax.study.plan import check_added
 

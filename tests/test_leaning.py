@@ -9,6 +9,7 @@ import yaml
 from test_init import loop
 
 import hsed_jax as hx
+from hsed_jax.command_line import main
 from hsed_jax.config.schema import Study
 from hsed_jax.diagnosis.candidates import problem_of
 from hsed_jax.diagnosis.diagnose import diagnose
@@ -16,7 +17,6 @@ from hsed_jax.inference.leaning import ANYTHING, Leaning, caution, leaning
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Channel, Noise, write_campaign
 from hsed_jax.reporting.digest import verdict
-from hsed_jax.run import main
 from hsed_jax.runs.reading import read_run
 from hsed_jax.study.build import Built
 from hsed_jax.study.possible import possible_of

@@ -8,9 +8,9 @@ from io import StringIO
 import numpy as np
 import pytest
 
+from hsed_jax.command_line import main
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.reporting.page_tables import residual_table, samples_table
-from hsed_jax.run import main
 from hsed_jax.runs.reading import read_run
 
 ROWS, SAMPLES = 50_000, 100

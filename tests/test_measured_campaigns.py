@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from hsed_jax.run import main
+from hsed_jax.command_line import main
 
 pytestmark = pytest.mark.slow
 

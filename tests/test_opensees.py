@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hsed_jax.command_line import run_main
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
 from hsed_jax.laboratories import opensees
 from hsed_jax.laboratories.base import ExperimentFailed
 from hsed_jax.measurements import Experiment
 from hsed_jax.physics.structures import ModalDamping, Spring, Structure
-from hsed_jax.run import run_main
 from hsed_jax.study.build import Built
 
 CONFIG = Path(__file__).parents[1] / "configs" / "opensees.yaml"

@@ -7,11 +7,11 @@ import pandas as pd
 import pytest
 import yaml
 
+from hsed_jax.command_line import main
 from hsed_jax.config.load import load_study, parse_yaml
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, write_campaign
 from hsed_jax.physics.effects import EFFECTS
-from hsed_jax.run import main
 from hsed_jax.runs.folder import RunFolder
 from hsed_jax.study.build import Built
 

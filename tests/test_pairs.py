@@ -11,6 +11,7 @@ import pytest
 import xarray as xr
 
 import hsed_jax as hx
+from hsed_jax.command_line import main
 from hsed_jax.config.load import load_study
 from hsed_jax.diagnosis import diagnose
 from hsed_jax.diagnosis.evidence import Sampled
@@ -35,7 +36,6 @@ from hsed_jax.physics.outputs import CHANNELS, QUANTITIES
 from hsed_jax.physics.pairs import ELONGATION_AND_FORCE, PAIRS
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.scales import Scales
-from hsed_jax.run import main
 from hsed_jax.runs.ask_tell import AskTell
 from hsed_jax.runs.conduct import Asked
 from hsed_jax.runs.requests import Expected

@@ -14,12 +14,12 @@ import yaml
 
 import hsed_jax as hx
 from hsed_jax.analysis.calibration import calibrate_built
+from hsed_jax.command_line import main
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
 from hsed_jax.inference.expansion import expansion
 from hsed_jax.inference.population import Level, Population, Varying, spread_support
 from hsed_jax.inference.priors import Prior
-from hsed_jax.run import main
 from hsed_jax.study.build import Built
 
 pytestmark = pytest.mark.whole

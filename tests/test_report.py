@@ -10,6 +10,7 @@ import pytest
 import xarray as xr
 import yaml
 
+from hsed_jax.command_line import main
 from hsed_jax.errors import UserError
 from hsed_jax.left_out import LeftOut
 from hsed_jax.measurements import Campaign, Experiment, Record, write_campaign
@@ -19,7 +20,6 @@ from hsed_jax.reporting.digest import verdict, warnings
 from hsed_jax.reporting.inline_svg import inline
 from hsed_jax.reporting.page_tables import error_of, residual_table, samples_table, thinned, unit_words
 from hsed_jax.reporting.report import report_page
-from hsed_jax.run import main
 from hsed_jax.runs import figures
 from hsed_jax.runs.outcome import Outcome
 from hsed_jax.runs.reading import read_run

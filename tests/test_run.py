@@ -19,6 +19,7 @@ import xarray as xr
 import yaml
 
 from hsed_jax.analysis.calibration import calibrate_built
+from hsed_jax.command_line import run_main
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import data_of
@@ -29,7 +30,6 @@ from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.measurements import Experiment, read_campaign, write_campaign
 from hsed_jax.physics.simulator import Conditions
 from hsed_jax.reporting import design_figures
-from hsed_jax.run import run_main
 from hsed_jax.runs.ask_tell import AskTell
 from hsed_jax.runs.conduct import Conduct
 from hsed_jax.runs.folder import RunFolder

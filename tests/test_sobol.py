@@ -9,9 +9,9 @@ import xarray as xr
 
 import hsed_jax as hx
 from hsed_jax.analysis.sensitivity import indices_of
+from hsed_jax.command_line import main
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
-from hsed_jax.run import main
 
 PAPER = Path(__file__).resolve().parents[1] / "configs" / "paper.yaml"
 KINDS = ("first_order", "total_order")

@@ -15,13 +15,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hsed_jax as hx
+from hsed_jax.command_line import main, run_main
 from hsed_jax.config.load import load_study, parse_yaml
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
 from hsed_jax.physics.simulator import Simulator
 from hsed_jax.plain import dump_yaml
 from hsed_jax.reporting.asked import asked
-from hsed_jax.run import main, run_main
 from hsed_jax.study.build import Built
 
 SMALL = """
@@ -144,8 +144,8 @@ def test_written_has_every_default(request):
 def test_a_study_says_what_a_relative_error_is_of():
     measured = Campaign("m", "ground_motion")
     for of, word in (
-        (None, "5 % of what is predicted (log-normal)"),
-        ("measured", "5 % of what was measured (Gaussian)"),
+        (None, "5 % of each predicted value (log-normal)"),
+        ("measured", "5 % of each measured value (Gaussian)"),
     ):
         study = load_study({**content(), "error": {"relative": 0.05} | ({"of": of} if of else {})})
         assert Built(study).errors[0].of_measured == (of == "measured")

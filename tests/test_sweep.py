@@ -21,9 +21,9 @@ import yaml
 from distributed import default_client
 
 import hsed_jax as hx
+from hsed_jax.command_line import main
 from hsed_jax.errors import UserError
 from hsed_jax.reporting.sweep_figures import comparison
-from hsed_jax.run import main
 from hsed_jax.runs import workflow
 from hsed_jax.sweeps import workers
 from hsed_jax.sweeps.folder import SweepFolder, alone, note, outcome, run_folder
@@ -487,7 +487,12 @@ def test_an_interruption_that_python_drops_is_heeded_all_the_same():
 
 
 def command(*words):
-    return [sys.executable, "-c", "import sys; from hsed_jax.run import main; sys.exit(main())", *map(str, words)]
+    return [
+        sys.executable,
+        "-c",
+        "import sys; from hsed_jax.command_line import main; sys.exit(main())",
+        *map(str, words),
+    ]
 
 
 def same(one, other):

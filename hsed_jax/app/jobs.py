@@ -17,7 +17,7 @@ from pathlib import Path
 _TERMINAL = struct.pack("HHHH", 24, 240, 0, 0)
 _BAR = re.compile(r"\[\d+:\d\d")
 _SHARE = re.compile(r"(\d+)%\|[^|]*\|\s*")
-_CODE = "import sys; from hsed_jax.run import main; sys.exit(main())"
+_CODE = "import sys; from hsed_jax.command_line import main; sys.exit(main())"
 
 
 class Job:

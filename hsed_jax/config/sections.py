@@ -70,7 +70,7 @@ class ErrorEntry(NoiseEntry):
             raise ValueError("give exactly one of relative, absolute, unknown")
         if self.of == "measured" and self.relative is None:
             raise ValueError(
-                "only a relative error is one of what was measured, such as {relative: 0.05, of: measured}"
+                "only a relative error can be a share of the measured values, such as {relative: 0.05, of: measured}"
             )
         if self.inflate and self.discrepancy:
             raise ValueError(

@@ -10,8 +10,8 @@ from hsed_jax.physics.outputs import driven_mass
 from hsed_jax.reporting.page_tables import unit_words
 
 _RELATIVE_TO = {
-    ("quantities", "predicted"): "what is predicted (log-normal)",
-    ("quantities", "measured"): "what was measured (Gaussian)",
+    ("quantities", "predicted"): "each predicted value (log-normal)",
+    ("quantities", "measured"): "each measured value (Gaussian)",
     ("histories", "predicted"): "the RMS of each history",
     ("histories", "measured"): "the RMS of each history",
 }
