@@ -72,7 +72,7 @@ def row_of(folder: Path, campaign: hx.Campaign, pictures: Path | None, overrides
         work = Path(place) / folder.name
         shutil.copytree(folder, work)
         study = work / "study.yaml"
-        study.write_text(hx.initial_study(campaign, work, study), encoding="utf-8")
+        hx.initial_study(hx.read_campaign(work), study)
         begin = time.perf_counter()
         hx.run(hx.load_study(study, overrides), work / "run", progress=False)
         seconds = time.perf_counter() - begin

@@ -42,7 +42,7 @@ and says so.
 OWN = r"""
 ## A law of your own
 
-`model: {spring: {file: mine.py, class: Cubic}}`, the file relative to the study, takes a class of your own
+`model: {spring: mine.py:Cubic}`, the file relative to the study, takes a class of your own
 ([when the file is executed](laboratories.md#what-is-executed-when)). It is an equinox module with parameters as fields; `force`
 must be continuous in the elongation, and both sides of a `jnp.where` finite, for derivatives pass through them.
 

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from hsed_jax.analysis.calibration import locate as locate
     from hsed_jax.analysis.calibration import simulate as simulate
     from hsed_jax.analysis.discovery import discover as discover
+    from hsed_jax.analysis.first_study import initial_study as initial_study
+    from hsed_jax.analysis.listing import effects as effects
     from hsed_jax.analysis.remedy import diagnose as diagnose
     from hsed_jax.analysis.remedy import improve as improve
     from hsed_jax.analysis.sensitivity import sensitivity as sensitivity
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
     from hsed_jax.config.schema import Study as Study
     from hsed_jax.errors import UserError as UserError
     from hsed_jax.exports.export import export as export
+    from hsed_jax.intake.beginning import read_files as read_files
     from hsed_jax.measurements import Campaign as Campaign
     from hsed_jax.measurements import Experiment as Experiment
     from hsed_jax.measurements import Record as Record
@@ -34,18 +37,20 @@ if TYPE_CHECKING:
     from hsed_jax.measurements import read_at2 as read_at2
     from hsed_jax.measurements import read_campaign as read_campaign
     from hsed_jax.measurements import write_campaign as write_campaign
+    from hsed_jax.physics.effects.base import register as register
     from hsed_jax.physics.protocols import protocol_history as protocol_history
     from hsed_jax.runs.ask_tell import AskTell as AskTell
+    from hsed_jax.runs.reading import read_run as read_run
     from hsed_jax.runs.workflow import run as run
-    from hsed_jax.study.initial import initial_study as initial_study
     from hsed_jax.sweeps.sweep import sweep as sweep
 
 # Public names by the module they live in, imported when first used: `hsed --help` answers before JAX is loaded.
 _HOMES = {
     "analysis.calibration": ("calibrate", "campaign_of", "compare", "locate", "simulate"),
+    "intake.beginning": ("read_files",),
+    "physics.effects.base": ("register",),
     "physics.protocols": ("protocol_history",),
     "runs.ask_tell": ("AskTell",),
-    "study.initial": ("initial_study",),
     "config.load": ("load_study",),
     "config.schema": ("Study",),
     "errors": ("UserError",),
@@ -64,9 +69,12 @@ _HOMES = {
         "write_campaign",
     ),
     "analysis.discovery": ("discover",),
+    "analysis.first_study": ("initial_study",),
+    "analysis.listing": ("effects",),
     "analysis.remedy": ("diagnose", "improve"),
     "analysis.sensitivity": ("sensitivity",),
     "sweeps.sweep": ("sweep",),
+    "runs.reading": ("read_run",),
     "runs.workflow": ("run",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

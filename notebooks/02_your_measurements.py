@@ -111,18 +111,17 @@ hx.check_campaign(campaign)
 # %% [markdown]
 # ## A study from the data
 #
-# `initial_study` (in a terminal: `hsed init`) writes a ready study; every number has a comment that says where it comes from.
+# `initial_study` (in a terminal: `hsed init`) drafts a study. In the file, a comment beside each number says where it comes from.
 
 # %%
-text = hx.initial_study(campaign, folder, folder / "study.yaml")
-(folder / "study.yaml").write_text(text)
+study = hx.initial_study(campaign, folder / "study.yaml")
+text = (folder / "study.yaml").read_text()
 print(text[text.index("structure:") : text.index("experiments:")].rstrip())
 
 # %% [markdown]
 # ## Calibrate
 
 # %%
-study = hx.load_study(folder / "study.yaml")
 fit = hx.calibrate(study, campaign)
 fit
 

@@ -100,7 +100,7 @@ diagnosis.ranking[0].forms
 # ## What does adding it do?
 
 # %%
-better = hx.improve(fit, effects=diagnosis.effects, forms=diagnosis.forms, start=diagnosis.optimum)
+better = hx.improve(fit, diagnosis)
 better
 
 # %%

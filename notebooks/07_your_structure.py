@@ -59,7 +59,7 @@ diagnosis = hx.diagnose(fit)
 diagnosis
 
 # %%
-better = hx.improve(fit, effects=diagnosis.effects, forms=diagnosis.forms)
+better = hx.improve(fit, diagnosis)
 better
 
 # %%

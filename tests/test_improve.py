@@ -94,6 +94,14 @@ def test_what_the_diagnosis_promises_the_improvement_delivers(better, diagnosis)
     assert (first.error_train, first.error_test) == pytest.approx(diagnosis.error, rel=0.02)
 
 
+def test_a_diagnosis_says_all_that_an_improvement_needs(calibration, diagnosis):
+    better = hx.improve(calibration, diagnosis)
+    assert better.trail.steps[-1].effects == diagnosis.effects
+    assert set(better.calibration.map) == set(diagnosis.optimum)
+    last = better.trail.steps[-1]
+    assert (last.error_train, last.error_test) == pytest.approx(diagnosis.error_after, rel=0.02)
+
+
 @pytest.mark.slow
 def test_a_model_that_was_not_at_its_best_fit_is_calibrated_again(calibration):
     # As if the search had stopped half-way.

@@ -268,8 +268,7 @@ def test_a_component_test_has_no_acceleration_of_a_mass(tmp_path):
     campaign = Campaign("c", "displacement", channels={name: Channel(name, unit) for name, unit in channels.items()})
     campaign = campaign.add(Experiment("E1", record=record))
     hx.write_campaign(campaign, tmp_path / "c")
-    text = hx.initial_study(campaign, tmp_path / "c", tmp_path / "study.yaml")
-    (tmp_path / "study.yaml").write_text(text, encoding="utf-8")
+    hx.initial_study(hx.read_campaign(tmp_path / "c"), tmp_path / "study.yaml")
     observed = ["observe=quantities", "quantities=[peak_absolute_acceleration]", "error={relative: 0.05}"]
     with pytest.raises(
         hx.UserError, match="quantities: peak_absolute_acceleration is one of masses, and a component test"

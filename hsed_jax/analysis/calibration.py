@@ -4,13 +4,14 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from hsed_jax.analysis.draws import draws_of
 from hsed_jax.config.schema import Study
 from hsed_jax.criticism import compare as comparing
 from hsed_jax.criticism import locate as locating
@@ -35,6 +36,9 @@ from hsed_jax.study.possible import possible_of
 from hsed_jax.study.records import thinning_notes
 from hsed_jax.tables import Table, Tabular
 
+if TYPE_CHECKING:
+    import xarray as xr
+
 # Of the random numbers of a calibration; the steps of a design have the numbers below.
 _CALIBRATION_KEY = 1_000_000
 # Simulations of a batch that go to a thread together: one program for batches of any size, and bounded memory.
@@ -50,6 +54,14 @@ class Calibration(Tabular):
         built: the study and what was built of it.
         campaign: the experiments; those of the test split were not fitted.
         fit: MAP, draws and their convergence.
+
+    Example:
+        ```python
+        fit = hx.calibrate(study, campaign)
+        fit.map["A"]  # the most probable stiffness [N/m]
+        fit.posterior  # the draws, a DataTree that ArviZ reads
+        fit.predict().mean  # predictions of all experiments
+        ```
     """
 
     built: Built
@@ -61,8 +73,25 @@ class Calibration(Tabular):
         """θ_MAP by name, SI."""
         return self.fit.map
 
-    def predict(self, campaign: Campaign) -> Prediction:
-        """Predict the completed experiments of a campaign."""
+    @cached_property
+    def posterior(self) -> "xr.DataTree":
+        """Draws of the posterior (group `posterior`, SI) and statistics of the sampler (`sample_stats`), as ArviZ reads them.
+
+        Example: `arviz.summary(fit.posterior)`.
+        """
+        import xarray as xr
+
+        tree = xr.DataTree.from_dict(draws_of(self.fit))
+        tree.attrs["study"] = self.built.study.study
+        return tree
+
+    def predict(self, campaign: Campaign | None = None) -> Prediction:
+        """Predict the completed experiments of a campaign.
+
+        Arguments:
+            campaign: the experiments; by default those of the calibration, training and test.
+        """
+        campaign = self.campaign if campaign is None else campaign
         experiments = campaign.completed.experiments
         # Padded to the larger split of its own campaign, so that one program predicts both.
         size = max(len(experiments), len(self.campaign.train), len(self.campaign.test))

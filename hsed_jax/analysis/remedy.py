@@ -164,9 +164,10 @@ class Improvement(Tabular):
 
 def improve(
     calibration: Calibration,
-    campaign: Campaign | None = None,
+    found: Diagnosis | Campaign | None = None,
     *,
-    effects: Sequence[str],
+    campaign: Campaign | None = None,
+    effects: Sequence[str] | None = None,
     forms: Mapping[str, str] | None = None,
     start: Mapping[str, float] | None = None,
     own_effects: Sequence[str | Path] = (),
@@ -179,8 +180,9 @@ def improve(
 
     Arguments:
         calibration: the model as it is.
+        found: a diagnosis, whose effects are added in the forms that it found; or the campaign, with the effects named.
         campaign: experiments; by default those it was calibrated on.
-        effects: names of effects of the catalogue, in the order to add them.
+        effects: names of effects of the catalogue, in the order to add them; by default those of the diagnosis.
         forms: labels of their forms, where these are not the default ones: `Diagnosis.forms`.
         start: parameters of the model with them, by name, SI, to start one of the searches from: `Diagnosis.optimum`, so that
             what was promised is delivered.
@@ -189,7 +191,20 @@ def improve(
 
     Raises:
         UserError: no effect is given, or one is unknown, there already, or given twice.
+
+    Example:
+        ```python
+        better = hx.improve(fit, diagnosis)
+        better = hx.improve(fit, effects=["pinching"])  # an effect of your choice
+        ```
     """
+    if isinstance(found, Diagnosis):
+        effects = found.effects if effects is None else effects
+        if list(effects) == found.effects:
+            forms = found.forms if forms is None else forms
+            start = found.optimum if start is None else start
+    elif found is not None:
+        campaign = found
     campaign = calibration.campaign if campaign is None else campaign
     if own_effects:
         calibration = replace(calibration, built=_with_files(calibration.built, own_effects))

@@ -202,7 +202,7 @@ def _known_law(name: str) -> str:
         close = difflib.get_close_matches(name, SPRING_LAWS, n=1)
         hint = f" (did you mean {close[0]}?)" if close else ""
         raise ValueError(
-            f"there is no spring law {shown(name)}{hint}; laws are {', '.join(SPRING_LAWS)}, or {{file: mine.py, class: MyLaw}}"
+            f"there is no spring law {shown(name)}{hint}; laws are {', '.join(SPRING_LAWS)}, or one of your own: mine.py:MyLaw"
         )
     return name
 
@@ -212,6 +212,13 @@ class OwnLawEntry(Section):
 
     file: str
     law: str = Field(alias="class")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _file_and_class(cls, value: Any) -> Any:
+        """`mine.py:MyLaw`, as the code of a user's own is named everywhere."""
+        file, colon, law = value.rpartition(":") if isinstance(value, str) else ("", "", "")
+        return {"file": file, "class": law} if colon else value
 
     @model_serializer
     def _as_written(self) -> dict[str, str]:

@@ -62,6 +62,35 @@ class Begun:
     notes: list[str]
 
 
+def read_files(
+    *files: str | Path,
+    elongation: str | None = None,
+    force: str | None = None,
+    time: str | None = None,
+    units: Mapping[str, str] | None = None,
+    held_out: float = HELD_OUT,
+) -> Campaign:
+    """Read the record files of one specimen as a campaign, as `hsed init FILE` does.
+
+    Arguments:
+        files: of the laboratory: csv, txt, xlsx, mat, parquet, ... .
+        elongation, force, time: the columns, where their names do not tell them.
+        units: by column, where the file does not tell them.
+        held_out: share of each record, its end, that is never fitted.
+
+    Raises:
+        UserError: a file cannot be read, or a column or unit cannot be told; the message says what to say.
+
+    Example:
+        ```python
+        campaign = hx.read_files("wall.csv", units={"d": "mm", "F": "kN"})
+        ```
+    """
+    columns = {"elongation": elongation, "force": force, "time": time}
+    said = Said({c: name for c, name in columns.items() if name is not None}, dict(units or {}), held_out=held_out)
+    return begun([Path(file) for file in files], said).campaign
+
+
 def begun(files: Sequence[Path], said: Said | None = None) -> Begun:
     """Make a campaign of the files of one specimen.
 

@@ -22,7 +22,7 @@ def catalogue(effects: Catalogue) -> str:
     width = max(len(name) for name in effects)
     families = max(len(effect.family) for effect in effects.values())
     lines = [
-        f"{name:{width}}  {effect.family:{families}}  {_first_line(effect)}" for name, effect in sorted(effects.items())
+        f"{name:{width}}  {effect.family:{families}}  {first_line(effect)}" for name, effect in sorted(effects.items())
     ]
     return "\n".join([*lines, "", "`hsed effects NAME` shows equation, parameters and reference."])
 
@@ -100,5 +100,6 @@ def _spark(values: Float[np.ndarray, " n"]) -> str:
     return "".join(_BARS[height] for height in heights)
 
 
-def _first_line(effect: type) -> str:
+def first_line(effect: type) -> str:
+    """What an effect does, in a few words."""
     return (inspect.getdoc(effect) or "").splitlines()[0].split(":")[0].rstrip(".")

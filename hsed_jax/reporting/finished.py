@@ -9,12 +9,13 @@ from typing import Any
 import xarray as xr
 
 from hsed_jax.measurements import Campaign, Finding, check_campaign
+from hsed_jax.tables import Table, Tabular, cell
 
 SPLITS = ("train", "test")
 
 
-@dataclass(frozen=True)
-class FinishedRun:
+@dataclass(frozen=True, repr=False)
+class FinishedRun(Tabular):
     """What a run folder holds.
 
     Attributes:
@@ -39,6 +40,17 @@ class FinishedRun:
     def name(self) -> str:
         """Of the study."""
         return self.summary["study"]
+
+    def _table(self) -> Table:
+        rows = [
+            (f"error of {split}, {when}", cell(comparison[split].get("error")))
+            for when, comparison in zip(("model as it was", "improved model"), self.comparisons.values(), strict=False)
+            for split in SPLITS
+            if split in comparison
+        ]
+        diagnosis = self.summary.get("diagnosis", {})
+        notes = [diagnosis["sentence"]] if "sentence" in diagnosis else []
+        return Table(f"run {self.name} in {self.folder}: {self.summary['status']}", rows=rows, notes=notes)
 
     @property
     def comparisons(self) -> dict[str, dict[str, Any]]:

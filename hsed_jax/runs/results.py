@@ -6,18 +6,17 @@ explanations of an ambiguous diagnosis, and `ranking` is the table of the diagno
 """
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from hsed_jax.analysis.draws import draws_of
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.locate import Location
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.design.over_inputs import surrogate
 from hsed_jax.diagnosis.findings import Diagnosis
 from hsed_jax.discovery.findings import Discovery
-from hsed_jax.inference.fit import Fit
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.runs.outcome import Outcome
 
@@ -26,7 +25,7 @@ def results_tree(outcome: Outcome, illustrations: Mapping[str, xr.Dataset]) -> x
     """Collect the results of a run, with what was computed for its figures; groups of steps that did not run are absent."""
     groups = dict(illustrations)
     if outcome.fit is not None:
-        groups |= _posterior(outcome.fit)
+        groups |= draws_of(outcome.fit)
     groups["observed_data"] = _observed(outcome)
     if outcome.comparison is not None:
         groups |= _compared(outcome.comparison, "predictions", outcome.campaign.pair)
@@ -39,7 +38,7 @@ def results_tree(outcome: Outcome, illustrations: Mapping[str, xr.Dataset]) -> x
     if outcome.discovery is not None and outcome.discovery.found:
         groups["discovery"] = _discovery(outcome.discovery)
     if outcome.improved is not None:
-        groups |= {f"{name}_improved": group for name, group in _posterior(outcome.improved).items()}
+        groups |= {f"{name}_improved": group for name, group in draws_of(outcome.improved).items()}
     if outcome.improved_comparison is not None:
         groups |= _compared(outcome.improved_comparison, "predictions_improved", outcome.campaign.pair)
     if outcome.steps:
@@ -49,30 +48,6 @@ def results_tree(outcome: Outcome, illustrations: Mapping[str, xr.Dataset]) -> x
     tree = xr.DataTree.from_dict(groups)
     tree.attrs["study"] = outcome.study
     return tree
-
-
-def _posterior(fit: Fit) -> dict[str, xr.Dataset]:
-    """Draws of every parameter, and statistics of the sampler."""
-    chains = fit.chains
-    dims = ("chain", "draw")
-    draws: dict[str, Any] = {
-        name: (dims, np.asarray(chains.theta)[..., i], {"units": fit.units.get(name, "1")})
-        for i, name in enumerate(fit.names)
-    }
-    stats = {
-        "lp": (dims, np.asarray(chains.log_density)),
-        "diverging": (dims, np.asarray(chains.diverging)),
-        "n_steps": (dims, np.asarray(chains.steps)),
-    }
-    shape = np.shape(chains.diverging)
-    coords: dict = {"chain": np.arange(shape[0]), "draw": np.arange(shape[1])}
-    for level, own in zip(fit.posterior.population.levels, fit.of_members, strict=True):
-        for v in level.varying:
-            about = {"units": fit.units.get(v.name, "1")}
-            draws[f"{level.name}.{v.name}"] = ((*dims, level.name), own[..., v.column], about)
-        coords[level.name] = list(level.members)
-    of_stats = {name: coords[name] for name in dims}
-    return {"posterior": xr.Dataset(draws, coords), "sample_stats": xr.Dataset(stats, of_stats)}
 
 
 def _compared(comparison: Comparison, root: str, pair: Pair) -> dict[str, xr.Dataset]:
