@@ -22,8 +22,8 @@ from PIL import Image
 from hsed_jax.config.load import load_study
 from hsed_jax.inference.priors import Prior
 from hsed_jax.physics.effects import EFFECTS, AbstractEffect, AbstractSpringEffect
-from hsed_jax.physics.effects.base import MULTIPLIED, slots_of
-from hsed_jax.physics.effects.forms import DRIVERS, forms_of
+from hsed_jax.physics.effects.base import MULTIPLIED
+from hsed_jax.physics.effects.forms import DRIVERS, forms_of, slots_of
 from hsed_jax.physics.elements import Element
 from hsed_jax.physics.excitations import Imposed, Tabulated
 from hsed_jax.physics.laws import Elastic

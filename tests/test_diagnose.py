@@ -33,7 +33,7 @@ from hsed_jax.inference.priors import Prior
 from hsed_jax.interruptions import Interrupted
 from hsed_jax.measurements import Campaign, Channel, Experiment, Noise, Record
 from hsed_jax.physics.effects import EFFECTS as CATALOGUE
-from hsed_jax.physics.effects.forms import Form
+from hsed_jax.physics.effects.base import Form
 from hsed_jax.physics.scales import Scales
 from hsed_jax.runs.folder import RunFolder
 from hsed_jax.runs.progress import Progress

@@ -20,8 +20,7 @@ from hsed_jax.diagnosis.candidates import applicable
 from hsed_jax.errors import UserError
 from hsed_jax.physics.declared import SPRING_LAWS
 from hsed_jax.physics.effects import EFFECTS
-from hsed_jax.physics.effects.base import slots_of
-from hsed_jax.physics.effects.forms import default_form, forms_of
+from hsed_jax.physics.effects.forms import default_form, forms_of, slots_of
 from hsed_jax.physics.elements import Element
 from hsed_jax.physics.excitations import Imposed, NearFaultPulse, Tabulated
 from hsed_jax.physics.laws import LAWS, BoucWen

@@ -25,7 +25,8 @@ from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Campaign, stop_at_errors
 from hsed_jax.physics.batch import tiled_map
 from hsed_jax.physics.effects import called
-from hsed_jax.physics.outputs import further, of_each, owner_of
+from hsed_jax.physics.names import of_each, owner_of
+from hsed_jax.physics.outputs import further
 from hsed_jax.physics.response import Response
 from hsed_jax.physics.simulator import AbstractModel, Conditions
 from hsed_jax.programs import program

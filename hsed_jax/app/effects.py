@@ -11,7 +11,7 @@ from hsed_jax.app.fitting import Fitting
 from hsed_jax.app.pieces import NONE_YET, Loops, attempt, html, note, widget
 from hsed_jax.app.session import Session
 from hsed_jax.physics.display import readable
-from hsed_jax.physics.outputs import own_name, owner_of
+from hsed_jax.physics.names import own_name, owner_of
 from hsed_jax.reporting.style import words
 
 # Of a slider's way.

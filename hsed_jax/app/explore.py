@@ -17,7 +17,7 @@ from hsed_jax.diagnosis.candidates import applicable, with_effects
 from hsed_jax.errors import UserError
 from hsed_jax.inference.observation import conditions_of
 from hsed_jax.measurements import Campaign, Experiment, read_campaign
-from hsed_jax.physics.outputs import own_name, owner_of
+from hsed_jax.physics.names import own_name, owner_of
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.simulator import AbstractModel, Conditions

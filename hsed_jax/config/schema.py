@@ -13,7 +13,8 @@ from hsed_jax.config.sections import ErrorsEntry, InputEntry, OwnLawEntry, Posit
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
 from hsed_jax.measurements.findings import DoubtKind
-from hsed_jax.physics.outputs import ALLOWED, EQ_18, QUANTITIES, is_quantity, of_each
+from hsed_jax.physics.names import of_each
+from hsed_jax.physics.outputs import ALLOWED, EQ_18, QUANTITIES, is_quantity
 from hsed_jax.plain import Number, Whole, name_fault, shown
 from hsed_jax.tables import Table, Tabular
 

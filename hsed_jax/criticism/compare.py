@@ -18,7 +18,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.inference.correlation import SIGNIFICANT, judge, size_p_value
 from hsed_jax.inference.likelihood import whitened
 from hsed_jax.measurements.cycles import Cycles, cycles_of, returned
-from hsed_jax.physics.outputs import named, own_name, owner_of
+from hsed_jax.physics.names import named, own_name, owner_of
 from hsed_jax.tables import Table, Tabular, cell
 
 # Errors up to this multiple of the noise are the noise, whatever their significance: nobody knows a noise better.

@@ -10,7 +10,8 @@ from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, Experiment, Record
 from hsed_jax.measurements.cycles import absorbed_energy
 from hsed_jax.measurements.turns import branches, cycle_numbers, frequencies, half_cycles
-from hsed_jax.physics.outputs import channel, named, owner_of
+from hsed_jax.physics.names import named, owner_of
+from hsed_jax.physics.outputs import channel
 
 
 @dataclass(frozen=True)

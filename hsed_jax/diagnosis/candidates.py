@@ -26,7 +26,8 @@ from hsed_jax.measurements import Campaign, Experiment, Record
 from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.effects.forms import default_form
 from hsed_jax.physics.excitations import AbstractExcitation
-from hsed_jax.physics.outputs import is_driver, own_name, owner_of
+from hsed_jax.physics.names import own_name, owner_of
+from hsed_jax.physics.outputs import is_driver
 from hsed_jax.physics.parameters import Parameter, parameters_of
 from hsed_jax.physics.simulator import Conditions
 from hsed_jax.physics.timeline import Timeline, times

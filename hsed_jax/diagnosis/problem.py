@@ -10,7 +10,7 @@ from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.measurements import Experiment
 from hsed_jax.physics.effects import Catalogue
-from hsed_jax.physics.effects.forms import Form
+from hsed_jax.physics.effects.base import Form
 from hsed_jax.physics.pairs import ELONGATION_AND_FORCE, Pair
 from hsed_jax.physics.scales import Scales
 

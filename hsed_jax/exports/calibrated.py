@@ -17,12 +17,11 @@ from hsed_jax.measurements import Campaign
 from hsed_jax.physics.effects.base import AbstractSetupEffect, AbstractSpringEffect
 from hsed_jax.physics.elements import Element
 from hsed_jax.physics.laws.base import AbstractSpringLaw
-from hsed_jax.physics.outputs import owner_of
+from hsed_jax.physics.names import by_owner, owner_of
 from hsed_jax.physics.parameters import Parameter, dimensionless, parameters_of
 from hsed_jax.physics.scales import Scales
 from hsed_jax.runs.reading import read_run
 from hsed_jax.study.build import Built
-from hsed_jax.study.specimens import by_owner
 
 
 @dataclass(frozen=True)

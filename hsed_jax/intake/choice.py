@@ -11,7 +11,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.intake.found import Found
 from hsed_jax.intake.recognition import CHANNELS, Recognised, recognised, unit_of
 from hsed_jax.measurements import Campaign, Channel, Experiment, Record, parse_unit
-from hsed_jax.measurements.campaign import Protocol
+from hsed_jax.measurements.header import Protocol
 from hsed_jax.measurements.spelled import spelled_unit, without_unit
 from hsed_jax.plain import shown
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from hsed_jax.errors import UserError
+from hsed_jax.intake.cells import found_in_cells
 from hsed_jax.intake.found import Found
-from hsed_jax.intake.opening import found_in_cells
 from hsed_jax.measurements.layout import Laid
 from hsed_jax.measurements.sheets import Sheet
 

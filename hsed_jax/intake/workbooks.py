@@ -13,8 +13,8 @@ from zipfile import ZipFile
 import numpy as np
 
 from hsed_jax.errors import UserError
+from hsed_jax.intake.cells import made
 from hsed_jax.intake.found import Found
-from hsed_jax.intake.opening import made
 from hsed_jax.intake.words import is_channel
 from hsed_jax.measurements.budget import ask, ask_of_file
 from hsed_jax.measurements.layout import table_in

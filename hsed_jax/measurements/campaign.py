@@ -2,33 +2,26 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hsed_jax.errors import UserError
 from hsed_jax.measurements.experiment import Channel, Experiment, Record
-from hsed_jax.measurements.pairs import pair_of
-from hsed_jax.measurements.tables import can_head_record
-from hsed_jax.measurements.units import Unit, channel_dimension, parse_unit, quantity_dimension
+from hsed_jax.measurements.frames import experiments_of, fields_of, tree_of
+from hsed_jax.measurements.header import RESERVED_COLUMNS, Header, Protocol, check_column
 from hsed_jax.physics.outputs import is_driver
-from hsed_jax.physics.pairs import Pair
 from hsed_jax.tables import Table, Tabular
 
 if TYPE_CHECKING:
     import xarray as xr
-
-Protocol = Literal["ground_motion", "displacement"]
-
-RESERVED_COLUMNS = ("id", "record", "status", "reason", "split", "from", "to")
-"""Columns of experiments.csv that are neither inputs nor quantities nor metadata."""
 
 MOTION = ("time", "ground_acceleration")
 """Channels that impose a ground motion and so measure no response."""
 
 
 @dataclass(frozen=True, repr=False)
-class Campaign(Tabular):
+class Campaign(Header, Tabular):
     """Experiments that share a specimen, a protocol, inputs and channels.  Values are SI, units as declared.
 
     Attributes:
@@ -37,31 +30,20 @@ class Campaign(Tabular):
         inputs: Unit of each variable input.
         channels: Channels of the records by canonical name.  Without `time` the row number is the time.
         quantities: Quantities of experiments.csv by canonical name.
+        pair: What elongation and force are, as their units say: rotation and moment, strain and stress, or just these.
         experiments: The experiments, in order.
         source: Where it was read from.
-        pair: What elongation and force are, as their units say: rotation and moment, strain and stress, or just these.
 
     Raises:
         UserError: An unknown channel, a wrong unit, units of no pair, a duplicate id, or an experiment that does not fit.
     """
 
-    name: str
-    protocol: Protocol
-    inputs: dict[str, str] = field(default_factory=dict)
-    channels: dict[str, Channel] = field(default_factory=dict)
-    quantities: dict[str, Channel] = field(default_factory=dict)
     experiments: tuple[Experiment, ...] = ()
     source: str | None = field(default=None, compare=False)
-    pair: Pair = field(init=False, compare=False)
 
     def __post_init__(self):
         """Check the declaration, then move every value to one that its declared unit can write."""
-        declared = {f"channels.{name}": c for name, c in self.channels.items()}
-        declared |= {f"quantities.{name}": q for name, q in self.quantities.items()}
-        object.__setattr__(self, "pair", pair_of(declared))
-        object.__setattr__(self, "_units", units := declared_units(self))
-        said = {name: (float(units[name].factor), units[name].text) for name in (*self.channels, *self.quantities)}
-        object.__setattr__(self, "pair", replace(self.pair, declared=said))
+        super().__post_init__()
         records: dict[int, Record] = {}  # of experiments that share a record, one
         object.__setattr__(self, "experiments", tuple(self._settled(e, records) for e in self.experiments))
         seen = set()
@@ -69,18 +51,6 @@ class Campaign(Tabular):
             if experiment.id in seen:
                 raise UserError(f"experiment {experiment.id!r} appears twice; an id is unique in its campaign")
             seen.add(experiment.id)
-
-    def unit(self, name: str) -> Unit:
-        """Return the declared unit of an input, channel or quantity; of `time`, seconds where it is the row number."""
-        units: dict[str, Unit] = self.__dict__["_units"]
-        if name not in units:
-            raise UserError(f"the campaign declares no {name!r}; it declares {', '.join(units)}")
-        return units[name]
-
-    @property
-    def has_time(self) -> bool:
-        """Whether records have a time; otherwise the row number (from 0) is the time."""
-        return "time" in self.channels
 
     def _settled(self, experiment: Experiment, records: dict[int, Record]) -> Experiment:
         where = f"experiment {experiment.id!r}"
@@ -204,8 +174,6 @@ class Campaign(Tabular):
         Raises:
             UserError: Something is missing, unknown, or not a number; the message names experiment and column.
         """
-        from hsed_jax.measurements.frames import campaign_from_frames
-
         header = cls(
             name,
             protocol,
@@ -213,13 +181,11 @@ class Campaign(Tabular):
             {k: v if isinstance(v, Channel) else Channel(k, v) for k, v in (channels or {}).items()},
             {k: v if isinstance(v, Channel) else Channel(k, v) for k, v in (quantities or {}).items()},
         )
-        return campaign_from_frames(header, experiments, records or {})
+        return replace(header, experiments=experiments_of(header, experiments, records or {}))
 
     def to_xarray(self) -> "xr.DataTree":
         """Return everything as a tree: experiments at the root, ``records/<id>`` below; values SI, units in `attrs`."""
-        from hsed_jax.measurements.frames import campaign_to_xarray
-
-        return campaign_to_xarray(self)
+        return tree_of(self, self.experiments, self.source)
 
     @classmethod
     def from_xarray(cls, tree: "xr.DataTree") -> "Campaign":
@@ -228,9 +194,7 @@ class Campaign(Tabular):
         Raises:
             UserError: The tree was not made by `to_xarray`.
         """
-        from hsed_jax.measurements.frames import campaign_from_xarray
-
-        return campaign_from_xarray(tree)
+        return cls(**fields_of(tree))
 
     def _table(self) -> Table:
         heads = ["experiment", *(f"{k} [{u}]" for k, u in self.inputs.items())]
@@ -247,59 +211,3 @@ class Campaign(Tabular):
             f"{len(self)} experiment{'' if len(self) == 1 else 's'}, {len(self.train)} train, {len(self.test)} test"
         )
         return Table(f"{self.name} ({self.protocol}): {counts}; {channels}", heads, rows)
-
-
-def check_column(name: str, where: str) -> None:
-    """Raise `UserError` unless `name` can head a column of a table."""
-    if not isinstance(name, str) or not name or name != name.strip() or not name.isprintable():
-        raise UserError(
-            f"{where}: {name!r} cannot head a column; a column is one line of text without blanks around it"
-        )
-
-
-def declared_units(campaign: Campaign) -> dict[str, Unit]:
-    """Check what a campaign declares and return the unit of every input, channel and quantity.
-
-    Raises:
-        UserError: With the name and unit, and what is allowed.
-    """
-    if campaign.protocol not in get_args(Protocol):
-        raise UserError(f"protocol {campaign.protocol!r} is unknown; allowed: {', '.join(get_args(Protocol))}")
-    units = {"time": parse_unit("s")}
-    for kind, declared, dimension_of in (
-        ("channels", campaign.channels, channel_dimension),
-        ("quantities", campaign.quantities, quantity_dimension),
-    ):
-        columns: dict[str, str] = {}
-        for name, channel in declared.items():
-            where = f"{kind}.{name}"
-            check_column(channel.column, where)
-            if name != channel.name:
-                raise UserError(f"{where}: it holds the channel {channel.name!r}; key and name must agree")
-            if channel.column in columns:
-                raise UserError(
-                    f"{where}: column {channel.column!r} is also that of {columns[channel.column]}; one each"
-                )
-            if kind == "channels" and not can_head_record(channel.column):
-                raise UserError(f"{where}: column {channel.column!r} looks like a number or comment; give it a name")
-            columns[channel.column] = where
-            try:
-                units[name] = parse_unit(channel.unit, dimension_of(name, campaign.pair))
-            except UserError as error:
-                raise UserError(f"{where}: {error}") from None
-    taken = {*RESERVED_COLUMNS, *(q.column for q in campaign.quantities.values())}
-    if clash := set(RESERVED_COLUMNS) & {q.column for q in campaign.quantities.values()}:
-        raise UserError(f"quantities: column {min(clash)!r} means something else in experiments.csv; rename the column")
-    for name, unit in campaign.inputs.items():
-        check_column(name, f"inputs.{name}")
-        if name in taken or name in units:
-            raise UserError(f"inputs.{name}: the name means something else (a column, channel or quantity); rename it")
-        try:
-            units[name] = parse_unit(unit)
-        except UserError as error:
-            raise UserError(f"inputs.{name}: {error}") from None
-    if campaign.channels:
-        needed = "elongation" if campaign.protocol == "displacement" else "time"
-        if needed not in campaign.channels:
-            raise UserError(f"channels: {needed!r} is missing; the protocol {campaign.protocol} needs it")
-    return units

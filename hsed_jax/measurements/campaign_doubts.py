@@ -8,7 +8,8 @@ from hsed_jax.measurements.campaign import Campaign
 from hsed_jax.measurements.experiment import Experiment
 from hsed_jax.measurements.findings import Finding
 from hsed_jax.physics.display import amount
-from hsed_jax.physics.outputs import is_driver, own_name
+from hsed_jax.physics.names import own_name
+from hsed_jax.physics.outputs import is_driver
 
 SHARED = 0.5  # share of the shorter record whose samples are those of another
 FEWEST = 30  # samples from which that is no chance

@@ -11,7 +11,8 @@ from hsed_jax.measurements.findings import Finding
 from hsed_jax.measurements.noise import difference_noise, noise_estimate
 from hsed_jax.measurements.units import channel_dimension, quantity_dimension
 from hsed_jax.physics.display import amount
-from hsed_jax.physics.outputs import is_driver, own_name, quantity
+from hsed_jax.physics.names import own_name
+from hsed_jax.physics.outputs import is_driver, quantity
 
 PLAUSIBLE = {
     "length": (1e-6, 5.0),

@@ -6,7 +6,8 @@ import numpy as np
 
 from hsed_jax.measurements.campaign import Campaign
 from hsed_jax.measurements.experiment import Experiment, Record
-from hsed_jax.physics.outputs import loops, named, owner_of
+from hsed_jax.physics.names import named, owner_of
+from hsed_jax.physics.outputs import loops
 
 
 class Characteristics(NamedTuple):

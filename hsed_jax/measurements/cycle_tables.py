@@ -12,7 +12,8 @@ from hsed_jax.measurements.backbones import Backbone, Which, backbone_of
 from hsed_jax.measurements.campaign import Campaign
 from hsed_jax.measurements.cycles import Cycles, cycles_of
 from hsed_jax.measurements.units import DIMENSIONLESS
-from hsed_jax.physics.outputs import loops, named
+from hsed_jax.physics.names import named
+from hsed_jax.physics.outputs import loops
 from hsed_jax.tables import Table, Tabular
 
 _SIDES = ("negative", "positive")

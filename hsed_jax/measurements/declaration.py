@@ -6,8 +6,9 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from hsed_jax.errors import UserError
-from hsed_jax.measurements.campaign import Campaign, Protocol
+from hsed_jax.measurements.campaign import Campaign
 from hsed_jax.measurements.experiment import Channel, Noise
+from hsed_jax.measurements.header import Protocol
 from hsed_jax.measurements.sheets import read_text
 from hsed_jax.measurements.units import parse_unit
 from hsed_jax.plain import Magnitude, dump_yaml, parse_yaml, shown

@@ -1,23 +1,22 @@
 """Campaigns from and to tables in memory: pandas and xarray."""
 
 import json
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
 from hsed_jax.errors import UserError
-from hsed_jax.measurements.campaign import RESERVED_COLUMNS, Campaign
 from hsed_jax.measurements.experiment import Channel, Experiment, Noise, Record, Split, Status, check_word
+from hsed_jax.measurements.header import RESERVED_COLUMNS, Header
 from hsed_jax.measurements.units import parse_unit
 
 if TYPE_CHECKING:
     import xarray as xr
 
 
-def campaign_from_frames(header: Campaign, experiments, records: Mapping[str, Any]) -> Campaign:
-    """Fill a campaign without experiments from tables in its declared units; see `Campaign.from_frames`."""
+def experiments_of(header: Header, experiments: Any, records: Mapping[str, Any]) -> tuple[Experiment, ...]:
+    """The experiments of a campaign, from tables in its declared units; see `Campaign.from_frames`."""
     import pandas as pd
 
     records = {str(id): table for id, table in records.items()}
@@ -30,10 +29,10 @@ def campaign_from_frames(header: Campaign, experiments, records: Mapping[str, An
     ]
     if strange := records.keys() - {str(row.get("id", "")) for row in rows}:
         raise UserError(f"records: {sorted(strange)} are no ids of experiments; one record per experiment, by id")
-    return replace(header, experiments=tuple(_experiment(header, row, records) for row in rows))
+    return tuple(_experiment(header, row, records) for row in rows)
 
 
-def _experiment(header: Campaign, row: dict[str, Any], records: Mapping[str, Any]) -> Experiment:
+def _experiment(header: Header, row: dict[str, Any], records: Mapping[str, Any]) -> Experiment:
     id = str(row.get("id", ""))
     where = f"experiment {id!r}"
 
@@ -75,7 +74,7 @@ def _experiment(header: Campaign, row: dict[str, Any], records: Mapping[str, Any
     )
 
 
-def _record(header: Campaign, table, where: str) -> Record:
+def _record(header: Header, table, where: str) -> Record:
     import pandas as pd
 
     try:
@@ -101,46 +100,45 @@ def _record(header: Campaign, table, where: str) -> Record:
     return Record(time, channels)
 
 
-def campaign_to_xarray(campaign: Campaign) -> "xr.DataTree":
+def tree_of(header: Header, experiments: Sequence[Experiment], source: str | None) -> "xr.DataTree":
     """Lay a campaign out as a tree; see `Campaign.to_xarray`."""
     import xarray as xr
 
-    es = campaign.experiments
     dim = "experiment"
     variables: dict[str, Any] = {}
-    for name, unit in campaign.inputs.items():
-        values = np.array([e.inputs[name] for e in es], dtype=float)
-        attributes = {"role": "input", "units": _si(campaign, name), "declared_unit": unit}
+    for name, unit in header.inputs.items():
+        values = np.array([e.inputs[name] for e in experiments], dtype=float)
+        attributes = {"role": "input", "units": _si(header, name), "declared_unit": unit}
         variables[f"input_{name}"] = (dim, values, {"long_name": name, **attributes})
-    for name, channel in campaign.quantities.items():
-        values = np.array([e.quantities.get(name, np.nan) for e in es], dtype=float)
-        variables[name] = (dim, values, {"role": "quantity", **_attributes(campaign, channel)})
+    for name, channel in header.quantities.items():
+        values = np.array([e.quantities.get(name, np.nan) for e in experiments], dtype=float)
+        variables[name] = (dim, values, {"role": "quantity", **_attributes(header, channel)})
     for name in ("status", "reason", "split"):
-        variables[name] = (dim, np.array([getattr(e, name) or "" for e in es], dtype=str))
-    variables["metadata"] = (dim, np.array([json.dumps(e.metadata) for e in es], dtype=str))
+        variables[name] = (dim, np.array([getattr(e, name) or "" for e in experiments], dtype=str))
+    variables["metadata"] = (dim, np.array([json.dumps(e.metadata) for e in experiments], dtype=str))
     for i, name in enumerate(("window_start", "window_end")):
-        ends = np.array([np.nan if e.window is None else e.window[i] for e in es], dtype=float)
+        ends = np.array([np.nan if e.window is None else e.window[i] for e in experiments], dtype=float)
         variables[name] = (dim, ends, {"units": "s"})
-    attributes = {"name": campaign.name, "protocol": campaign.protocol, "source": campaign.source or ""}
-    attributes["channels"] = json.dumps({name: _attributes(campaign, c) for name, c in campaign.channels.items()})
-    root = xr.Dataset(variables, coords={dim: np.array([e.id for e in es], dtype=str)}, attrs=attributes)
+    attributes = {"name": header.name, "protocol": header.protocol, "source": source or ""}
+    attributes["channels"] = json.dumps({name: _attributes(header, c) for name, c in header.channels.items()})
+    root = xr.Dataset(variables, coords={dim: np.array([e.id for e in experiments], dtype=str)}, attrs=attributes)
     nodes = {"/": root}
-    for e in es:
+    for e in experiments:
         if e.record is not None:
-            data = {n: ("time", v, _attributes(campaign, campaign.channels[n])) for n, v in e.record.channels.items()}
+            data = {n: ("time", v, _attributes(header, header.channels[n])) for n, v in e.record.channels.items()}
             nodes[f"/records/{e.id}"] = xr.Dataset(data, coords={"time": ("time", e.record.time, {"units": "s"})})
     return xr.DataTree.from_dict(nodes)
 
 
-def campaign_from_xarray(tree: "xr.DataTree") -> Campaign:
-    """Rebuild a campaign; see `Campaign.from_xarray`."""
+def fields_of(tree: "xr.DataTree") -> dict[str, Any]:
+    """The fields of a campaign that was laid out as a tree; see `Campaign.from_xarray`."""
     try:
-        return _from_tree(tree)
+        return _fields(tree)
     except (KeyError, AttributeError, json.JSONDecodeError) as error:
         raise UserError(f"the tree lacks {error}; only what Campaign.to_xarray gave can be read back") from None
 
 
-def _from_tree(tree: "xr.DataTree") -> Campaign:
+def _fields(tree: "xr.DataTree") -> dict[str, Any]:
     root = tree.to_dataset()
     by_role = {
         role: {str(k): v for k, v in root.data_vars.items() if v.attrs.get("role") == role}
@@ -171,25 +169,25 @@ def _from_tree(tree: "xr.DataTree") -> Campaign:
             )
         )
     attributes = root.attrs
-    return Campaign(
-        attributes["name"],
-        attributes["protocol"],
-        inputs,
-        channels,
-        quantities,
-        tuple(experiments),
-        attributes["source"] or None,
-    )
+    return {
+        "name": attributes["name"],
+        "protocol": attributes["protocol"],
+        "inputs": inputs,
+        "channels": channels,
+        "quantities": quantities,
+        "experiments": tuple(experiments),
+        "source": attributes["source"] or None,
+    }
 
 
-def _si(campaign: Campaign, name: str) -> str:
-    is_input = name in campaign.inputs
-    return parse_unit(campaign.inputs[name]).si if is_input else campaign.pair.output(name).unit
+def _si(header: Header, name: str) -> str:
+    is_input = name in header.inputs
+    return parse_unit(header.inputs[name]).si if is_input else header.pair.output(name).unit
 
 
-def _attributes(campaign: Campaign, channel: Channel) -> dict[str, Any]:
+def _attributes(header: Header, channel: Channel) -> dict[str, Any]:
     said: dict[str, Any] = {
-        "units": _si(campaign, channel.name),
+        "units": _si(header, channel.name),
         "declared_unit": channel.unit,
         "column": channel.column,
     }

@@ -18,7 +18,8 @@ from hsed_jax.measurements.findings import Finding
 from hsed_jax.measurements.noise import noise_estimate
 from hsed_jax.measurements.turns import turns, with_slips
 from hsed_jax.physics.display import amount
-from hsed_jax.physics.outputs import loops, named
+from hsed_jax.physics.names import named
+from hsed_jax.physics.outputs import loops
 
 FEWEST = 4  # turns from which anything is said of their timing
 LATE = 0.15  # share of late turns; measured specimens have up to 0.03

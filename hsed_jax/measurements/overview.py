@@ -6,7 +6,8 @@ from hsed_jax.measurements.campaign import Campaign
 from hsed_jax.measurements.characteristics import initial_stiffness
 from hsed_jax.measurements.experiment import Record
 from hsed_jax.measurements.units import DIMENSIONLESS
-from hsed_jax.physics.outputs import loops, named
+from hsed_jax.physics.names import named
+from hsed_jax.physics.outputs import loops
 from hsed_jax.tables import Table
 
 

@@ -6,9 +6,10 @@ from typing import Any, get_args
 import numpy as np
 
 from hsed_jax.errors import UserError
-from hsed_jax.measurements.campaign import MOTION, RESERVED_COLUMNS, Campaign
+from hsed_jax.measurements.campaign import MOTION, Campaign
 from hsed_jax.measurements.declaration import read_declaration
 from hsed_jax.measurements.experiment import Experiment, Record, Split, Status, check_id, check_word
+from hsed_jax.measurements.header import RESERVED_COLUMNS
 from hsed_jax.measurements.records import read_columns, read_motion
 from hsed_jax.measurements.tables import Table, read_experiment_table
 from hsed_jax.physics.outputs import is_driver

@@ -10,7 +10,8 @@ import numpy as np
 
 from hsed_jax.errors import UserError
 from hsed_jax.physics.excitations import AbstractExcitation, Imposed, Tabulated, channels_of
-from hsed_jax.physics.outputs import is_driver, is_quantity, output, owner_of
+from hsed_jax.physics.names import owner_of
+from hsed_jax.physics.outputs import is_driver, is_quantity, output
 from hsed_jax.physics.response import Response
 from hsed_jax.physics.simulator import AbstractModel, Conditions, Scalar
 from hsed_jax.physics.timeline import Timeline

@@ -9,7 +9,8 @@ import re
 import numpy as np
 import numpy.typing as npt
 
-from hsed_jax.physics.outputs import named, output, owner_of
+from hsed_jax.physics.names import named, owner_of
+from hsed_jax.physics.outputs import output
 from hsed_jax.physics.pairs import Pair
 
 

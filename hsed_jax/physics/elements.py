@@ -1,6 +1,5 @@
 """The springs of a structure that have a memory, as a simulator is told of them, and what of a study belongs to each."""
 
-import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -31,9 +30,3 @@ class Element(NamedTuple):
         known = parameters_of(self.law)
         shared = {} if self.is_apart else {name: v for name, v in owners.get("", {}).items() if name in known}
         return {**shared, **(owners.get(self.name, {}) if self.name else {})}
-
-
-def number_of_spring(owner: str) -> int | None:
-    """Index of the linear spring of the structure that has this name; None where it is none."""
-    match = re.fullmatch(r"spring_([1-9]\d*)", owner)
-    return None if match is None else int(match[1]) - 1

@@ -15,7 +15,8 @@ from jaxtyping import Array, Float, PyTree
 
 from hsed_jax.physics.excitations import AbstractForcing
 from hsed_jax.physics.laws.base import Turn
-from hsed_jax.physics.outputs import EQ_18, of_each, own_name, owner_of, quantity
+from hsed_jax.physics.names import of_each, own_name, owner_of
+from hsed_jax.physics.outputs import EQ_18, quantity
 from hsed_jax.physics.response import Response
 from hsed_jax.physics.steps import Step
 from hsed_jax.physics.systems import RESOLVED, AbstractSystem, State

@@ -11,11 +11,13 @@ work e and the power $r\,\Delta\dot u$ at both ends (Hermite).
 
 import functools
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+
+from hsed_jax.physics.names import SPECIMEN, named, own_name, owner_of
 
 if TYPE_CHECKING:
     from hsed_jax.physics.steps import Step
@@ -213,28 +215,11 @@ PER_MASS: dict[str, Output] = {
     "velocity": Output(r"\dot u", "m/s", "velocity relative to the ground"),
     "acceleration": Output(r"\ddot u", "m/s^2", "acceleration relative to the ground"),
 }
-SPECIMEN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-"""What the name of a specimen looks like."""
 APPLIED_FORCE = Output("p", "N", "force applied to the structure", of_specimen=False)
 DRIVERS = ("time", "ground_acceleration")
 """What no structure responds with; forces applied to its masses are neither responses (`is_driver`)."""
 ALLOWED = ", ".join([*QUANTITIES, "energy_at_TIME (a whole number of s or ms: energy_at_5s, energy_at_500ms)"])
 """The names that a quantity may have, for messages."""
-
-
-def named(owner: str, name: str) -> str:
-    """The name of an output of one specimen; that of the only one stands alone."""
-    return f"{owner}.{name}" if owner else name
-
-
-def owner_of(name: str) -> str:
-    """The specimen that an output is of, or what a parameter belongs to: what stands before the last dot; empty without one."""
-    return name.rpartition(".")[0]
-
-
-def own_name(name: str) -> str:
-    """A name without that of what it belongs to."""
-    return name.rpartition(".")[2]
 
 
 def output(name: str) -> Output:
@@ -285,11 +270,6 @@ def loops(channels: Iterable[str]) -> tuple[str, ...]:
     known = set(channels)
     owners = dict.fromkeys(owner_of(name) for name in channels)
     return tuple(o for o in owners if {named(o, "force"), named(o, "elongation")} <= known)
-
-
-def of_each(owners: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
-    """These outputs of every specimen."""
-    return tuple(named(owner, name) for owner in owners for name in names)
 
 
 def _quantity(own: str) -> Quantity | None:

@@ -17,7 +17,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hsed_jax.physics.excitations import Imposed, Tabulated
-from hsed_jax.physics.outputs import output, own_name, owner_of
+from hsed_jax.physics.names import own_name, owner_of
+from hsed_jax.physics.outputs import output
 from hsed_jax.physics.response import Response
 from hsed_jax.physics.scales import Scalar, is_zero
 from hsed_jax.physics.timeline import times

@@ -17,16 +17,17 @@ from hsed_jax.physics.effects.base import (
     Setup,
     combine,
 )
-from hsed_jax.physics.elements import Element, number_of_spring
+from hsed_jax.physics.elements import Element
 from hsed_jax.physics.excitations import AbstractExcitation, AbstractForcing, Shaken, Tabulated
 from hsed_jax.physics.laws import Elastic
-from hsed_jax.physics.outputs import further, own_name, owner_of
+from hsed_jax.physics.names import OWNER, number_of_spring, own_name, owner_of
+from hsed_jax.physics.outputs import further
 from hsed_jax.physics.parameters import dimensionless
 from hsed_jax.physics.response import Response
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.sensors import felt, measured
 from hsed_jax.physics.specimen import Specimen
-from hsed_jax.physics.structures import OWNER, Structure
+from hsed_jax.physics.structures import Structure
 from hsed_jax.physics.systems import AbstractSystem, DrivenSpring, ShakenStructure
 from hsed_jax.physics.timeline import Timeline, times
 from hsed_jax.programs import program

@@ -14,7 +14,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from hsed_jax.physics.effects.base import AbstractEffect, AbstractSpringEffect, SpringPoint, combine, slots_of
+from hsed_jax.physics.effects.base import AbstractEffect, AbstractSpringEffect, SpringPoint, combine
+from hsed_jax.physics.effects.forms import slots_of
 from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, Turn
 from hsed_jax.physics.scales import Scales, is_zero
 from hsed_jax.physics.states import SharedState

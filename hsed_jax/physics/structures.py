@@ -20,14 +20,6 @@ from hsed_jax.physics.parameters import Parameter
 Scalar = Float[Array, ""] | float
 End = int | None
 
-OWNER = "structure"
-"""What stands before the name of a parameter of the structure, as the name of an effect before one of an effect."""
-
-
-def spring_name(index: int) -> str:
-    """What a linear spring is called where it takes part as a specimen does, from its index."""
-    return f"spring_{index + 1}"
-
 
 @final
 class Spring(eqx.Module):

@@ -15,9 +15,9 @@ from jaxtyping import Array, Float
 
 from hsed_jax.physics.excitations import AbstractForcing, Imposed, Tabulated, channels_of, driven
 from hsed_jax.physics.laws.base import Memory
-from hsed_jax.physics.outputs import named
+from hsed_jax.physics.names import named, spring_name
 from hsed_jax.physics.specimen import Specimen
-from hsed_jax.physics.structures import End, Spring, Structure, difference, spring_name
+from hsed_jax.physics.structures import End, Spring, Structure, difference
 
 Scalar = Float[Array, ""] | float
 

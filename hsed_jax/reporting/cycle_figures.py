@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.measurements import Campaign, backbone_of, cycles_of
 from hsed_jax.physics import display
-from hsed_jax.physics.outputs import named
+from hsed_jax.physics.names import named
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
 from hsed_jax.reporting.misfit_figures import badness, hysteresis_loops

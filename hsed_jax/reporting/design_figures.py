@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 import xarray as xr
 
-from hsed_jax.physics.outputs import named
+from hsed_jax.physics.names import named
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import excitation_figures, figures
 from hsed_jax.reporting.style import Picture

@@ -13,7 +13,7 @@ from hsed_jax.diagnosis.findings import Candidate, Diagnosis
 from hsed_jax.measurements import Campaign
 from hsed_jax.physics import display
 from hsed_jax.physics.effects import EFFECTS, called
-from hsed_jax.physics.outputs import named, owner_of
+from hsed_jax.physics.names import named, owner_of
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
 from hsed_jax.reporting.misfit_figures import hysteresis_loops, words_of_loop

@@ -13,7 +13,7 @@ from hsed_jax.criticism.locate import Location
 from hsed_jax.criticism.prediction import Prediction, error_cell
 from hsed_jax.measurements import Campaign
 from hsed_jax.physics import display
-from hsed_jax.physics.outputs import named, own_name, owner_of
+from hsed_jax.physics.names import named, own_name, owner_of
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
 from hsed_jax.reporting.band_figures import band_parts

@@ -11,7 +11,7 @@ from hsed_jax.criticism.coordinates import UNITS, coordinates_of
 from hsed_jax.criticism.prediction import has_diverged
 from hsed_jax.measurements import Experiment, Record
 from hsed_jax.physics import display
-from hsed_jax.physics.outputs import own_name
+from hsed_jax.physics.names import own_name
 from hsed_jax.reporting import style
 from hsed_jax.reporting.finished import SPLITS, FinishedRun
 

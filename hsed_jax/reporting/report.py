@@ -12,7 +12,8 @@ from hsed_jax.left_out import LeftOut
 from hsed_jax.measurements import Campaign, Columns, backbone_table, cycle_table
 from hsed_jax.physics import display
 from hsed_jax.physics.effects import called
-from hsed_jax.physics.outputs import loops, named
+from hsed_jax.physics.names import named
+from hsed_jax.physics.outputs import loops
 from hsed_jax.plain import dump_yaml
 from hsed_jax.reporting import page_tables as tables
 from hsed_jax.reporting import style

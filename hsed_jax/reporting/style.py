@@ -26,10 +26,10 @@ from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.drafts import create
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.laws import LAWS
-from hsed_jax.physics.outputs import own_name, owner_of
+from hsed_jax.physics.names import OWNER, own_name, owner_of
 from hsed_jax.physics.pairs import ELONGATION_AND_FORCE, Pair
 from hsed_jax.physics.parameters import parameters_of
-from hsed_jax.physics.structures import OWNER, parameter_of
+from hsed_jax.physics.structures import parameter_of
 
 WIDTH = 7.0
 """Width of every figure [inch]: a page of text."""

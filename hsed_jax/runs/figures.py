@@ -9,7 +9,7 @@ import xarray as xr
 from hsed_jax.design.sequential import DesignState
 from hsed_jax.inference.fit import Fit
 from hsed_jax.left_out import LeftOut
-from hsed_jax.physics.outputs import of_each
+from hsed_jax.physics.names import of_each
 from hsed_jax.reporting import design_figures, diagnosis_figures, figures
 from hsed_jax.reporting.cycle_figures import cycles
 from hsed_jax.reporting.discovery_figures import learned

@@ -9,7 +9,7 @@ from hsed_jax.criticism.error_map import error_map
 from hsed_jax.design.over_inputs import estimates_alone, excitations, responses
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.left_out import LeftOut
-from hsed_jax.physics.outputs import of_each
+from hsed_jax.physics.names import of_each
 from hsed_jax.physics.simulator import Simulator
 from hsed_jax.reporting.design_figures import CHANNELS
 from hsed_jax.runs.outcome import Outcome

@@ -20,7 +20,8 @@ from hsed_jax.laboratories.answer import QUANTITIES, RECORD, is_answered, left, 
 from hsed_jax.laboratories.base import ExperimentFailed, Measured
 from hsed_jax.laboratories.request import Request
 from hsed_jax.measurements import Record, parse_unit
-from hsed_jax.physics.outputs import EQ_18, further, is_driver, of_each
+from hsed_jax.physics.names import of_each
+from hsed_jax.physics.outputs import EQ_18, further, is_driver
 from hsed_jax.physics.simulator import AbstractModel, Conditions
 from hsed_jax.programs import program
 from hsed_jax.runs.conduct import Asked, Conduct

@@ -27,15 +27,16 @@ from hsed_jax.laboratories.base import Laboratory
 from hsed_jax.laboratories.request import Programme
 from hsed_jax.laboratories.sensors import Sensors
 from hsed_jax.measurements import Campaign, Characteristics, Experiment, characteristics, parse_unit, read_campaign
-from hsed_jax.measurements.campaign import Protocol
+from hsed_jax.measurements.header import Protocol
 from hsed_jax.measurements.thinning import thinned
 from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.elements import Element
 from hsed_jax.physics.laws import AbstractSpringLaw
+from hsed_jax.physics.names import OWNER
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import AbstractModel, Parametrised, Simulator
-from hsed_jax.physics.structures import OWNER, Structure
+from hsed_jax.physics.structures import Structure
 from hsed_jax.physics.timeline import Timeline
 from hsed_jax.study import laboratories, levels, observed, pairs, parts, structures
 from hsed_jax.study.designs import design_of, settings_of

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
 from hsed_jax.physics.effects import AbstractSpringEffect, Catalogue
-from hsed_jax.physics.effects.base import AbstractEffect, is_of_sensors
-from hsed_jax.physics.elements import Element, number_of_spring
+from hsed_jax.physics.effects.base import AbstractEffect
+from hsed_jax.physics.effects.forms import is_of_sensors
+from hsed_jax.physics.elements import Element
 from hsed_jax.physics.laws import AbstractSpringLaw
-from hsed_jax.physics.outputs import SPECIMEN, named
-from hsed_jax.physics.structures import OWNER, spring_name
+from hsed_jax.physics.names import OWNER, SPECIMEN, named, number_of_spring, spring_name
 from hsed_jax.plain import shown
 from hsed_jax.study.spring_laws import law_of
 

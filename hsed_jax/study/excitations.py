@@ -9,7 +9,7 @@ from hsed_jax.config.schema import Study
 from hsed_jax.config.sections import InputEntry
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, parse_unit, read_history
-from hsed_jax.measurements.campaign import Protocol
+from hsed_jax.measurements.header import Protocol
 from hsed_jax.measurements.units import dimension_of
 from hsed_jax.physics.declared import Declared, Setting
 from hsed_jax.physics.excitations import EXCITATIONS, AbstractExcitation

@@ -9,9 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hsed_jax.inference.priors import Prior
-from hsed_jax.physics.effects.base import MULTIPLIED, AbstractSpringEffect, SpringPoint
+from hsed_jax.physics.effects.base import MULTIPLIED, AbstractSpringEffect, Form, SpringPoint
 from hsed_jax.physics.effects.bristles import AbstractBristledEffect
-from hsed_jax.physics.effects.forms import Form
 from hsed_jax.physics.parameters import Parameter
 from hsed_jax.physics.scales import Scalar, Scales
 

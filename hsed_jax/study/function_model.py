@@ -21,6 +21,7 @@ from hsed_jax.models.function import FunctionModel, Respond, is_output, is_told,
 from hsed_jax.models.program import Program
 from hsed_jax.physics.elements import Element
 from hsed_jax.physics.laws import AbstractSpringLaw
+from hsed_jax.physics.names import by_owner
 from hsed_jax.physics.outputs import CHANNELS, PER_MASS, is_driver
 from hsed_jax.physics.simulator import AbstractModel, Conditions
 from hsed_jax.physics.structures import Structure
@@ -30,7 +31,7 @@ from hsed_jax.python_files import module_of
 from hsed_jax.study import parts
 from hsed_jax.study.build import Built
 from hsed_jax.study.elements import elements_of
-from hsed_jax.study.specimens import Naming, by_owner
+from hsed_jax.study.specimens import Naming
 from hsed_jax.study.timelines import TOLD, duration_of, measured_records
 
 

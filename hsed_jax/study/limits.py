@@ -8,7 +8,8 @@ from hsed_jax.config.schema import LimitsEntry
 from hsed_jax.design.feasible import Limits
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
-from hsed_jax.physics.outputs import QUANTITIES, further, is_quantity, named, of_each, owner_of
+from hsed_jax.physics.names import named, of_each, owner_of
+from hsed_jax.physics.outputs import QUANTITIES, further, is_quantity
 from hsed_jax.physics.simulator import AbstractModel, Conditions
 
 

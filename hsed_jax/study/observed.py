@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 from hsed_jax.config.experiments import MeasuredEntry
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
-from hsed_jax.physics.outputs import CHANNELS, PER_MASS, of_each, own_name, owner_of, quantity
+from hsed_jax.physics.names import of_each, own_name, owner_of
+from hsed_jax.physics.outputs import CHANNELS, PER_MASS, quantity
 from hsed_jax.physics.structures import Structure
 from hsed_jax.plain import shown
 from hsed_jax.study import parts

@@ -5,11 +5,9 @@ from typing import TYPE_CHECKING
 
 from hsed_jax.config.functions import FunctionEntry
 from hsed_jax.measurements import Campaign
-from hsed_jax.physics.outputs import own_name, owner_of
+from hsed_jax.physics.names import OWNER, by_owner, own_name, owner_of
 from hsed_jax.physics.parameters import parameters_of
-from hsed_jax.physics.structures import OWNER
 from hsed_jax.study.floors import floors_of, top_channel
-from hsed_jax.study.specimens import by_owner
 
 if TYPE_CHECKING:
     from hsed_jax.study.build import Built

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from hsed_jax.config.functions import FunctionEntry
 from hsed_jax.inference.leaning import ANYTHING, Range
-from hsed_jax.physics.outputs import own_name
+from hsed_jax.physics.names import own_name
 
 if TYPE_CHECKING:
     from hsed_jax.study.build import Built

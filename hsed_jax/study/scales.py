@@ -8,7 +8,7 @@ import numpy as np
 
 from hsed_jax.errors import UserError
 from hsed_jax.inference.observation import conditions_of
-from hsed_jax.physics.outputs import named, of_each
+from hsed_jax.physics.names import named, of_each
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.response import Response
 from hsed_jax.physics.scales import Scales

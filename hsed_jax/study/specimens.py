@@ -17,14 +17,15 @@ from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
 from hsed_jax.physics.effects import Catalogue
-from hsed_jax.physics.effects.forms import Form, forms_of
-from hsed_jax.physics.elements import Element, number_of_spring
+from hsed_jax.physics.effects.base import Form
+from hsed_jax.physics.effects.forms import forms_of
+from hsed_jax.physics.elements import Element
 from hsed_jax.physics.laws import AbstractSpringLaw, Elastic
-from hsed_jax.physics.outputs import named, own_name, owner_of
+from hsed_jax.physics.names import OWNER, by_owner, named, number_of_spring, own_name, owner_of
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.physics.parameters import Parameter, parameters_of
 from hsed_jax.physics.specimen import unserved
-from hsed_jax.physics.structures import OWNER, parameter_of
+from hsed_jax.physics.structures import parameter_of
 from hsed_jax.plain import shown
 from hsed_jax.study.elements import is_of_linear, is_of_specimen
 from hsed_jax.study.parts import check_names, prior, within
@@ -362,12 +363,3 @@ def _of_own_models(study: Study) -> Iterator[tuple[str, str, Mapping[str, Any]]]
         if entry.model is not None:
             for name, entries in entry.model.effects.items():
                 yield f"structure.specimens.{specimen}.model.effects", named(specimen, name), entries
-
-
-def by_owner[T](values: Mapping[str, T]) -> dict[str, dict[str, T]]:
-    """Values by what they belong to, and then by their own names."""
-    found: dict[str, dict[str, T]] = defaultdict(dict)
-    for name, value in values.items():
-        owner, own = owner_of(name), own_name(name)
-        found[owner][own] = value
-    return found

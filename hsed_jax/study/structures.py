@@ -8,8 +8,8 @@ import numpy as np
 from hsed_jax.config.mechanics import StructureEntry
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
-from hsed_jax.physics.outputs import own_name
-from hsed_jax.physics.structures import OWNER, ModalDamping, RayleighDamping, Spring, Structure, parameter_of
+from hsed_jax.physics.names import OWNER, own_name
+from hsed_jax.physics.structures import ModalDamping, RayleighDamping, Spring, Structure, parameter_of
 from hsed_jax.study.parts import possible, prior, within
 
 

@@ -17,7 +17,7 @@ from hsed_jax.physics.effects.base import AbstractEffect as AbstractEffect
 from hsed_jax.physics.effects.base import AbstractSetupEffect as AbstractSetupEffect
 from hsed_jax.physics.effects.base import AbstractSpringEffect as AbstractSpringEffect
 from hsed_jax.physics.effects.base import Catalogue, registered
-from hsed_jax.physics.outputs import own_name
+from hsed_jax.physics.names import own_name
 from hsed_jax.physics.parameters import parameters_of
 
 _FAMILIES = (connection, degradation, dissipation, elastic, history, loop, rig, structure, yielding)

@@ -1,21 +1,19 @@
 """What every physical effect is: parameters with a neutral value, states it needs, contributions to named slots."""
 
 from abc import abstractmethod
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from functools import cache, cached_property
+from dataclasses import dataclass, field
+from functools import cached_property
 from types import ModuleType
 from typing import Any, ClassVar, Literal, NamedTuple, final
 
 import equinox as eqx
-import jax
 from jaxtyping import Array, Float
 
-from hsed_jax.physics.effects.forms import Form, default_form, forms_of
+from hsed_jax.physics.names import OWNER
+from hsed_jax.physics.parameters import Parameter, parameters_of
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.states import SharedState
-from hsed_jax.physics.structures import OWNER
 
 Scalar = Float[Array, ""] | float
 
@@ -67,6 +65,50 @@ class Setup(NamedTuple):
     scales: Scales
     masses: int
     supports: int
+
+
+@dataclass(frozen=True)
+class Form:
+    """One formula of an effect.
+
+    Attributes:
+        name: as in studies and reports, within the effect; empty where an effect has but one formula.
+        equation: LaTeX; empty where the effect's own description has it.
+        reference: where it comes from; empty where it is the effect's.
+        held: parameters that it holds, and at what.
+        free: shape parameters that it leaves free, besides those that the effect has in every form.
+        driver: what drives it; empty where there is no choice.
+        is_default: it is what a study means that names no form.
+        in_units: its numbers may be given in SI units, too; not where the unit would change with the shape.
+    """
+
+    name: str = ""
+    equation: str = ""
+    reference: str = ""
+    held: Mapping[str, float] = field(default_factory=dict)
+    free: tuple[str, ...] = ()
+    driver: str = ""
+    is_default: bool = False
+    in_units: bool = True
+
+    def parameters(self, effect: "type[AbstractEffect]") -> dict[str, Parameter]:
+        """What is free of an effect in this form."""
+        return {
+            name: known
+            for name, known in parameters_of(effect).items()
+            if name in self.free or not (known.shapes or name in self.held)
+        }
+
+    def physical(self, effect: "type[AbstractEffect]") -> dict[str, Parameter]:
+        """What of it has a physical form, by the name of that; nothing with another driver, as they are per the first one."""
+        if self.driver or not self.in_units:
+            return {}
+        return {p.physical.name: p for p in self.parameters(effect).values() if p.physical is not None}
+
+    @property
+    def label(self) -> str:
+        """Name with its driver, where that is not the default one."""
+        return f"{self.name or 'standard'} of {self.driver}" if self.driver else self.name
 
 
 class AbstractEffect(eqx.Module):
@@ -225,30 +267,6 @@ class Catalogue(Mapping[str, type[AbstractEffect]]):
     def joined(self, effects: Iterable[type[AbstractEffect]]) -> "Catalogue":
         """The catalogue with further effects at its end."""
         return Catalogue((*self.entries, *Catalogue.of(effects).entries))
-
-
-@cache
-def slots_of(effect: type[AbstractEffect], form: str | None = None) -> tuple[str, ...]:
-    """The slots that an effect writes to in a form, by default the default one: traced without computing anything."""
-    one = forms_of(effect)[form] if form is not None else default_form(effect)
-
-    def contributions(value):
-        values = dict.fromkeys(one.parameters(effect), value) | dict(one.held)
-        made, scales = effect(**values), Scales(*[value] * 4)
-        if isinstance(made, AbstractSetupEffect):
-            return made.contribute(Setup(scales, 1, 1))
-        assert isinstance(made, AbstractSpringEffect)
-        return made.contribute(SpringPoint(value, value, value, defaultdict(lambda: value), scales, value, value))
-
-    return tuple(jax.eval_shape(contributions, 1.0))
-
-
-@cache
-def is_of_sensors(effect: type[AbstractEffect]) -> bool:
-    """Whether every specimen has such an effect in its sensors."""
-    if not issubclass(effect, AbstractSetupEffect):
-        return False
-    return not set(slots_of(effect)) & {"mass", "support", "damping", "ground_motion"}
 
 
 def combine(contributions: list[dict[str, Any]]) -> Callable[[str], Any]:

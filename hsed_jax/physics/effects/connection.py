@@ -4,9 +4,9 @@ from typing import ClassVar, Literal, final
 
 import jax.numpy as jnp
 
-from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
+from hsed_jax.physics.effects.base import AbstractSpringEffect, Form, Scalar, SpringPoint, register
 from hsed_jax.physics.effects.driven import AbstractWornEffect, heating
-from hsed_jax.physics.effects.forms import FREE, Form, near_no_force, raised
+from hsed_jax.physics.effects.forms import FREE, near_no_force, raised
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_number, is_zero
 from hsed_jax.physics.states import LARGEST_ELONGATION, SharedState

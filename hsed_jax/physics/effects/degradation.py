@@ -4,9 +4,9 @@ from typing import ClassVar, final
 
 import jax.numpy as jnp
 
-from hsed_jax.physics.effects.base import Scalar, SpringPoint, register
+from hsed_jax.physics.effects.base import Form, Scalar, SpringPoint, register
 from hsed_jax.physics.effects.driven import AbstractDamagedEffect
-from hsed_jax.physics.effects.forms import FREE, Form, raised
+from hsed_jax.physics.effects.forms import FREE, raised
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_zero
 

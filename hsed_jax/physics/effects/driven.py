@@ -4,8 +4,8 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 
-from hsed_jax.physics.effects.base import AbstractSpringEffect, SpringPoint
-from hsed_jax.physics.effects.forms import DRIVERS, Form, chosen
+from hsed_jax.physics.effects.base import AbstractSpringEffect, Form, SpringPoint
+from hsed_jax.physics.effects.forms import DRIVERS, chosen
 from hsed_jax.physics.parameters import shape_parameter, share_parameter
 from hsed_jax.physics.scales import Scalar, is_number, is_zero
 from hsed_jax.physics.states import TRAVEL, SharedState

@@ -4,19 +4,10 @@ from typing import ClassVar, final
 
 import jax.numpy as jnp
 
-from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
+from hsed_jax.physics.effects.base import AbstractSpringEffect, Form, Scalar, SpringPoint, register
 from hsed_jax.physics.effects.bristles import AbstractBristledEffect
 from hsed_jax.physics.effects.driven import AbstractWornEffect, heating
-from hsed_jax.physics.effects.forms import (
-    FREE,
-    Form,
-    bend_parameter,
-    one_side,
-    passing_parameter,
-    raised,
-    saturated,
-    sided,
-)
+from hsed_jax.physics.effects.forms import FREE, bend_parameter, one_side, passing_parameter, raised, saturated, sided
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_number, is_zero
 from hsed_jax.physics.states import LARGEST_COMPRESSION, LARGEST_TENSION, SharedState

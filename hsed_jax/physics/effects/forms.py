@@ -4,16 +4,25 @@ A place is a slot and what drives it.  Every form of an effect is the same expre
 one compiled program serves them all; where a parameter is the number that leaves an expression out, the compiler never sees it.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from hsed_jax.physics.parameters import Parameter, parameters_of, shape_parameter, share_parameter
-from hsed_jax.physics.scales import Scalar, is_number, is_zero
+from hsed_jax.physics.effects.base import (
+    AbstractEffect,
+    AbstractSetupEffect,
+    AbstractSpringEffect,
+    Form,
+    Setup,
+    SpringPoint,
+)
+from hsed_jax.physics.parameters import shape_parameter, share_parameter
+from hsed_jax.physics.scales import Scalar, Scales, is_number, is_zero
 from hsed_jax.physics.states import (
     FATIGUE,
     LARGEST_COMPRESSION,
@@ -24,57 +33,10 @@ from hsed_jax.physics.states import (
     SharedState,
 )
 
-if TYPE_CHECKING:
-    from hsed_jax.physics.effects.base import AbstractEffect, SpringPoint
-
 FREE = "free"
 """The form of several shape parameters at once: the same physics in a formula that nobody wrote down."""
 # So many reversals, five cycles, count like the characteristic value of another driver.
 _REVERSALS = 10.0
-
-
-@dataclass(frozen=True)
-class Form:
-    """One formula of an effect.
-
-    Attributes:
-        name: as in studies and reports, within the effect; empty where an effect has but one formula.
-        equation: LaTeX; empty where the effect's own description has it.
-        reference: where it comes from; empty where it is the effect's.
-        held: parameters that it holds, and at what.
-        free: shape parameters that it leaves free, besides those that the effect has in every form.
-        driver: what drives it; empty where there is no choice.
-        is_default: it is what a study means that names no form.
-        in_units: its numbers may be given in SI units, too; not where the unit would change with the shape.
-    """
-
-    name: str = ""
-    equation: str = ""
-    reference: str = ""
-    held: Mapping[str, float] = field(default_factory=dict)
-    free: tuple[str, ...] = ()
-    driver: str = ""
-    is_default: bool = False
-    in_units: bool = True
-
-    def parameters(self, effect: "type[AbstractEffect]") -> dict[str, Parameter]:
-        """What is free of an effect in this form."""
-        return {
-            name: known
-            for name, known in parameters_of(effect).items()
-            if name in self.free or not (known.shapes or name in self.held)
-        }
-
-    def physical(self, effect: "type[AbstractEffect]") -> dict[str, Parameter]:
-        """What of it has a physical form, by the name of that; nothing with another driver, as they are per the first one."""
-        if self.driver or not self.in_units:
-            return {}
-        return {p.physical.name: p for p in self.parameters(effect).values() if p.physical is not None}
-
-    @property
-    def label(self) -> str:
-        """Name with its driver, where that is not the default one."""
-        return f"{self.name or 'standard'} of {self.driver}" if self.driver else self.name
 
 
 class Driver(NamedTuple):
@@ -90,47 +52,47 @@ class Driver(NamedTuple):
 
     words: str
     measure: str
-    value: "Callable[..., Scalar]"
+    value: Callable[..., Scalar]
     states: tuple[SharedState, ...] = ()
     free: tuple[str, ...] = ()
 
 
-def _energy(point: "SpringPoint") -> Scalar:
+def _energy(point: SpringPoint) -> Scalar:
     return point.memory["energy"] / point.scales.energy
 
 
-def _dissipated(point: "SpringPoint") -> Scalar:
+def _dissipated(point: SpringPoint) -> Scalar:
     return (point.memory["energy"] - 0.5 * point.hysteretic**2 / point.stiffness) / point.scales.energy
 
 
-def _path(point: "SpringPoint") -> Scalar:
+def _path(point: SpringPoint) -> Scalar:
     return point.memory["travel"] * (point.scales.force / point.scales.energy)
 
 
-def _largest(point: "SpringPoint") -> Scalar:
+def _largest(point: SpringPoint) -> Scalar:
     return point.memory["largest_elongation"] / point.scales.elongation
 
 
-def _to_this_side(point: "SpringPoint") -> Scalar:
+def _to_this_side(point: SpringPoint) -> Scalar:
     tension, compression = point.memory["largest_tension"], point.memory["largest_compression"]
     return jnp.where(point.hysteretic > 0, tension, compression) / point.scales.elongation
 
 
-def _damage(point: "SpringPoint", share: Scalar) -> Scalar:
+def _damage(point: SpringPoint, share: Scalar) -> Scalar:
     energy = _energy(point)
     return energy + share * (_largest(point) - energy)
 
 
-def _worn_and_stretched(point: "SpringPoint", share: Scalar, power: Scalar, other: Scalar) -> Scalar:
+def _worn_and_stretched(point: SpringPoint, share: Scalar, power: Scalar, other: Scalar) -> Scalar:
     worn = raised(_path(point), power)
     return worn + share * (raised(_largest(point), other) - worn)
 
 
-def _fatigue(point: "SpringPoint") -> Scalar:
+def _fatigue(point: SpringPoint) -> Scalar:
     return point.memory["fatigue"] * (point.scales.force / (point.scales.energy * point.scales.elongation))
 
 
-def _reversals(point: "SpringPoint") -> Scalar:
+def _reversals(point: SpringPoint) -> Scalar:
     return point.memory["reversals"] / _REVERSALS
 
 
@@ -229,7 +191,7 @@ def saturated(value: Scalar, bend: Scalar, passing: Scalar = 0.0) -> Scalar:
 
 
 @cache
-def forms_of(effect: "type[AbstractEffect]") -> dict[str, Form]:
+def forms_of(effect: type[AbstractEffect]) -> dict[str, Form]:
     """The forms of an effect by their labels, the default one first: every shape with every driver."""
     shapes = effect.forms or (Form(),)
     drivers = effect.drivers or ("",)
@@ -253,7 +215,7 @@ def forms_of(effect: "type[AbstractEffect]") -> dict[str, Form]:
     return found
 
 
-def default_form(effect: "type[AbstractEffect]") -> Form:
+def default_form(effect: type[AbstractEffect]) -> Form:
     """The form that is meant where none is named."""
     return next(iter(forms_of(effect).values()))
 
@@ -261,3 +223,27 @@ def default_form(effect: "type[AbstractEffect]") -> Form:
 def chosen(number: int) -> str:
     """The name of the parameter that says that the driver of this number, from 1, is the one."""
     return f"driver_{number}"
+
+
+@cache
+def slots_of(effect: type[AbstractEffect], form: str | None = None) -> tuple[str, ...]:
+    """The slots that an effect writes to in a form, by default the default one: traced without computing anything."""
+    one = forms_of(effect)[form] if form is not None else default_form(effect)
+
+    def contributions(value):
+        values = dict.fromkeys(one.parameters(effect), value) | dict(one.held)
+        made, scales = effect(**values), Scales(*[value] * 4)
+        if isinstance(made, AbstractSetupEffect):
+            return made.contribute(Setup(scales, 1, 1))
+        assert isinstance(made, AbstractSpringEffect)
+        return made.contribute(SpringPoint(value, value, value, defaultdict(lambda: value), scales, value, value))
+
+    return tuple(jax.eval_shape(contributions, 1.0))
+
+
+@cache
+def is_of_sensors(effect: type[AbstractEffect]) -> bool:
+    """Whether every specimen has such an effect in its sensors."""
+    if not issubclass(effect, AbstractSetupEffect):
+        return False
+    return not set(slots_of(effect)) & {"mass", "support", "damping", "ground_motion"}

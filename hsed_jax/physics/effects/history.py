@@ -5,9 +5,9 @@ from typing import ClassVar, final
 import jax
 import jax.numpy as jnp
 
-from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
+from hsed_jax.physics.effects.base import AbstractSpringEffect, Form, Scalar, SpringPoint, register
 from hsed_jax.physics.effects.driven import AbstractDrivenEffect, index_share, power_of
-from hsed_jax.physics.effects.forms import FREE, Form, near_no_force, raised
+from hsed_jax.physics.effects.forms import FREE, near_no_force, raised
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_zero
 

@@ -4,9 +4,9 @@ from typing import Any, ClassVar, final
 
 import jax.numpy as jnp
 
-from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
+from hsed_jax.physics.effects.base import AbstractSpringEffect, Form, Scalar, SpringPoint, register
 from hsed_jax.physics.effects.driven import AbstractDamagedEffect, AbstractDrivenEffect
-from hsed_jax.physics.effects.forms import FREE, Form, raised
+from hsed_jax.physics.effects.forms import FREE, raised
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_number, is_zero
 from hsed_jax.physics.states import LARGEST_ELONGATION, SharedState

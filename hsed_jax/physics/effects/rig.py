@@ -2,8 +2,7 @@
 
 from typing import Any, ClassVar, Literal, final
 
-from hsed_jax.physics.effects.base import AbstractSetupEffect, Scalar, Setup, register
-from hsed_jax.physics.effects.forms import Form
+from hsed_jax.physics.effects.base import AbstractSetupEffect, Form, Scalar, Setup, register
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
 from hsed_jax.physics.scales import Scales, is_zero
 
