@@ -44,8 +44,14 @@ def main() -> None:
     parser.add_argument("--discover", action="store_true", help="learn what no name is for, too, which takes minutes")
     parser.add_argument("--resume", action="store_true", help="keep the cases that were measured already")
     parser.add_argument("--markdown", action="store_true", help="the table of the last results, nothing measured")
+    parser.add_argument(
+        "--draw", type=Path, metavar="FILE.png", help="draw the errors of the last results, nothing measured"
+    )
     parser.add_argument("--output", type=Path, default=RESULTS, metavar="FILE.json")
     options = parser.parse_args()
+    if options.draw is not None:
+        draw(json.loads(options.output.read_text(encoding="utf-8"))["rows"], options.draw)
+        return
     keeps = options.resume or options.markdown
     rows = json.loads(options.output.read_text(encoding="utf-8"))["rows"] if keeps and options.output.exists() else []
     if not options.markdown:
@@ -99,6 +105,27 @@ def row_of(folder: Path, campaign: hx.Campaign, pictures: Path | None, overrides
         "generic": generic,
         "seconds": seconds,
     }
+
+
+def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """A picture of the errors on the held-out part: plain law, with the named effects, noise; the worst specimen on top."""
+    import matplotlib.pyplot as plt
+
+    ranked = sorted(rows, key=lambda row: row["named"])
+    names = [row["case"].replace("_", " ") for row in ranked]
+    figure, axes = plt.subplots(figsize=(7.2, 2.4), layout="constrained")
+    axes.hlines(names, [row["noise"] for row in ranked], [row["plain"] for row in ranked], color="0.8", zorder=0)
+    marks = (
+        ("plain", "plain law", "s", "0.45"),
+        ("named", "with the named effects", "o", "C0"),
+        ("noise", "noise", "|", "k"),
+    )
+    for key, label, marker, colour in marks:
+        axes.scatter([row[key] for row in ranked], names, 48, color=colour, marker=marker, label=label)
+    axes.set(xscale="log", xlabel="error on the part of the test that was not fitted (1: as bad as the mean)")
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside upper right", ncols=3, frameon=False)
+    figure.savefig(path, dpi=110)
 
 
 def _place(place: Mapping[str, Any]) -> str:
