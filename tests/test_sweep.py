@@ -197,6 +197,15 @@ def test_a_mistake_is_one_sentence_and_nothing_is_written(file, capsys, monkeypa
     assert not output.exists()
 
 
+@pytest.mark.parametrize("grid, studies", [("sweep_bias", 4), ("sweep_slurm", 16)], ids=["values", "jobs of a cluster"])
+def test_the_ready_sweeps_are_valid_and_a_check_runs_nothing(grid, studies, tmp_path, capsys):
+    words = ["configs/paper.yaml", "--grid", f"configs/{grid}.yaml", "--check", "--output", str(tmp_path / "out")]
+    assert main(["sweep", *words]) == 0
+    assert f"all {studies} studies of the sweep" in capsys.readouterr().out and not (tmp_path / "out").exists()
+    assert main(["sweep", *words, "--set", "design.initial=-1,3"]) == 2
+    assert "point 1 of" in capsys.readouterr().err
+
+
 def test_a_folder_is_neither_overwritten_nor_mixed_into(file, study, tmp_path):
     sentence = {"seed": [1, 2]}
     other = tmp_path / "other"

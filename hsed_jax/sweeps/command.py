@@ -45,6 +45,7 @@ def add_commands(commands: Any) -> None:
         "--workers", type=int, metavar="N", help="processes of this machine (default: one for each core)"
     )
     sweep.add_argument("--scheduler", metavar="ADDRESS", help="run on the Dask cluster with this scheduler")
+    sweep.add_argument("--check", action="store_true", help="validate every study, run nothing")
     sweep.set_defaults(command=_sweep)
     text = "Sobol' indices: which inputs and parameters the quantities depend on"
     sensitivity = commands.add_parser("sensitivity", help=text, description=text + ".")
@@ -65,6 +66,7 @@ def _sweep(options: Any) -> int:
     heed_interruptions()
     from hsed_jax.config.load import load_study
     from hsed_jax.runs.workflow import Interrupted
+    from hsed_jax.sweeps.plan import plan_of
     from hsed_jax.sweeps.sweep import sweep
 
     study = load_study(options.study, options.overrides)
@@ -74,13 +76,19 @@ def _sweep(options: Any) -> int:
     own = {override.partition("=")[0] for override in options.overrides}
     if clash := sorted(own & {*values, *ranges}):
         raise UserError(f"{clash[0]}: this key is both set for all studies and swept")
+    samples = options.samples if options.samples is not None else grid.get("samples")
+    if options.check:
+        plan = plan_of(study, values, grid.get("points", ()), ranges, samples)
+        plan.check()
+        print(f"{options.study}: all {len(plan.points)} studies of the sweep over {', '.join(plan.keys)} are valid")
+        return 0
     try:
         done = sweep(
             study,
             values,
             points=grid.get("points", ()),
             ranges=ranges,
-            samples=options.samples if options.samples is not None else grid.get("samples"),
+            samples=samples,
             output=options.output,
             resume=options.resume,
             force=options.force,
