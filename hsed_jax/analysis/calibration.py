@@ -21,6 +21,7 @@ from hsed_jax.criticism.prediction import Prediction, learned_misfit, predict
 from hsed_jax.diagnosis.batch import Apart
 from hsed_jax.errors import UserError
 from hsed_jax.inference.fit import Fit, fit
+from hsed_jax.inference.nuts import Settings
 from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Campaign, stop_at_errors
 from hsed_jax.physics.batch import tiled_map
@@ -157,6 +158,7 @@ def calibrate_built(
     size: int | None = None,
     start: Array | None = None,
     watch: Watch | None = None,
+    settings: Settings | None = None,
 ) -> Calibration:
     """`calibrate`, with what is built already.
 
@@ -166,6 +168,7 @@ def calibrate_built(
         size: number of rows to pad the data to.
         start: parameters of the model (SI) to start one of the searches from.
         watch: follows it.
+        settings: of the draws, by default those of the study.
     """
     study = built.study
     check_told(built, len(campaign.train))
@@ -173,7 +176,7 @@ def calibrate_built(
         built.posterior,
         built.data(campaign, campaign.train.experiments, size),
         starts=study.calibration.starts,
-        settings=built.settings,
+        settings=settings or built.settings,
         key=jax.random.fold_in(jax.random.key(study.seed), _CALIBRATION_KEY),
         units=built.units,
         errors=built.errors,

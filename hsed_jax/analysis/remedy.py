@@ -246,7 +246,13 @@ def improve(
         fit = _best(problem, target, member, added[-1].columns, fit.x, start if whole else None)
         steps.append(_between(problem, fit, effects[:count]))
     built = Built(study, calibration.built.campaign)
-    better = calibrate_built(built, campaign, start=_parameters(problem, fit, built), watch=watch)
+    # What is told of an improvement is its error.  Chains of a model with so many parameters take minutes: the study that is
+    # written has them when it is run.
+    settings = built.settings
+    if settings.sampler == "auto":
+        settings = settings._replace(sampler="importance")
+    start_at = _parameters(problem, fit, built)
+    better = calibrate_built(built, campaign, start=start_at, watch=watch, settings=settings)
     after = compare(better)
     steps[-1] = step_of(effects, after, better.map)
     return Improvement(study, calibration, better, before, after, Trail(steps, after.train.noise_floor, notes))

@@ -95,7 +95,8 @@ class CalibrationEntry(Section):
 
     sampler: Literal["auto", "nuts", "importance", "laplace"] = "auto"
     """Importance sampling is as exact as NUTS and many times faster where it works, which it can tell; `auto` tries it first and
-    leaves to NUTS what it cannot vouch for.  `laplace` is the Gaussian around the MAP, without sampling."""
+    leaves to NUTS what it cannot vouch for (of a model just improved it says so instead).  `laplace` is the Gaussian around the
+    MAP, without sampling."""
     starts: Count = 4
     chains: Count = 4
     warmup: Count = 150

@@ -26,7 +26,7 @@ from scipy.special import softmax
 from hsed_jax.inference.blocks import follow
 from hsed_jax.inference.emulator import Design, Emulator, degree_for, emulate, simulations
 from hsed_jax.inference.heights import constrained, heights, simulated
-from hsed_jax.inference.importance import TELLING, Proposal, Weighted, flattened, systematic, weighted
+from hsed_jax.inference.importance import TELLING, Proposal, flattened, look, systematic, weighted
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.maximum import Maximum
 from hsed_jax.inference.moves import moved, wandered
@@ -37,10 +37,6 @@ from hsed_jax.programs import program
 
 # Error of the emulated log density [nats] whose weights leave a third of the draws.
 _ACCURATE = 1.0
-# So many steps look for what draws of an emulator miss; their length is a Student t of few degrees of freedom, in sd.
-_LOOKS, _LENGTH, _DEGREES = 400, 2.0, 3.0
-# Missing is where the emulator has less than so much of the density [nats], and this share of the steps may end there.
-_LESS, _MAY_MISS = 2.0, 0.01
 # Chains worth less than this share of their draws, and those of which more than this share diverges, have not been everywhere
 # as often as they should.
 _WORTHY, _MAY_DIVERGE = 0.2, 0.01
@@ -192,8 +188,17 @@ def _weighed(
     rows = np.arange(len(u))[:, None]
     chosen = np.stack([systematic(shares, made, random) for shares in softmax(log_weight, axis=1)])
     at, there = u[rows, chosen].reshape(-1, u.shape[-1]), height[rows, chosen].ravel()
-    if height.size >= TELLING and _missed(posterior, data, emulator, at, there, draws, name, random, watch) > _MAY_MISS:
-        return None
+    if height.size >= TELLING:
+        seen = look(
+            lambda points: heights(posterior, data, points, watch, f"looks-of-{name}"),
+            # The evidence of the weights is what the two densities differ by throughout.
+            lambda points: (
+                np.asarray(_emulated(posterior, data, emulator, jax.device_put(points))) + draws.log_evidence
+            ),
+            *(at, there, random),
+        )
+        if not draws._replace(missed=seen.missed).reliable:
+            return None
     of_draws = chains.theta, height, chains.diverging, chains.steps
     kept = [np.asarray(values)[rows, chosen] for values in of_draws]
     found = Chains(*jax.device_put(kept), step_size=chains.step_size)
@@ -222,31 +227,6 @@ def _needs_moves(chains: Chains) -> bool:
     """Whether chains of an emulator, weighed and resampled, have been anywhere less often than they should."""
     judged, count = convergence(chains), chains.diverging.size
     return judged.divergences > _MAY_DIVERGE * count or not judged.ess_bulk.min() >= _WORTHY * count
-
-
-def _missed(
-    posterior: Posterior,
-    data: Data,
-    emulator: Emulator,
-    points: Float[np.ndarray, "N p"],
-    height: Float[np.ndarray, " N"],
-    draws: Weighted,
-    name: str,
-    random: np.random.Generator,
-    watch: Watch,
-) -> float:
-    """Share of Metropolis steps from draws (log density `height`) that end where the emulator has hardly any density."""
-    count, p = min(_LOOKS, len(points)), points.shape[1]
-    values, axes = np.linalg.eigh(np.atleast_2d(np.cov(points.T)))
-    which = random.integers(p, size=count)
-    length = _LENGTH * random.standard_t(_DEGREES, count) * np.sqrt(np.maximum(values[which], 0.0))
-    rows = random.permutation(len(points))[:count]
-    looked = points[rows] + length[:, None] * axes[:, which].T
-    there = heights(posterior, data, looked, watch, f"looks-of-{name}")
-    emulated = np.asarray(_emulated(posterior, data, emulator, jax.device_put(looked)))
-    accepted = np.exp(np.minimum(there - height[rows], 0.0))
-    # The evidence of the weights is what the two densities differ by throughout.
-    return float(np.mean(accepted * ~(there - draws.log_evidence - emulated < _LESS)))
 
 
 @program

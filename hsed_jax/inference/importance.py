@@ -1,14 +1,21 @@
 r"""Importance sampling: draws of a Student t, weighted to be exact for a density that is known up to a constant.
 
-A posterior is nearly Gaussian around its mode, so that a proposal of heavier tails, $w_s = p(x_s)/t(x_s)$, makes nearly every
-simulation an independent draw, where a chain needs dozens of them for one; and the mean of the weights is the evidence
-$Z = \int p(x)\,dx$.  The proposal learns its centre and its spread from its own draws.  Whether that was enough is told by the
-Pareto shape of the weights (below 0.7) and by how many draws they are worth.
+A posterior is nearly Gaussian around its mode, so that a proposal of heavier tails makes nearly every simulation an independent
+draw, where a chain needs dozens of them for one; and the mean of the weights is the evidence $Z = \int p(x)\,dx$.  The draws come
+in rounds, and each round's proposal $t_r$ learns its centre and its spread from all draws before it.  All of them count, weighed
+by the mixture of the proposals,
 
-Source: Geweke 1989; Cappé, Guillin, Marin & Robert 2004 (population Monte Carlo); Vehtari, Simpson, Gelman, Yao & Gabry 2024
-(Pareto smoothed importance sampling).
+$$w_s = \frac{p(x_s)}{\sum_r n_r\,t_r(x_s) / \sum_r n_r},$$
+
+so that a proposal that missed a part does no harm where another one did not.  Whether that was enough is told by the Pareto shape
+of the weights (below 0.7), by how many draws they are worth, and by a look at where no draw is, of which weights say nothing:
+Metropolis steps from the draws, some of them long, that are accepted where the proposals have hardly any density.
+
+Source: Geweke 1989; Cornuet, Marin, Mira & Robert 2012 (adaptive multiple importance sampling); Vehtari, Simpson, Gelman, Yao &
+Gabry 2024 (Pareto smoothed importance sampling).
 """
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -19,8 +26,10 @@ from scipy.special import gammaln, logsumexp
 from hsed_jax.physics.batch import TILE
 
 _DEGREES = 5.0
-_MOST_ROUNDS = 5
-# A round ends the learning when its draws are worth this share of their number.
+# Draws of a round: few learn fast, and a block has as many simulations.  So many times the draws that are asked for are made, at
+# most.
+_EACH, _MOST = 4 * TILE, 2
+# The learning ends when draws are worth this share of their number.
 _GOOD = 0.5
 # Beyond this Pareto shape the weights have no mean that can be relied on; of less worth than this share, a chain is better.
 _SHAPE, _WORTHY = 0.7, 0.1
@@ -28,6 +37,10 @@ _SHAPE, _WORTHY = 0.7, 0.1
 _ALIKE = 0.95
 # Fewer weights than this have no tail to take a shape from.
 TELLING = 25
+# So many steps look for what draws miss; their length is a Student t of few degrees of freedom, in sd.
+_LOOKS, _LENGTH, _OF_LENGTH = 400, 2.0, 3.0
+# Missing is where there is less than so much of the density [nats], and this share of the steps may end there.
+_LESS, _MAY_MISS = 2.0, 0.01
 
 Points = Float[np.ndarray, "S p"]
 Heights = Float[np.ndarray, " S"]
@@ -44,19 +57,23 @@ class Proposal(NamedTuple):
     center: Float[np.ndarray, " p"]
     frame: Float[np.ndarray, "p p"]
 
-    def draw(self, random: np.random.Generator, draws: int) -> tuple[Points, Heights]:
-        """Points and their log density."""
+    def draw(self, random: np.random.Generator, draws: int) -> Points:
+        """Points of it."""
         size = self.center.size
         w = random.standard_normal((draws, size)) * np.sqrt(_DEGREES / random.chisquare(_DEGREES, (draws, 1)))
+        return self.center + w @ self.frame.T
+
+    def log_density(self, points: Points) -> Heights:
+        """Its log density at points."""
+        size, w = self.center.size, np.linalg.solve(self.frame, (points - self.center).T)
         normalisation = (
             gammaln(0.5 * (_DEGREES + size)) - gammaln(0.5 * _DEGREES) - 0.5 * size * np.log(_DEGREES * np.pi)
         )
         normalisation -= np.linalg.slogdet(self.frame)[1]
-        height = normalisation - 0.5 * (_DEGREES + size) * np.log1p(np.sum(w**2, axis=1) / _DEGREES)
-        return self.center + w @ self.frame.T, height
+        return normalisation - 0.5 * (_DEGREES + size) * np.log1p(np.sum(w**2, axis=0) / _DEGREES)
 
     def learnt(self, points: Points, log_weight: Heights) -> "Proposal":
-        """The proposal that a round's draws call for, their weights flattened as far as it takes for enough of them to count."""
+        """The proposal that draws call for, their weights flattened as far as it takes for enough of them to count."""
         size = self.center.size
         share = flattened(log_weight, size)
         middle = share @ points
@@ -74,6 +91,7 @@ class Weighted(NamedTuple):
         weights: summing to one, (S,).
         log_evidence: log Z; -inf where no draw has a density.
         shape: Pareto shape of the largest weights.
+        missed: share of steps that ended where the proposals have hardly any density, if it was looked for.
     """
 
     points: Points
@@ -81,6 +99,7 @@ class Weighted(NamedTuple):
     weights: Heights
     log_evidence: float
     shape: float
+    missed: float = 0.0
 
     @property
     def worth(self) -> float:
@@ -92,14 +111,16 @@ class Weighted(NamedTuple):
         """Why moments of these draws may not be believed, in a sentence; None where they may."""
         if self.reliable:
             return None
-        return (
-            f"importance sampling cannot be relied on here: Pareto shape {self.shape:.2f}, {len(self.points)} draws worth "
-            f"{self.worth:.0f} (calibration.sampler: auto leaves it to NUTS)"
-        )
+        what = f"Pareto shape {self.shape:.2f}, {len(self.points)} draws worth {self.worth:.0f}"
+        if self.missed > _MAY_MISS:
+            what = f"{self.missed:.1%} of steps from its draws end where it has hardly any, so that a tail is too short"
+        return f"importance sampling cannot be relied on here: {what} (calibration.sampler: nuts does without)"
 
     @property
     def reliable(self) -> bool:
         """Whether moments of these draws may be believed."""
+        if self.missed > _MAY_MISS:
+            return False
         if len(self.points) >= TELLING and self.worth > _ALIKE * len(self.points):
             return True
         if self.shape == np.inf:
@@ -117,16 +138,43 @@ def weigh(
     Arguments:
         log_density: of many points; -inf or nan where there is none.
         proposal: to begin with.
-        draws: S; the rounds before the last, in which the proposal learns, have fewer.
+        draws: so many at least, and up to twice as many where they cannot be relied on yet.
         random: the source of the draws.
     """
-    learning = min(draws, TILE * (1 + proposal.center.size // 4))
-    for _ in range(_MOST_ROUNDS):
-        points, _, log_weight = _round(log_density, proposal, learning, random)
-        if not np.isfinite(log_weight).any() or _worth(_shares(log_weight)) > _GOOD * learning:
-            break
-        proposal = proposal.learnt(points, log_weight)
-    return weighted(*_round(log_density, proposal, draws, random))
+    points, height, rounds, size = np.zeros((0, proposal.center.size)), np.zeros(0), [], min(draws, _EACH)
+    mixed = np.full(0, -np.inf)
+    while True:
+        rounds.append((math.log(size), proposal))
+        new = proposal.draw(random, size)
+        there = np.asarray(log_density(new))
+        # log Σ n_r t_r: what this proposal adds to it at the draws before, and all of them at its own.
+        mixed = np.logaddexp(mixed, rounds[-1][0] + proposal.log_density(points))
+        of_new = np.logaddexp.reduce([count + one.log_density(new) for count, one in rounds])
+        points, mixed = np.concatenate([points, new]), np.concatenate([mixed, of_new])
+        height = np.concatenate([height, np.where(np.isnan(there), -np.inf, there)])
+        log_weight = height - mixed + math.log(len(points))
+        found, taught = weighted(points, height, log_weight), (points, log_weight)
+        if len(points) >= draws and found.reliable:
+            shift = found.log_evidence - math.log(len(points))
+            seen = look(
+                log_density,
+                lambda at, shift=shift: shift + np.logaddexp.reduce([c + one.log_density(at) for c, one in rounds]),
+                *resampled(found, len(points), random),
+                random,
+            )
+            found = found._replace(missed=seen.missed)
+            # What they saw teaches, and counts for nothing.
+            taught = (
+                np.concatenate([points, seen.points]),
+                np.concatenate([log_weight, seen.excess + found.log_evidence]),
+            )
+        if len(points) >= draws and (found.reliable or len(points) >= _MOST * draws):
+            return found
+        if np.isfinite(log_weight).any():
+            proposal = proposal.learnt(*taught)
+        size = min(draws, _EACH)
+        if found.worth > _GOOD * len(points):
+            size = max(draws - len(points), size)
 
 
 def weighted(points: Points, log_density: Heights, log_weight: Heights) -> Weighted:
@@ -136,15 +184,6 @@ def weighted(points: Points, log_density: Heights, log_weight: Heights) -> Weigh
         return Weighted(points, log_density, np.full(len(points), 1 / len(points)), -np.inf, np.inf)
     weights, evidence = np.exp(log_weight - total), total - float(np.log(len(points)))
     return Weighted(points, log_density, weights / weights.sum(), evidence, _pareto_shape(log_weight))
-
-
-def _round(
-    log_density: Callable[[Points], Heights], proposal: Proposal, draws: int, random: np.random.Generator
-) -> tuple[Points, Heights, Heights]:
-    points, of_proposal = proposal.draw(random, draws)
-    height = np.asarray(log_density(points))
-    height = np.where(np.isnan(height), -np.inf, height)
-    return points, height, height - of_proposal
 
 
 def _shares(log_weight: Heights) -> Heights:
@@ -168,6 +207,48 @@ def _pareto_shape(log_weight: Heights) -> float:
         return -np.inf
     # ArviZ takes what is to be weighed down: the negative logarithm of the weights.
     return float(array_stats.psislw(finite.max() - finite)[1])
+
+
+class Looked(NamedTuple):
+    """Where steps from draws ended.
+
+    Attributes:
+        points: there, (S, p).
+        excess: log density less that which the draws were made by, (S,).
+        missed: share of the steps that are accepted where hardly any draw is.
+    """
+
+    points: Points
+    excess: Heights
+    missed: float
+
+
+def look(
+    log_density: Callable[[Points], Heights],
+    log_drawn: Callable[[Points], Heights],
+    points: Points,
+    height: Heights,
+    random: np.random.Generator,
+) -> Looked:
+    """Look by Metropolis steps for what draws miss.
+
+    Arguments:
+        log_density: of many points.
+        log_drawn: log density that the draws were made by, in the scale of the other.
+        points, height: draws, and their log density.
+        random: the source of the steps.
+    """
+    count, size = min(_LOOKS, len(points)), points.shape[1]
+    values, axes = np.linalg.eigh(np.atleast_2d(np.cov(points.T)))
+    which = random.integers(size, size=count)
+    length = _LENGTH * random.standard_t(_OF_LENGTH, count) * np.sqrt(np.maximum(values[which], 0.0))
+    rows = random.permutation(len(points))[:count]
+    looked = points[rows] + length[:, None] * axes[:, which].T
+    there = np.asarray(log_density(looked))
+    there = np.where(np.isnan(there), -np.inf, there)
+    excess = there - log_drawn(looked)
+    accepted = np.exp(np.minimum(there - height[rows], 0.0))
+    return Looked(looked, excess, float(np.mean(accepted * ~(excess < _LESS))))
 
 
 def resampled(weighted: Weighted, count: int, random: np.random.Generator) -> tuple[Points, Heights]:
