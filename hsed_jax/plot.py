@@ -23,6 +23,7 @@ from hsed_jax.discovery.findings import Discovery
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
 from hsed_jax.reporting import (
+    behaviour_figures,
     cycle_figures,
     design_figures,
     diagnosis_figures,
@@ -234,6 +235,15 @@ def ranking(diagnosis: Diagnosis) -> Axes:
     if not diagnosis.ranking:
         raise UserError(f"there is no candidate to draw: {diagnosis.sentence}")
     return _one(diagnosis_figures.ranking(diagnosis))
+
+
+def behaviour(diagnosis: Diagnosis) -> np.ndarray:
+    """What the specimen does along the test, before and with the named effects: an axis for each quantity that changes.
+
+    Raises:
+        UserError: no quantity changes.
+    """
+    return _several(_there(behaviour_figures.behaviour(diagnosis.behaviour), "no quantity of the specimen changes"))
 
 
 def learned(discovery: Discovery, campaign: Campaign) -> Axes:

@@ -11,11 +11,13 @@ import pytest
 from numpy.testing import assert_allclose
 from test_misfit_figures import histories, quantities
 
+from hsed_jax.behaviour.findings import Behaviour, Behaviours, ProbedCurve, Value, told
 from hsed_jax.criticism.compare import compare
 from hsed_jax.criticism.improve import Step, Trail
 from hsed_jax.diagnosis.findings import Candidate, Diagnosis
+from hsed_jax.physics.pairs import ELONGATION_AND_FORCE
 from hsed_jax.physics.scales import Scales
-from hsed_jax.reporting import diagnosis_figures, style
+from hsed_jax.reporting import behaviour_figures, diagnosis_figures, style
 from hsed_jax.reporting.diagnosis_figures import before_after, error_fall, parameters_before_after, ranking
 from hsed_jax.reporting.inline_svg import inline
 from hsed_jax.reporting.worth import worth
@@ -46,6 +48,37 @@ def diagnosis(candidates, effects=(), look_alikes=()):
     return Diagnosis("missing_effects", list(effects), list(candidates), [list(g) for g in look_alikes],
                      None, None, np.zeros(0), 0.0,
                      0.5, (0.3, 0.3), (0.05, 0.05), 0.05, {}, {}, histories(1, 0, 6)[1].train_prediction, Scales())  # fmt: skip
+
+
+def falling():
+    """A stiffness that falls along the test and a force that stays, where the model as it was had a smaller one."""
+    places = np.linspace(0.0, 1.0, 5)
+    stiffness, force = 3e6 - 2e6 * places, np.full(5, 4e4)
+    curves = {
+        "initial_stiffness": ProbedCurve(np.full(5, 2e6), stiffness, 0.9 * stiffness, 1.1 * stiffness),
+        "strength+": ProbedCurve(np.full(5, 3e4), force, force, force),
+        "recentring": ProbedCurve(np.full(5, 0.5), np.full(5, 0.5), np.full(5, 0.5), np.full(5, 0.5)),
+    }
+    ends = Value(3e6, 2.7e6, 3.3e6), Value(1e6, 0.9e6, 1.1e6)
+    change = Behaviour("initial_stiffness", "falls", {"absorbed_energy": 0.97}, *ends, "N/m")
+    return Behaviours([replace(change, sentence=told(change, ELONGATION_AND_FORCE))], {"strength": 0.0}, curves, (*places,))
+
+
+def test_what_a_specimen_does_is_drawn_where_it_differs_and_said():
+    found = falling()
+    assert found.sentence == (
+        "initial stiffness falls from 3 to 1 MN/m with the absorbed energy (90 %: 0.9 to 1.1); strength stays within 1 %"
+    )
+    picture = behaviour_figures.behaviour(found)
+    assert picture is not None
+    drawn = [axis for axis in picture.figure.axes if axis.get_lines()]
+    # Recentring is the same before and after, and along the test.
+    assert [axis.get_title() for axis in drawn] == ["initial stiffness", "strength in tension"]
+    before, after = drawn[0].get_lines()
+    assert_allclose(before.get_ydata(), 2.0)
+    assert_allclose(after.get_ydata(), 3 - 2 * np.linspace(0, 1, 5))
+    assert "falls from 3 to 1 MN/m" in picture.alt
+    assert behaviour_figures.behaviour(Behaviours()) is None
 
 
 def improved(comparison, factors):

@@ -15,6 +15,7 @@ LEVELS = (
     ("exit_status", "left_out", "memory", "plain", "programs"),
     ("python_files",),
     ("physics",),
+    ("behaviour",),
     ("measurements",),
     ("intake",),
     ("laboratories",),

@@ -1,6 +1,7 @@
 """`hx.plot`: axes to go on editing, one figure each, nothing left open, nobody's settings changed, clear refusals."""
 
 import inspect
+from dataclasses import replace
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from numpy.testing import assert_allclose
-from test_diagnosis_figures import candidate, diagnosis, improved
+from test_diagnosis_figures import candidate, diagnosis, falling, improved
 from test_misfit_figures import histories, quantities
 
 import hsed_jax as hx
@@ -144,6 +145,7 @@ CASES = {
         2,
     ),
     "posterior": (lambda: hx.plot.posterior(calibration(histories())), 3),
+    "behaviour": (lambda: hx.plot.behaviour(replace(diagnosis([candidate("gap", 9.0)]), behaviour=falling())), 2),
     "ranking": (lambda: hx.plot.ranking(diagnosis([candidate("gap", 9.0)])), None),
     "error_fall": (lambda: hx.plot.error_fall(improvement()), None),
     "before_after": (lambda: hx.plot.before_after(improvement()), 4),

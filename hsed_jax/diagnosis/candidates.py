@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from hsed_jax.behaviour.histories import Range, range_of
 from hsed_jax.config.mechanics import DRIVER, FORM
 from hsed_jax.config.schema import ImproveEntry, ScalesEntry, Study
 from hsed_jax.criticism.compare import compare
@@ -29,7 +30,7 @@ from hsed_jax.physics.excitations import AbstractExcitation
 from hsed_jax.physics.names import own_name, owner_of
 from hsed_jax.physics.outputs import is_driver
 from hsed_jax.physics.parameters import Parameter, parameters_of
-from hsed_jax.physics.simulator import Conditions
+from hsed_jax.physics.simulator import Conditions, Simulator
 from hsed_jax.physics.timeline import Timeline, times
 from hsed_jax.study.build import Built
 from hsed_jax.study.laboratories import driver_of
@@ -41,6 +42,8 @@ from hsed_jax.study.specimens import effects_of
 _CANDIDATES = 32
 # More than any noise, in units of an output.
 _ANY_NOISE = 1e12
+# Of cycles that stand for a history that was not measured.
+_REVERSALS = 21
 # The conditions are padded to a multiple of this, so that campaigns of similar size share a compiled program.
 _PADDING = 16
 
@@ -175,7 +178,27 @@ def problem_of(
         pair=large.pair,
         held_out=test,
         opened=tuple(opened),
+        simulator=large.simulator if isinstance(large.simulator, Simulator) else None,
+        visited=_visited(large, train, campaign),
     )
+
+
+def _visited(large: Built, experiments: Sequence[Experiment], campaign: Campaign) -> Range | None:
+    """What the specimens went through: the measured elongation of the longest path, or else cycles to what is characteristic."""
+    if not isinstance(large.simulator, Simulator):
+        return None
+    scales, has_time = large.scales, campaign.has_time or not large.component_test
+    measured = [
+        range_of(values, float(scales.rate), has_time)
+        for experiment in experiments
+        if experiment.record is not None
+        for name, values in experiment.record.channels.items()
+        if own_name(name) == "elongation"
+    ]
+    if measured:
+        return max(measured, key=lambda visited: visited.path)
+    cycles = float(scales.elongation) * np.linspace(0.0, 1.0, _REVERSALS) * (-1.0) ** np.arange(_REVERSALS)
+    return Range(cycles, float(scales.rate), has_time)
 
 
 def _forms(large: Built, effect: str, order: tuple[str, ...], only: str | None) -> dict[str, FormColumns]:

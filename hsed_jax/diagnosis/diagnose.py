@@ -1,19 +1,21 @@
 """Which physical effect is missing, how large it is, how sure that is, and what would tell it from its look-alikes."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 
+from hsed_jax.behaviour.findings import Behaviours
 from hsed_jax.criticism.compare import discrepancy_p_value, is_noise
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.diagnosis.averaging import averaged
 from hsed_jax.diagnosis.descent import Descent
 from hsed_jax.diagnosis.evidence import Sampled, gaussian, sample_posterior
-from hsed_jax.diagnosis.findings import Candidate, Diagnosis
+from hsed_jax.diagnosis.findings import Candidate, Diagnosis, Explained
 from hsed_jax.diagnosis.fits import Model, Set
+from hsed_jax.diagnosis.probing import Probe
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.diagnosis.rivals import difference, joined, look_alikes_of, next_experiment, rivals_of, separation
 from hsed_jax.diagnosis.scores import score_p_value
@@ -29,6 +31,8 @@ _MOST_EXPERIMENTS = 6
 _SHOWN = 5
 # An effect with this probability is likely: where it is not named, it is said why.
 _LIKELY = 0.2
+# An explanation with this weight is told.
+_COUNTS = 0.01
 # Nats between two optima of the model as it is that are worth a word.
 _APART = 2.0
 
@@ -66,13 +70,20 @@ def diagnose(
         coarse.run()
         report("what was found, on all experiments")
         search.adopt(coarse)
+    report("what the model with them does")
+    probe = None
+    if problem.simulator is not None and problem.visited is not None:
+        probe = Probe(problem, problem.simulator, problem.visited)
+        _rename(probe, search)
     report("probabilities and sizes")
     models, best, none = search.all(), search.model(search.best), search.model(())
     sampled = {
         m.effects: sample_posterior(m.fit, problem.models, search.target, _DRAWS, problem.seed) for m in (none, best)
     }
-    ranking = _ranking(problem, search, models, sampled)
     rivals = rivals_of(models, best)
+    called = {} if probe is None else {m.effects: probe.called(m) for m in (best, *rivals) if m.effects}
+    rivals = [m for m in rivals if called.get(m.effects) != called.get(best.effects, best.effects)]
+    ranking = _ranking(problem, search, models, sampled, called)
     # A clear winner still has a runner-up to be told from.
     information = separation(problem, search, [best, *(rivals or [m for m in models if m is not best][:1])])
     look_alikes = look_alikes_of(problem, search, best, models) if best.effects else []
@@ -114,7 +125,37 @@ def diagnose(
         opened=_opened(problem, none.fit),
         notes=[*problem.notes, *([_MISSED] if search.missed > _APART else [])],
         averaged=average,
+        explanations=_explanations(search, models, best, called),
+        behaviour=Behaviours() if probe is None else probe.behaviours(none, best, sampled[best.effects]),
     )
+
+
+def _rename(probe: Probe, search: Search) -> None:
+    """Name the effects of the best set for what they do, where effects of that name explain as much."""
+    best = search.model(search.best)
+    traits = probe.traits(best)
+    for effect in sorted(best.effects):
+        name = probe.name(effect, traits)
+        if name not in search.best:
+            search.exchange(effect, name, traits[effect].driver)
+
+
+def _explanations(search: Search, models: list[Model], best: Model, called: Mapping[Set, Set]) -> list[Explained]:
+    """The models that count, those that do the same as one, the most probable first."""
+    groups: dict[Set, list[Model]] = {}
+    for model in models:
+        groups.setdefault(called.get(model.effects, model.effects), []).append(model)
+    weights = {name: sum(m.probability for m in group) for name, group in groups.items()}
+    own = called.get(best.effects, best.effects)
+    kept = [name for name, weight in weights.items() if weight >= _COUNTS or name == own]
+    first = {name: best if name == own else groups[name][0] for name in kept}
+    tests = search.unseen([model.effects for model in first.values()])
+    gains = _gains(search, list(first.values()))
+    found = [
+        Explained(sorted(name), dict(model.forms), weights[name], test, gains.get(model.effects))
+        for (name, model), test in zip(first.items(), tests, strict=True)
+    ]
+    return sorted(found, key=lambda one: -one.weight)
 
 
 def _started(problem: Problem, report: Callable[[str], None]) -> Search:
@@ -134,7 +175,7 @@ def _leading(problem: Problem, search: Search) -> dict[str, Any]:
         {
             "effect": effect,
             "family": problem.catalogue[effect].family,
-            "probability": _probability(effect, models),
+            "probability": _probability(effect, models, {}),
         }
         for effect in problem.effects
     ]
@@ -154,12 +195,14 @@ def _leading(problem: Problem, search: Search) -> dict[str, Any]:
 # Probabilities and sizes.
 
 
-def _probability(effect: str, models: list[Model]) -> float:
-    """Probability that an effect takes part, over all models."""
-    return min(sum(m.probability for m in models if effect in m.effects), 1.0)
+def _probability(effect: str, models: list[Model], called: Mapping[Set, Set]) -> float:
+    """Probability that an effect takes part, over all models by what they are called."""
+    return min(sum(m.probability for m in models if effect in called.get(m.effects, m.effects)), 1.0)
 
 
-def _ranking(problem: Problem, search: Search, models: list[Model], sampled: dict[Set, Sampled]) -> list[Candidate]:
+def _ranking(
+    problem: Problem, search: Search, models: list[Model], sampled: dict[Set, Sampled], called: Mapping[Set, Set]
+) -> list[Candidate]:
     by_set = {m.effects: m for m in models}
     best = search.best
     shown: dict[str, tuple[Model, Model]] = {}
@@ -182,7 +225,7 @@ def _ranking(problem: Problem, search: Search, models: list[Model], sampled: dic
     for (effect, (model, without)), test in zip(shown.items(), tests, strict=True):
         sample = sampled.get(model.effects)
         score = search.scores[effect]
-        probability = _probability(effect, models)
+        probability = _probability(effect, models, called)
         found.append(
             Candidate(
                 effect=effect,

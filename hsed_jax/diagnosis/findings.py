@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hsed_jax.behaviour.findings import Behaviours
 from hsed_jax.criticism.compare import is_noise
 from hsed_jax.criticism.prediction import Prediction, error_cell
 from hsed_jax.physics.effects import called
@@ -102,6 +103,31 @@ class Judgement:
         return {**vars(self), "members": list(self.members), "of": {m: dict(v) for m, v in self.of.items()}}
 
 
+@dataclass(frozen=True)
+class Explained:
+    """Models that do the same, whatever formulas fitted.
+
+    Attributes:
+        effects: what they are called.
+        forms: of the one that predicts best.
+        weight: of all of them.
+        error_test: of that one, as of a `Candidate`.
+        score: of that one, as of a `Candidate`.
+    """
+
+    effects: Sequence[str]
+    forms: Mapping[str, str]
+    weight: float
+    error_test: float
+    score: Mapping[str, float] | None
+
+    def summary(self) -> dict[str, Any]:
+        """An entry of `diagnosis.explanations` in `summary.json`."""
+        content = {"weight": self.weight, "effects": list(self.effects), "forms": dict(self.forms)}
+        test = {"error_test": self.error_test} if math.isfinite(self.error_test) else {}
+        return content | test | ({"score": dict(self.score)} if self.score else {})
+
+
 @dataclass(frozen=True, repr=False)
 class Diagnosis(Tabular):
     """What is missing.
@@ -127,6 +153,8 @@ class Diagnosis(Tabular):
         specimens: what effects are to the specimens, where the study has levels.
         opened: parameters of the model as it is whose bounds were left open, since the calibration leans on them: where they
             go then, SI.
+        explanations: the models that count by what they do, the most probable first.
+        behaviour: what the specimens do with the named effects, by numerical experiments.
     """
 
     verdict: str
@@ -150,6 +178,8 @@ class Diagnosis(Tabular):
     averaged: "Averaged | None" = None
     specimens: Sequence[Judgement] = ()
     opened: Mapping[str, float] = field(default_factory=dict)
+    explanations: Sequence[Explained] = ()
+    behaviour: Behaviours = field(default_factory=Behaviours)
 
     def summary(self) -> dict[str, Any]:
         """The key `diagnosis` of `summary.json`."""
@@ -162,6 +192,9 @@ class Diagnosis(Tabular):
             "error": {"train": [self.error[0], self.error_after[0]], "test": [self.error[1], self.error_after[1]]},
             "noise_floor": self.noise_floor,
             "parameters": self.parameters,
+            "explanations": [one.summary() for one in self.explanations],
+            "behaviour_sentence": self.behaviour.sentence,
+            "behaviour": [one.summary() for one in self.behaviour.changes],
             "notes": self._notes,
         }
         optional = {
@@ -231,7 +264,9 @@ class Diagnosis(Tabular):
         """What effects are to the specimens, how the diagnosis was made, what explanations differ in, and why likely effects are
         not named."""
         between = [] if self.averaged is None else [self.averaged.sentence]
+        does = self.behaviour.sentence
         return [
+            *([f"what the model with them does: {does}"] if does else []),
             *(one.sentence for one in self.specimens),
             *([self._beyond] if self.opened else []),
             *self.notes,

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from hsed_jax.behaviour.histories import Range
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.measurements import Experiment
@@ -13,6 +14,7 @@ from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.effects.base import Form
 from hsed_jax.physics.pairs import ELONGATION_AND_FORCE, Pair
 from hsed_jax.physics.scales import Scales
+from hsed_jax.physics.simulator import Simulator
 
 
 class FormColumns(NamedTuple):
@@ -81,6 +83,8 @@ class Problem(NamedTuple):
         pair: that the specimen is measured in.
         held_out: the experiments of `test`.
         opened: parameters of the law whose priors are open here, since the calibration leans on their bounds.
+        simulator: the model as one of springs, with every candidate in it; None where it is none.
+        visited: what the specimens went through; None where there is no such model.
     """
 
     models: NestedModels
@@ -102,6 +106,8 @@ class Problem(NamedTuple):
     pair: Pair = ELONGATION_AND_FORCE
     held_out: tuple[Experiment, ...] = ()
     opened: tuple[str, ...] = ()
+    simulator: Simulator | None = None
+    visited: Range | None = None
 
     @property
     def rows(self) -> int:

@@ -210,6 +210,26 @@ class Search:
         noise = self.measured.noise**2
         return min(_MATERIAL * max(before**2 - noise, 0.0), noise + _MATERIAL * max(now**2 - noise, 0.0))
 
+    def exchange(self, effect: str, other: str, driver: str) -> bool:
+        """Name another effect in place of one of the best set, since it does the same; whether it explains nearly as much.
+
+        Arguments:
+            effect: of the best set.
+            other: what stands for what it does.
+            driver: with what that changes; forms with another driver than this and the default one are not tried.
+        """
+        rest, instead = self._in_forms(self.best - {effect}), self.best - {effect} | {other}
+        labels = [label for label, form in self.effects[other].items() if form.form.driver in ("", driver)]
+        self._fits.fit(self.target, [rest | {(other, label)} for label in labels])
+        fits = [self._fits.best(effects) for effects in (frozenset(), self.best, instead)]
+        before, now, then = self.held_out.errors(self.target, fits)
+        if not before**2 - then**2 >= (1 - _MATERIAL) * (before**2 - now**2):
+            return False
+        self.best = instead
+        self.path.append(instead)
+        self._score(is_over=True)
+        return True
+
     def start(self) -> None:
         """The model without further effects, and a first look at every candidate from its gradient."""
         self._report("the model as it is")

@@ -14,8 +14,14 @@ _QUOTED = 5  # doubts of the data
 
 
 def verdict(run: FinishedRun) -> str:
-    """What the run found, in one sentence; before it, what its estimates lean on."""
-    return " ".join([*_cautions(run), _found(run)])
+    """What the specimen does and what the run found, a sentence each; before them, what estimates lean on."""
+    does = run.summary.get("diagnosis", {}).get("behaviour_sentence", "")
+    return " ".join([*_cautions(run), *([sentence(does)] if does else []), _found(run)])
+
+
+def behaviour(run: FinishedRun) -> list[str]:
+    """What the specimen does with the named effects, a sentence each."""
+    return [sentence(one["sentence"]) for one in run.summary.get("diagnosis", {}).get("behaviour", [])]
 
 
 def _cautions(run: FinishedRun) -> Iterator[str]:

@@ -19,6 +19,7 @@ from hsed_jax.reporting import page_tables as tables
 from hsed_jax.reporting import style
 from hsed_jax.reporting.asked import asked
 from hsed_jax.reporting.digest import (
+    behaviour,
     by_channel,
     diagnosed,
     diverged,
@@ -37,6 +38,7 @@ from hsed_jax.tables import cell
 
 _SHOWN, _CYCLES = 12, 40
 _STILL = {
+    "behaviour": ("behaviour",),
     "fall": ("error_fall",),
     "diagnosis": ("ranking",),
     "discovery": ("learned",),
@@ -74,6 +76,7 @@ def report_page(run: FinishedRun, left_out: LeftOut | None = None) -> str:
         "asked": made("list of what was asked", lambda run: asked(run.study, run.campaign), []),
         "notes": [sentence(note) for note in run.summary.get("comparison", {}).get("notes", [])],
         "verdict": made("verdict", verdict, ""),
+        "does": made("what the specimen does", behaviour, []),
         "diagnosed": made("verdict of the diagnosis", diagnosed, ""),
         "channels": made("table of the outputs", _channels, no_table),
         "doubtful": bool(diverged(run)),

@@ -10,7 +10,7 @@ from hsed_jax.design.sequential import DesignState
 from hsed_jax.inference.fit import Fit
 from hsed_jax.left_out import LeftOut
 from hsed_jax.physics.names import of_each
-from hsed_jax.reporting import design_figures, diagnosis_figures, figures
+from hsed_jax.reporting import behaviour_figures, design_figures, diagnosis_figures, figures
 from hsed_jax.reporting.cycle_figures import cycles
 from hsed_jax.reporting.discovery_figures import learned
 from hsed_jax.reporting.misfit_figures import misfit_drawings
@@ -113,6 +113,8 @@ def _misfit_drawings(outcome: Outcome, tables: Tables) -> Iterator[Drawing]:
 def diagnosis_drawings(outcome: Outcome) -> Iterator[Drawing]:
     """Every figure of the diagnosis and the improvement that there is material for."""
     diagnosis, trail = outcome.diagnosis, outcome.trail
+    if diagnosis is not None and diagnosis.behaviour.curves:
+        yield "behaviour", partial(behaviour_figures.behaviour, diagnosis.behaviour)
     if diagnosis is not None and diagnosis.ranking:
         yield "ranking", partial(diagnosis_figures.ranking, diagnosis)
     if outcome.discovery is not None and outcome.discovery.found:

@@ -1,0 +1,154 @@
+r"""What one effect does in a fitted specimen: the specimen with it less the same specimen without it.
+
+The difference of the forces, ΔF, may be a function of the elongation alone, or of the rate alone.  Each is the share of its
+square that means over classes of equal elongation, or of equal rate, explain (the correlation ratio, a first-order Sobol' index):
+
+$$\eta_x^2 = 1 - \frac{\sum(\Delta F - \overline{\Delta F}(x))^2}{\sum \Delta F^2} .$$
+
+What is neither changes the hysteresis.  Then quantities of the loops differ, and with what they differ is told by how well a
+history is predicted from its neighbours along one driver (predictivity, one less the relative squared error).
+"""
+
+import itertools
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from hsed_jax.behaviour.histories import Histories
+from hsed_jax.behaviour.probes import Probed
+
+# Classes of equal elongation.
+_CLASSES = 40
+
+
+class Curve(NamedTuple):
+    """A force as a function of one thing.
+
+    Attributes:
+        share: of ΔF that it explains.
+        at: the elongation over the largest one, or the rate over the characteristic one, (m,).
+        force: the mean of ΔF there [N], (m,).
+    """
+
+    share: float
+    at: Float[np.ndarray, " m"]
+    force: Float[np.ndarray, " m"]
+
+
+class Contribution(NamedTuple):
+    """What an effect does.
+
+    Attributes:
+        size: root mean square of ΔF over that of the force.
+        elastic, by_rate: ΔF as a function of the elongation, and of the rate.
+        changes: of quantities, over what they are without the effect (ratios as they are), (B,) each; histories that were not
+            simulated have no number.
+        drivers: as of `Probed`, of the specimen with the effect.
+    """
+
+    size: float
+    elastic: Curve
+    by_rate: Curve
+    changes: dict[str, Float[np.ndarray, " B"]]
+    drivers: dict[str, Float[np.ndarray, " B"]]
+
+    def mean(self, *names: str) -> float:
+        """The mean change of quantities."""
+        values = np.stack([self.changes[name] for name in names])
+        return float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
+
+    def depends(self, *names: str) -> dict[str, float]:
+        """With what the mean of the changes of quantities differs from history to history, the most telling first."""
+        change = np.mean([self.changes[name] for name in names], axis=0)
+        return dependence(change, self.drivers)
+
+
+def contribution(
+    histories: Histories, force: Float[np.ndarray, "2 B samples"], probed: tuple[Probed, Probed], rate: float
+) -> Contribution:
+    """What an effect does.
+
+    Arguments:
+        histories: what was imposed.
+        force: with and without the effect [N].
+        probed: what was read of both.
+        rate: characteristic rate of the elongation [m/s].
+    """
+    u, v = histories.elongation[:, ::2], histories.rate[:, ::2] / rate
+    weight = np.zeros(u.shape)
+    weight[:, 1:] = np.abs(np.diff(u, axis=1))
+    is_read = np.isfinite(probed[0].quantities["strength+"]) & np.isfinite(probed[1].quantities["strength+"])
+    weight *= is_read[:, None]
+    # Where a leg comes to its speed, the rate is of no class.
+    weight *= np.abs(v) >= 0.999 * _speed_of_leg(v)
+    used = weight > 0
+    x, rates, w = u[used] / np.abs(u).max(), v[used], weight[used]
+    apart = (force[0] - force[1])[used]
+    size = np.sqrt(np.sum(w * apart**2) / max(np.sum(w * force[1][used] ** 2), 1e-300))
+    return Contribution(
+        float(size),
+        _curve(x, apart, w, np.linspace(-1, 1, _CLASSES + 1)),
+        _curve(rates, apart, w, _edges(rates)),
+        _changes(*probed, amplitude=float(histories.elongation[0, 2 * histories.ends[1]])),
+        probed[0].drivers,
+    )
+
+
+def dependence(values: Float[np.ndarray, " B"], drivers: Mapping[str, Float[np.ndarray, " B"]]) -> dict[str, float]:
+    """How well each driver alone predicts values, between 0 and 1, the best first."""
+    known = np.isfinite(values)
+    found = {name: _predictivity(values[known], driver[known]) for name, driver in drivers.items()}
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def _predictivity(values: np.ndarray, driver: np.ndarray) -> float:
+    if len(values) < 4 or not np.ptp(driver) > 0 or not np.ptp(values) > 0:
+        return 0.0
+    order = np.argsort(driver, kind="stable")
+    y, x = values[order], driver[order]
+    left, right = x[1:-1] - x[:-2], x[2:] - x[1:-1]
+    both = np.where(left + right > 0, left + right, 1.0)
+    share = np.where(left + right > 0, left / both, 0.5)
+    missed = y[1:-1] - ((1 - share) * y[:-2] + share * y[2:])
+    return max(1 - float(missed @ missed / np.sum((y[1:-1] - y.mean()) ** 2)), 0.0)
+
+
+def _changes(own: Probed, without: Probed, amplitude: float) -> dict[str, np.ndarray]:
+    found = {}
+    strength = np.nanmean(np.abs(without.quantities["strength+"]))
+    for name, values in own.quantities.items():
+        before = without.quantities[name]
+        kind = name.rstrip("+-").rsplit("_", 1)[-1]
+        scale = {"stiffness": np.nanmean(np.abs(before)), "strength": strength, "force": strength, "play": amplitude}
+        found[name] = (values - before) / max(scale.get(kind, 1.0), 1e-300)
+    return found
+
+
+def _curve(x: np.ndarray, apart: np.ndarray, weight: np.ndarray, edges: np.ndarray) -> Curve:
+    place = np.clip(np.searchsorted(edges, x) - 1, 0, len(edges) - 2)
+    there = np.bincount(place, weight, len(edges) - 1)
+    mean = np.bincount(place, weight * apart, len(edges) - 1) / np.where(there > 0, there, 1.0)
+    left = np.sum(weight * (apart - mean[place]) ** 2)
+    kept = there > 0
+    middle = np.bincount(place, weight * x, len(edges) - 1)[kept] / there[kept]
+    return Curve(float(1 - left / max(np.sum(weight * apart**2), 1e-300)), middle, mean[kept])
+
+
+def _edges(rates: np.ndarray) -> np.ndarray:
+    """Between different rates: legs have few."""
+    values = np.unique(np.round(rates, 6))
+    return np.concatenate([values - 5e-7, values[-1:] + 5e-7])
+
+
+def _speed_of_leg(v: np.ndarray) -> np.ndarray:
+    """The largest speed around each sample until it is at rest."""
+    speed = np.abs(v)
+    found = np.empty_like(speed)
+    for row, out in zip(speed, found, strict=True):
+        starts = np.flatnonzero(row == 0)
+        bounds = np.concatenate([[0], starts, [len(row)]])
+        for first, last in itertools.pairwise(bounds):
+            out[first:last] = row[first:last].max() if last > first else 0.0
+    return np.where(found > 0, found, 1.0)

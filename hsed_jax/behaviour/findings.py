@@ -1,0 +1,166 @@
+"""What a specimen does, in the quantities of an engineer, and how it is said."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from hsed_jax.physics import display
+from hsed_jax.physics.names import own_name
+from hsed_jax.physics.pairs import ELONGATION_AND_FORCE, Pair
+
+QUANTITIES = {
+    "initial_stiffness": ("initial stiffness", "N/m"),
+    "unloading_stiffness": ("unloading stiffness", "N/m"),
+    "reloading_stiffness": ("reloading stiffness", "N/m"),
+    "post_yield_stiffness": ("post-yield stiffness", "N/m"),
+    "strength": ("strength", "N"),
+    "sharpness": ("sharpness of yielding", "1"),
+    "pinching_ratio": ("height of the loop in its middle over its largest height", "1"),
+    "recentring": ("recentring", "1"),
+    "play": ("play", "m"),
+    "elastic_force": ("an elastic force", "N"),
+    "rate_force": ("force that depends on the rate", "N"),
+    "relaxation": ("relaxation", "1"),
+}
+"""Words and SI unit of each quantity."""
+
+DRIVERS = {
+    "absorbed_energy": "the absorbed energy",
+    "path": "the path",
+    "largest_elongation": "the largest elongation",
+    "reversals": "the number of reversals",
+    "rate": "the rate",
+    "rest": "the time at rest",
+    "elongation": "the elongation",
+    "sign": "the sign of the rate",
+}
+"""Words of what a quantity changes with."""
+
+
+class Value(NamedTuple):
+    """A number with its interval, SI.
+
+    Attributes:
+        mean: over the posterior.
+        q05, q95: quantiles of 5 % and 95 %.
+    """
+
+    mean: float
+    q05: float
+    q95: float
+
+
+@dataclass(frozen=True)
+class Behaviour:
+    """One thing that a specimen does.
+
+    Attributes:
+        quantity: a key of `QUANTITIES`.
+        change: `falls`, `grows`, or `is there` where it is the same all the time.
+        drivers: with what it changes, and how well that alone predicts it, from 0 to 1; the best first.
+        before, after: of the virgin specimen and after the whole test; of a force that an effect adds, at the least and at the
+            largest elongation or rate.
+        unit: SI, of the pair that the specimen is measured in.
+        sides: `both`, `tension` or `compression`.
+        specimen: its name, where there are several.
+        sentence: in words.
+    """
+
+    quantity: str
+    change: str
+    drivers: Mapping[str, float]
+    before: Value
+    after: Value
+    unit: str
+    sides: str = "both"
+    specimen: str = ""
+    sentence: str = ""
+
+    def summary(self) -> dict[str, Any]:
+        """An entry of `diagnosis.behaviour` in `summary.json`."""
+        content: dict[str, Any] = {
+            "quantity": self.quantity,
+            "change": self.change,
+            "with": dict(self.drivers),
+            "from": self.before._asdict(),
+            "to": self.after._asdict(),
+            "unit": self.unit,
+            "sides": self.sides,
+            "sentence": self.sentence,
+        }
+        return content | ({"specimen": self.specimen} if self.specimen else {})
+
+
+class ProbedCurve(NamedTuple):
+    """A quantity along the test, SI.
+
+    Attributes:
+        before: of the model as it was, (places,).
+        mean, q05, q95: of the model with the named effects, (places,).
+    """
+
+    before: Float[np.ndarray, " places"]
+    mean: Float[np.ndarray, " places"]
+    q05: Float[np.ndarray, " places"]
+    q95: Float[np.ndarray, " places"]
+
+
+@dataclass(frozen=True)
+class Behaviours:
+    """What a specimen does, and how that was seen.
+
+    Attributes:
+        changes: the largest first.
+        steady: quantities that stay, with the largest relative change.
+        curves: by quantity (with its side) and, where there are several, specimen; along `places`.
+        places: shares of the path of the longest test.
+        pair: that the specimens are measured in.
+    """
+
+    changes: Sequence[Behaviour] = ()
+    steady: Mapping[str, float] = field(default_factory=dict)
+    curves: Mapping[str, ProbedCurve] = field(default_factory=dict)
+    places: Sequence[float] = ()
+    pair: Pair = ELONGATION_AND_FORCE
+
+    @property
+    def sentence(self) -> str:
+        """The main changes in one sentence; empty where nothing changes."""
+        changed = {one.quantity for one in self.changes}
+        main = [one for one in self.changes if not (one.quantity in _FURTHER and changed & {"initial_stiffness"})]
+        ordered = sorted(main, key=lambda one: [*QUANTITIES].index(one.quantity))
+        said = [one.sentence for one in ordered[:_SAID]]
+        if not said:
+            return ""
+        said += [
+            f"{QUANTITIES[own_name(name)][0]} stays within {max(100 * change, 1):.0f} %"
+            for name, change in self.steady.items()
+        ]
+        return "; ".join(said)
+
+
+# Changes of a sentence.
+_SAID = 3
+# What says no more than the initial stiffness does.
+_FURTHER = ("unloading_stiffness", "reloading_stiffness", "post_yield_stiffness", "sharpness")
+
+
+def told(one: Behaviour, pair: Pair) -> str:
+    """A behaviour in words, in the units in which the specimen is shown."""
+    words, unit = QUANTITIES[one.quantity]
+    side = "" if one.sides == "both" else f" in {one.sides}"
+    owner = f"{one.specimen}: " if one.specimen else ""
+    divisor, shown = display.shown_in(pair, unit, np.asarray([*one.before, *one.after])) if unit != "1" else (1.0, "")
+    number = lambda value: f"{value / divisor:.3g}"  # noqa: E731
+    interval = f"(90 %: {number(one.after.q05)} to {number(one.after.q95)})"
+    by = f" with {DRIVERS[next(iter(one.drivers))]}" if one.drivers else ""
+    unit_text = f" {shown}" if shown else ""
+    if one.quantity == "elastic_force":
+        return f"{owner}{words} of {number(one.after.mean)}{unit_text} is added at the largest elongation {interval}"
+    if one.change == "is there":
+        return f"{owner}friction of {number(one.after.mean)}{unit_text}, the same at every speed, is added {interval}"
+    ends = f"from {number(one.before.mean)} to {number(one.after.mean)}{unit_text}"
+    return f"{owner}{words}{side} {one.change} {ends}{by} {interval}"

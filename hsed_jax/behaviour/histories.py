@@ -1,0 +1,202 @@
+r"""The numerical experiments on a fitted specimen: what it has gone through, then a loop that its behaviour is read from.
+
+Two sets of histories are imposed.  The first fills the range that the data visited: amplitude, path, rest and speed of each
+history are a point of a Sobol' sequence, so that what changes with one of them is told from what changes with another.  The
+second follows the reversals of a test up to several places along its path.  Every history ends with the same loop,
+
+    0 → a → −a → a, and a rest at a.
+
+Legs have a constant speed but for a short stretch at both ends, where it rises and falls linearly: at a reversal the elongation
+is smooth, and a force that depends on the rate shows as a jump.
+"""
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+# Shares of the time of a leg: it comes to its speed, and its force is followed closely; each has an eighth of the steps.
+_RAMP, _CLOSE = 0.01, 0.04
+# Amplitude of the loop over the largest elongation: what depends on that must be able to differ from history to history.
+_LOOP = 0.5
+# Amplitudes of histories over the largest elongation, and speeds of the loop over the characteristic rate.
+_AMPLITUDES, _SPEEDS = (0.1, 1.0), (0.1, 1.0)
+# Reversals of a history at most; smaller ones of a test are left out.
+_MOST = 200
+# Steps of a leg at least, and of a rest at most; one of a rest is this share of the time that the largest elongation takes.
+_LEAST, _RESTING, _REST_STEP = 32, 240, 0.1
+# An elongation turns where it goes back by this share of its largest.
+_TURN = 0.03
+# Places along the path of a test.
+PLACES = (0.0, 0.25, 0.5, 0.75, 1.0)
+
+
+class Range(NamedTuple):
+    """What the data visited.
+
+    Attributes:
+        turns: elongations at the reversals of the test with the longest path, from zero on [m], (r,).
+        rate: characteristic rate of the elongation [m/s].
+        has_time: whether rates and rests mean anything.
+    """
+
+    turns: Float[np.ndarray, " r"]
+    rate: float
+    has_time: bool = True
+
+    @property
+    def elongation(self) -> float:
+        """The largest one [m]."""
+        return float(np.abs(self.turns).max())
+
+    @property
+    def path(self) -> float:
+        """Its length [m]."""
+        return float(np.abs(np.diff(self.turns)).sum())
+
+
+class Histories(NamedTuple):
+    """Imposed elongations that end with the same loop.
+
+    Attributes:
+        elongation, rate: on the half-step grid [m], [m/s], (B, 2n+1).
+        lengths: of the steps [s], zero before a history begins, (B, n).
+        ends: number of the step at which the loop begins, and at which its legs and its rest end, (5,).
+        speed: of the loop [m/s], (B,).
+        rest: before the loop [s], (B,).
+    """
+
+    elongation: Float[np.ndarray, "B half"]
+    rate: Float[np.ndarray, "B half"]
+    lengths: Float[np.ndarray, "B n"]
+    ends: tuple[int, ...]
+    speed: Float[np.ndarray, " B"]
+    rest: Float[np.ndarray, " B"]
+
+
+class _Leg(NamedTuple):
+    start: float
+    end: float
+    duration: float
+    steps: int
+
+
+def range_of(elongation: Float[np.ndarray, " n"], rate: float, has_time: bool = True) -> Range:
+    """What a record of the elongation visited [m]; it turns where it goes back by more than its noise may."""
+    u = elongation[np.isfinite(elongation)]
+    back = _TURN * float(np.abs(u).max(initial=0.0))
+    turns, extreme, way = [0.0], 0.0, 0.0
+    for value in u.tolist():
+        if way * (value - extreme) > 0 or (way == 0 and abs(value) > back):
+            way, extreme = np.sign(value - turns[-1]), value
+        elif way * (extreme - value) > back:
+            turns.append(extreme)
+            way, extreme = -way, value
+    return Range(np.asarray([*turns, extreme]), rate, has_time)
+
+
+def over_the_range(visited: Range, step: float, count: int = 32) -> Histories:
+    """Histories that fill the range.
+
+    Arguments:
+        visited: by the data.
+        step: the longest change of the elongation in a step [m].
+        count: a power of two.
+    """
+    from scipy.stats import qmc
+
+    points = qmc.Sobol(4, rng=0).random(count)
+    low, high = _AMPLITUDES
+    amplitudes = visited.elongation * (low + (high - low) * points[:, 0])
+    counts = np.minimum(visited.path * points[:, 1] / (2 * amplitudes), _MOST).astype(int)
+    rests = _longest_rest(visited) * points[:, 2] * visited.has_time
+    slow, fast = _SPEEDS
+    speeds = visited.rate * (fast * (slow / fast) ** points[:, 3] if visited.has_time else np.full(count, fast))
+    runs = [
+        [
+            *_through(np.asarray([0.0, *(amplitude * (-1) ** k for k in range(number)), 0.0]), visited, step),
+            *_rest(0.0, rest, visited),
+            *_loop(visited, speed, step),
+        ]
+        for amplitude, number, rest, speed in zip(amplitudes, counts, rests, speeds, strict=True)
+    ]
+    return _joined(runs, speeds, rests)
+
+
+def along_the_test(visited: Range, step: float) -> Histories:
+    """The reversals of the test up to each of `PLACES` along its path; arguments as of `over_the_range`."""
+    turns = visited.turns
+    if len(turns) > _MOST:
+        # The largest changes are kept, in their order.
+        kept = np.sort(np.argsort(-np.abs(np.diff(turns)), kind="stable")[:_MOST])
+        turns = np.concatenate([[0.0], turns[kept + 1]])
+    passed = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(turns)))])
+    runs = []
+    for place in PLACES:
+        done = turns[passed <= place * passed[-1] * (1 + 1e-12)]
+        runs.append([*_through(np.append(done, 0.0), visited, step), *_loop(visited, visited.rate, step)])
+    return _joined(runs, np.full(len(PLACES), visited.rate), np.zeros(len(PLACES)))
+
+
+def _through(turns: np.ndarray, visited: Range, step: float) -> list[_Leg]:
+    return [_leg(a, b, 0.5 * visited.rate, step) for a, b in itertools.pairwise(turns) if a != b]
+
+
+def _loop(visited: Range, speed: float, step: float) -> list[_Leg]:
+    a = _LOOP * visited.elongation
+    turns = [0.0, a, -a, a]
+    legs = [_leg(start, end, speed, step) for start, end in itertools.pairwise(turns)]
+    return [*legs, *(_rest(a, _longest_rest(visited), visited) or [_Leg(a, a, 0.0, 8)])]
+
+
+def _longest_rest(visited: Range) -> float:
+    return _RESTING * _REST_STEP * visited.elongation / visited.rate
+
+
+def _rest(at: float, duration: float, visited: Range) -> list[_Leg]:
+    if not (duration > 0 and visited.has_time):
+        return []
+    return [_Leg(at, at, duration, math.ceil(duration / (_REST_STEP * visited.elongation / visited.rate)))]
+
+
+def _leg(start: float, end: float, speed: float, step: float) -> _Leg:
+    size = abs(end - start)
+    # Half of the steps are for all but the ends.
+    steps = max(math.ceil(2 * size / step), _LEAST)
+    return _Leg(start, end, size / speed / (1 - _RAMP), 8 * math.ceil(steps / 8))
+
+
+def _joined(runs: Sequence[list[_Leg]], speeds: np.ndarray, rests: np.ndarray) -> Histories:
+    steps = max(sum(leg.steps for leg in legs) for legs in runs)
+    # A few sizes, so that a compiled program serves many specimens.
+    size = 1 << max(steps - 1, 2047).bit_length()
+    found = []
+    for legs in runs:
+        u, v, h = (np.concatenate(parts) for parts in zip(*map(_course, legs), strict=True))
+        before = size - len(h)
+        found.append((np.pad(u, (2 * before + 1, 0)), np.pad(v, (2 * before + 1, 0)), np.pad(h, (before, 0))))
+    elongation, rate, lengths = (np.stack(rows) for rows in zip(*found, strict=True))
+    ends = size - np.cumsum([leg.steps for leg in reversed(runs[0][-4:])])
+    return Histories(elongation, rate, lengths, (*reversed(ends.tolist()), size), speeds, rests)
+
+
+def _course(leg: _Leg) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Elongation and rate at the middle and the end of every step, and the lengths of the steps."""
+    if leg.start == leg.end:
+        still = np.full(2 * leg.steps, leg.start)
+        return still, np.zeros(2 * leg.steps), np.full(leg.steps, leg.duration / leg.steps)
+    shares = [0.0, _RAMP, _CLOSE, 1 - _CLOSE, 1 - _RAMP, 1.0]
+    nodes = np.interp(np.arange(leg.steps + 1), leg.steps * np.asarray([0, 1, 2, 6, 7, 8]) / 8, shares)
+    at = np.sort(np.concatenate([nodes, 0.5 * (nodes[1:] + nodes[:-1])]))[1:]
+    speed = np.clip(np.minimum(at, 1 - at) / _RAMP, 0.0, 1.0)
+    passed = np.where(at < 0.5, _ramped(at), (1 - _RAMP) - _ramped(1 - at)) / (1 - _RAMP)
+    size = leg.end - leg.start
+    return leg.start + size * passed, size / (leg.duration * (1 - _RAMP)) * speed, leg.duration * np.diff(nodes)
+
+
+def _ramped(share: np.ndarray) -> np.ndarray:
+    """The integral of the speed over a share of the time, in units of the full speed."""
+    return 0.5 * np.minimum(share, _RAMP) ** 2 / _RAMP + np.maximum(share - _RAMP, 0.0)

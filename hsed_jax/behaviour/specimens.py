@@ -1,0 +1,98 @@
+"""A fitted model of the package under numerical experiments."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from hsed_jax.behaviour.histories import Histories
+from hsed_jax.physics.effects.base import AbstractSpringEffect
+from hsed_jax.physics.elements import Element
+from hsed_jax.physics.excitations import Imposed, Tabulated
+from hsed_jax.physics.outputs import owner_of
+from hsed_jax.physics.simulator import Conditions, Recorded, Simulator
+from hsed_jax.physics.timeline import Timeline
+from hsed_jax.programs import program
+
+# A step is at most this share of the yield elongation, and a range is followed in no more steps than these.
+_PER_YIELD, _FINEST = 0.2, 200
+# Simulations that run together.
+_CHUNK = 64
+
+
+class Answers(NamedTuple):
+    """Forces of several models.
+
+    Attributes:
+        force: at the start and at the ends of the steps [N], (M, B, n+1).
+        ok: whether the simulation is a number and its steps are short enough, (M, B).
+    """
+
+    force: Float[np.ndarray, "M B samples"]
+    ok: Bool[np.ndarray, "M B"]
+
+
+def spring_effects(simulator: Simulator, element: Element) -> list[str]:
+    """The effects of a model that are in the spring of a specimen."""
+    return [
+        name
+        for name, effect in simulator.effects.items()
+        if issubclass(effect, AbstractSpringEffect) and element.has(owner_of(name))
+    ]
+
+
+def alone(simulator: Simulator, element: Element, held: Mapping[str, float]) -> Simulator:
+    """The specimen of a model without structure and test rig.
+
+    Arguments:
+        simulator: the model.
+        element: the specimen.
+        held: parameters of effects that are numbers for the compiler, by name.
+    """
+    return replace(
+        simulator,
+        structure=None,
+        excitation=None,
+        damping_follows_model=False,
+        effects=simulator.effects.only(spring_effects(simulator, element)),
+        constants=(*((n, v) for n, v in simulator.constants if n not in held), *sorted(held.items())),
+        elements=(element,),
+    )
+
+
+def longest_step(yield_elongation: float, largest: float) -> float:
+    """Of the elongation, so that a specimen that yields there is followed [m]."""
+    return max(_PER_YIELD * min(yield_elongation, largest), largest / _FINEST)
+
+
+def answers(specimen: Simulator, models: Sequence[Mapping[str, float]], histories: Histories) -> Answers:
+    """Forces of a specimen with different parameters, SI, by name."""
+    steps, count = histories.lengths.shape[1], len(histories.lengths)
+    timed = replace(specimen, timeline=Timeline(None, steps, 1))
+    lanes = np.arange(len(models) * count)
+    force = np.zeros((len(lanes), steps + 1))
+    ok = np.zeros(len(lanes), dtype=bool)
+    for start in range(0, len(lanes), _CHUNK):
+        own = lanes[start : start + _CHUNK]
+        filled = np.pad(own, (0, _CHUNK - len(own)), mode="edge")
+        of, row = np.divmod(filled, count)
+        parameters = {name: jnp.asarray([models[k][name] for k in of]) for name in models[0]}
+        imposed = Imposed(jnp.asarray(histories.elongation[row]), jnp.asarray(histories.rate[row]))
+        found, is_fine = _forces(timed, parameters, imposed, jnp.asarray(histories.lengths[row]))
+        force[own], ok[own] = np.asarray(found)[: len(own)], np.asarray(is_fine)[: len(own)]
+    ok &= np.isfinite(force).all(axis=1)
+    shape = (len(models), count)
+    return Answers(force.reshape(*shape, steps + 1), ok.reshape(shape))
+
+
+@program
+def _forces(specimen, parameters, imposed, lengths):
+    def one(values, sample, length):
+        response = specimen.respond(values, Conditions({}, Recorded(Tabulated(sample), length)), ("force",))
+        return response.channels["force"], response.ok
+
+    return jax.vmap(one)(parameters, imposed, lengths)

@@ -1,0 +1,278 @@
+"""Models that were fitted, under numerical experiments: what each effect does, what an explanation is called for it, and what the
+specimen does in the quantities of an engineer."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from hsed_jax.behaviour.contributions import Contribution, contribution, dependence
+from hsed_jax.behaviour.findings import QUANTITIES, Behaviour, Behaviours, ProbedCurve, Value, told
+from hsed_jax.behaviour.histories import PLACES, Histories, Range, along_the_test, over_the_range
+from hsed_jax.behaviour.names import PRACTICAL, Trait, trait
+from hsed_jax.behaviour.probes import probed
+from hsed_jax.behaviour.specimens import Answers, alone, answers, longest_step, spring_effects
+from hsed_jax.diagnosis.evidence import Sampled
+from hsed_jax.diagnosis.fits import Model, Set
+from hsed_jax.diagnosis.problem import Problem
+from hsed_jax.physics.elements import Element
+from hsed_jax.physics.names import by_owner, named, own_name, owner_of
+from hsed_jax.physics.parameters import parameters_of
+from hsed_jax.physics.simulator import Simulator
+
+# Histories that must be simulated before anything is read from them.
+_ENOUGH = 8
+# Draws of a posterior that are examined.
+_DRAWS = 24
+# A driver is told that predicts so much of what differs.
+_TOLD = 0.1
+# Of these it is said that they stay.
+_STEADY = ("initial_stiffness", "strength")
+_SIDES = {"+": "tension", "-": "compression"}
+
+Drawn = Sequence[dict[str, float]]
+"""Parameters of a model, by name, SI: the fit or draws of its posterior."""
+
+
+class Probe(NamedTuple):
+    """Numerical experiments on models of a problem.
+
+    Attributes:
+        problem: what is diagnosed.
+        simulator: its model with every candidate.
+        visited: what the data visited.
+    """
+
+    problem: Problem
+    simulator: Simulator
+    visited: Range
+
+    def called(self, model: Model) -> Set:
+        """The effects of a model by the names of what they do; those that the table leaves alone by their own."""
+        traits = self.traits(model)
+        return frozenset(self.name(effect, traits) for effect in model.effects)
+
+    def name(self, effect: str, traits: Mapping[str, Trait]) -> str:
+        """The name of what an effect does, where another one stands for it that the problem has, else its own."""
+        told = traits.get(effect)
+        if told is None or not told.names or own_name(effect) in told.names:
+            return effect
+        instead = named(owner_of(effect), told.names[0])
+        return instead if instead in self.problem.effects else effect
+
+    def traits(self, model: Model) -> dict[str, Trait]:
+        """What each effect of a model does in the main, of those that a name stands for."""
+        found = {}
+        for element in self.simulator.elements:
+            for effect, (own, *_) in self._contributions(model, element, [self._fitted(model)]).items():
+                if (main := trait(own)) is not None:
+                    found[effect] = main
+        return found
+
+    def behaviours(self, plain: Model, best: Model, sampled: Sampled) -> Behaviours:
+        """What the specimens do in the best model, from the virgin one to the end of the test.
+
+        Arguments:
+            plain: the model as it was.
+            best: the model with the named effects.
+            sampled: of the posterior of the best model.
+        """
+        changes, steady, curves = [], {}, {}
+        draws = self._drawn(best, sampled)
+        for element in self.simulator.elements:
+            before, after = self._along(plain, element, [self._fitted(plain)]), self._along(best, element, draws)
+            if before is None or after is None:
+                continue
+            for name, values in after.items():
+                low, high = np.quantile(values, [0.05, 0.95], axis=0)
+                curves[named(element.name, name)] = ProbedCurve(before[name][0], values.mean(axis=0), low, high)
+            strength = float(np.mean(np.abs(after["strength+"])))
+            sizes = {"play": self.visited.elongation, "rate_force": strength}
+            own = _both_sides([self._change(name, values, sizes, element) for name, values in after.items()])
+            drivers = self._drivers(best, element) if own else {}
+            own = [replace(one, drivers=drivers.get(_read(one), {})) for one in own]
+            own += self._added(best, element, draws[: _DRAWS // 2])
+            changes += [replace(one, sentence=told(one, self.problem.pair)) for one in own]
+            said = {one.quantity for one in own}
+            steady |= {named(element.name, q): _moved(after, q) for q in _STEADY if q not in said}
+        return Behaviours(sorted(changes, key=_size, reverse=True), steady, curves, PLACES, self.problem.pair)
+
+    def _along(self, model: Model, element: Element, draws: Drawn) -> dict[str, Float[np.ndarray, "S places"]] | None:
+        """Quantities along the test, by draw; None where too few can be simulated."""
+        histories = along_the_test(self.visited, self._step(draws[0], element))
+        specimen = self._specimen(model, element)
+        found = answers(specimen, draws, histories)
+        kept = np.flatnonzero(found.ok.all(axis=1))
+        if len(kept) < 0.5 * len(draws):
+            return None
+        read = [probed(histories, found.force[k], found.ok[k]).quantities for k in kept]
+        return {name: np.stack([one[name] for one in read]) for name in read[0]}
+
+    def _drivers(self, model: Model, element: Element) -> dict[str, dict[str, float]]:
+        """With what each quantity of the best fit changes over the range of the data."""
+        fit = self._fitted(model)
+        histories = over_the_range(self.visited, self._step(fit, element))
+        found = answers(self._specimen(model, element), [fit], histories)
+        if found.ok[0].sum() < _ENOUGH:
+            return {}
+        read = probed(histories, found.force[0], found.ok[0])
+        by_name = {name: dependence(values, read.drivers) for name, values in read.quantities.items()}
+        return {n: {d: round(s, 3) for d, s in shares.items() if s >= _TOLD} for n, shares in by_name.items()}
+
+    def _change(
+        self, name: str, values: Float[np.ndarray, "S places"], sizes: Mapping[str, float], element: Element
+    ) -> Behaviour | None:
+        """A quantity that changes from the virgin specimen to the end of the test; None where it hardly does.
+
+        Arguments:
+            name: of the quantity, with its side.
+            values: by draw.
+            sizes: what some quantities are large or small beside.
+            element: the specimen.
+        """
+        quantity, side = name.rstrip("+-"), name[-1]
+        first, last = values[:, 0], values[:, -1]
+        unit = QUANTITIES[quantity][1]
+        scale = sizes.get(quantity, max(abs(first.mean()), abs(last.mean())) if unit != "1" else 1.0)
+        low, high = np.quantile(last - first, [0.05, 0.95])
+        # The interval of the change is on one side, and the change is of practical size.
+        if not (low * high > 0 and abs(np.mean(last - first)) > PRACTICAL * scale):
+            return None
+        return Behaviour(
+            quantity=quantity,
+            change="grows" if low > 0 else "falls",
+            drivers={},
+            before=_value(first),
+            after=_value(last),
+            unit=self.problem.pair.unit(unit),
+            sides=_SIDES.get(side, "both"),
+            specimen=element.name,
+        )
+
+    def _added(self, model: Model, element: Element, draws: Drawn) -> list[Behaviour]:
+        """Forces that effects add, which depend on the elongation or on the rate alone."""
+        found = []
+        for own in self._contributions(model, element, draws).values():
+            main = trait(own[0])
+            if main is None or main.quantity not in ("elastic_force", "rate_force"):
+                continue
+            curves = [one.elastic if main.quantity == "elastic_force" else one.by_rate for one in own]
+            least = np.asarray([curve.force[np.argmin(np.abs(curve.at))] for curve in curves])
+            most = np.asarray([curve.force[-1] for curve in curves])
+            if main.quantity == "rate_force" and main.change == "steady":
+                least = most
+            change = "is there" if main.change == "steady" else "falls" if main.change == "falls" else "grows"
+            best = curves[0].share
+            found.append(
+                Behaviour(
+                    quantity=main.quantity,
+                    change=change,
+                    drivers={main.driver: round(best, 3)},
+                    before=_value(least),
+                    after=_value(most),
+                    unit=self.problem.pair.unit("N"),
+                    specimen=element.name,
+                )
+            )
+        return found
+
+    def _contributions(self, model: Model, element: Element, draws: Drawn) -> dict[str, list[Contribution]]:
+        """What each effect of a model does in a specimen, by draw."""
+        own = self._effects(model, element)
+        if not own:
+            return {}
+        histories = over_the_range(self.visited, self._step(draws[0], element))
+        models = [{**draw, **absent} for draw in draws for absent in ({}, *map(self._absent, own))]
+        answered = answers(self._specimen(model, element), models, histories)
+        found: dict[str, list[Contribution]] = {}
+        for first in range(0, len(models), 1 + len(own)):
+            for number, effect in enumerate(own, start=1):
+                rows = [first, first + number]
+                if (one := self._difference(histories, Answers(*(part[rows] for part in answered)))) is not None:
+                    found.setdefault(effect, []).append(one)
+        return found
+
+    def _difference(self, histories: Histories, both: Answers) -> Contribution | None:
+        ok = both.ok.all(axis=0)
+        if ok.sum() < _ENOUGH:
+            return None
+        force = np.where(ok[:, None], both.force, 0.0)
+        read = (probed(histories, force[0], ok), probed(histories, force[1], ok))
+        return contribution(histories, force, read, self.visited.rate)
+
+    # Models as specimens.
+
+    def _effects(self, model: Model, element: Element) -> list[str]:
+        return [effect for effect in spring_effects(self.simulator, element) if effect in model.effects]
+
+    def _specimen(self, model: Model, element: Element) -> Simulator:
+        """The specimen with the effects of a model, in their forms."""
+        own = self._effects(model, element)
+        free = {self.problem.names[k] for k in model.fit.free}
+        fitted = self._fitted(model)
+        held = {name: value for name, value in fitted.items() if owner_of(name) in own and name not in free}
+        lean = replace(self.simulator, effects=self.simulator.effects.only(own))
+        return alone(lean, element, held)
+
+    def _fitted(self, model: Model) -> dict[str, float]:
+        return self._named(model, self.problem.models.theta(model.fit.x, model.fit.member))
+
+    def _drawn(self, model: Model, sampled: Sampled) -> Drawn:
+        """Draws of equal weight."""
+        shares = (np.arange(_DRAWS) + 0.5) / _DRAWS
+        rows = np.searchsorted(np.cumsum(sampled.weights) / np.sum(sampled.weights), shares)
+        return [self._named(model, sampled.thetas[min(k, len(sampled.thetas) - 1)]) for k in rows]
+
+    def _named(self, model: Model, theta: np.ndarray) -> dict[str, float]:
+        """Parameters of the law and of the effects of a model."""
+        has = {"", *model.effects, *(element.name for element in self.simulator.elements)}
+        return {n: float(v) for n, v in zip(self.problem.names, theta, strict=True) if owner_of(n) in has}
+
+    def _absent(self, effect: str) -> dict[str, float]:
+        """The parameters that make an effect absent."""
+        amplitude = next(iter(parameters_of(self.problem.catalogue[effect]).values()))
+        assert amplitude.neutral is not None
+        return {f"{effect}.{amplitude.name}": amplitude.neutral}
+
+    def _step(self, parameters: Mapping[str, float], element: Element) -> float:
+        known = {**dict(self.simulator.constants), **parameters}
+        law = element.law(**element.parameters(by_owner(known)))
+        return longest_step(float(law.yield_elongation), self.visited.elongation)
+
+
+def _value(values: np.ndarray) -> Value:
+    low, high = np.quantile(values, [0.05, 0.95])
+    return Value(float(values.mean()), float(low), float(high))
+
+
+def _read(one: Behaviour) -> str:
+    """The name under which a quantity was read."""
+    signs = {side: sign for sign, side in _SIDES.items()}
+    has_sides = one.quantity in ("strength", "unloading_stiffness")
+    return one.quantity + (signs.get(one.sides, "+") if has_sides else "")
+
+
+def _both_sides(found: Sequence[Behaviour | None]) -> list[Behaviour]:
+    """Changes, of which those that both sides have alike are one, the one of tension."""
+    changes = [one for one in found if one is not None]
+    twins = {(one.quantity, one.change) for one in changes if one.sides == "compression"}
+    alike = {(one.quantity, one.change) for one in changes if one.sides == "tension"} & twins
+    return [
+        replace(one, sides="both") if (one.quantity, one.change) in alike else one
+        for one in changes
+        if not (one.sides == "compression" and (one.quantity, one.change) in alike)
+    ]
+
+
+def _size(one: Behaviour) -> float:
+    """How large a change is beside the larger of its ends."""
+    ends = abs(one.before.mean), abs(one.after.mean)
+    return abs(one.after.mean - one.before.mean) / max(*ends, 1e-300)
+
+
+def _moved(values: Mapping[str, np.ndarray], quantity: str) -> float:
+    """The largest relative change of a quantity along the test."""
+    means = [v.mean(axis=0) for name, v in values.items() if name.rstrip("+-") == quantity]
+    return max(float(np.ptp(mean) / max(np.abs(mean).max(), 1e-300)) for mean in means)

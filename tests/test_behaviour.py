@@ -1,0 +1,172 @@
+"""Numerical experiments on a specimen: against laws whose loops are known in closed form, and names against what effects do."""
+
+import math
+
+import numpy as np
+import pytest
+
+from hsed_jax.behaviour.contributions import contribution, dependence
+from hsed_jax.behaviour.histories import PLACES, Histories, Range, along_the_test, over_the_range, range_of
+from hsed_jax.behaviour.names import trait
+from hsed_jax.behaviour.probes import Probed, probed
+
+STIFFNESS, YIELD, RATE = 2.0e6, 3.0e4, 0.4
+VISITED = Range(0.06 * np.linspace(0, 1, 41) * (-1.0) ** np.arange(41), RATE)
+STEP = 0.2 * YIELD / STIFFNESS
+
+
+def elastoplastic(histories: Histories, factor=lambda energy, path, largest: 1.0) -> np.ndarray:
+    """Elastic and perfectly plastic by a return map, its stiffness times a factor of what it has gone through; NumPy alone."""
+    u = histories.elongation[:, ::2]
+    force = np.zeros(u.shape)
+    energy, path, largest = (np.zeros(len(u)) for _ in range(3))
+    for k in range(1, u.shape[1]):
+        moved = u[:, k] - u[:, k - 1]
+        trial = force[:, k - 1] + STIFFNESS * factor(energy, path, largest) * moved
+        force[:, k] = np.clip(trial, -YIELD, YIELD)
+        energy += 0.5 * (force[:, k] + force[:, k - 1]) * moved
+        path += np.abs(moved)
+        largest = np.maximum(largest, np.abs(u[:, k]))
+    return force
+
+
+def read(histories: Histories, force: np.ndarray) -> Probed:
+    return probed(histories, force, np.ones(len(force), dtype=bool))
+
+
+def named(histories: Histories, with_it: np.ndarray, without: np.ndarray):
+    both = read(histories, with_it), read(histories, without)
+    return trait(contribution(histories, np.stack([with_it, without]), both, RATE))
+
+
+@pytest.fixture(scope="module")
+def histories() -> Histories:
+    return over_the_range(VISITED, STEP)
+
+
+def test_a_perfect_loop_has_its_closed_form(histories):
+    found = read(histories, elastoplastic(histories)).quantities
+    a = 0.5 * VISITED.elongation
+    assert found["strength+"] == pytest.approx(YIELD, rel=1e-12)
+    assert found["strength-"] == pytest.approx(YIELD, rel=1e-12)
+    for name in ("initial_stiffness", "unloading_stiffness+", "unloading_stiffness-"):
+        assert found[name] == pytest.approx(STIFFNESS, rel=1e-3), name
+    # No force is left where the unloading from the peak has passed F_y/k.
+    assert found["recentring"] == pytest.approx(YIELD / STIFFNESS / a, rel=0.02)
+    assert np.abs(found["post_yield_stiffness"]).max() < 1e-9 * STIFFNESS
+    assert found["pinching_ratio"] == pytest.approx(1.0)
+    assert np.abs(found["rate_force"]).max() < 1e-3 * YIELD
+    assert found["relaxation"] == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("exponent", [0.0, 0.5, 1.0, 2.0])
+def test_a_force_that_depends_on_the_rate_is_read_at_every_speed(histories, exponent):
+    force = (
+        elastoplastic(histories)
+        + 5e3 * np.sign(histories.rate[:, ::2]) * np.abs(histories.rate[:, ::2] / RATE) ** exponent
+    )
+    found = read(histories, force)
+    assert found.quantities["rate_force"] == pytest.approx(5e3 * (histories.speed / RATE) ** exponent, abs=0.02 * 5e3)
+
+
+def test_play_is_as_wide_as_the_slack(histories):
+    u, slack = histories.elongation[:, ::2], 0.008
+    force = STIFFNESS * (u - np.clip(u, -slack, slack))
+    assert read(histories, force).quantities["play"] == pytest.approx(2 * slack, rel=0.1)
+
+
+DAMAGED = {
+    "absorbed_energy": lambda energy, path, largest: np.exp(-energy / 6e4),
+    "path": lambda energy, path, largest: 1 / (1 + path / 1.5),
+    "largest_elongation": lambda energy, path, largest: 1 - 0.8 * largest / 0.06,
+}
+
+
+@pytest.mark.parametrize("driver", DAMAGED)
+def test_what_a_stiffness_falls_with_is_told(histories, driver):
+    found = read(histories, elastoplastic(histories, DAMAGED[driver]))
+    shares = dependence(found.quantities["initial_stiffness"], found.drivers)
+    (first, share), (_, second) = list(shares.items())[:2]
+    assert first == driver
+    assert share > 0.9 > second + 0.2
+
+
+def test_a_stiffness_that_falls_exponentially_is_named_for_it(histories):
+    found = named(histories, elastoplastic(histories, DAMAGED["absorbed_energy"]), elastoplastic(histories))
+    assert found is not None
+    assert (found.quantity, found.change, found.driver) == ("initial_stiffness", "falls", "absorbed_energy")
+    assert found.names[0] == "stiffness_degradation"
+
+
+def rates(histories: Histories) -> np.ndarray:
+    return histories.rate[:, ::2] / RATE
+
+
+ADDED = {
+    "coulomb_friction": lambda h: 8e3 * np.sign(rates(h)),
+    # Falls by 7 %, which is less than a practical size.
+    "coulomb_friction ": lambda h: 8.5e3 * np.sign(rates(h)) * (0.93 + 0.07 * np.exp(-np.abs(rates(h)) / 0.2)),
+    "stribeck_friction": lambda h: 8e3 * np.sign(rates(h)) * (0.5 + 0.5 * np.exp(-np.abs(rates(h)) / 0.3)),
+    "viscous_damping": lambda h: 9e3 * rates(h),
+    "quadratic_damping": lambda h: 9e3 * rates(h) * np.abs(rates(h)),
+    "power_damping": lambda h: 9e3 * np.sign(rates(h)) * np.abs(rates(h)) ** 0.4,
+    "hardening": lambda h: 2e5 * h.elongation[:, ::2],
+    "cubic_stiffness": lambda h: 2e4 * (h.elongation[:, ::2] / 0.06) ** 3,
+    "quadratic_stiffness": lambda h: 2e4 * (h.elongation[:, ::2] / 0.06) ** 2,
+}
+
+
+@pytest.mark.parametrize("name", ADDED)
+def test_a_force_beside_the_law_is_named_for_what_it_is(histories, name):
+    law = elastoplastic(histories)
+    found = named(histories, law + ADDED[name](histories), law)
+    assert found is not None
+    assert found.names[0] == name.strip()
+
+
+def test_what_is_of_no_practical_size_has_no_name(histories):
+    law = elastoplastic(histories)
+    assert named(histories, law + 100.0 * np.sign(rates(histories)), law) is None
+
+
+def test_dependence_tells_the_driver_from_one_that_goes_along():
+    rng = np.random.default_rng(0)
+    driver, other = rng.random(32), rng.random(32)
+    shares = dependence(np.exp(-2 * driver), {"other": other, "driver": driver, "mixed": driver + 0.5 * other})
+    assert next(iter(shares)) == "driver"
+    assert shares["driver"] > 0.97
+    assert shares["other"] < 0.3
+    assert dependence(np.ones(32), {"driver": driver}) == {"driver": 0.0}
+
+
+def test_a_record_turns_where_it_goes_back_and_not_in_its_noise():
+    time = np.linspace(0, 1, 4001)
+    clean = 0.05 * np.sin(2 * np.pi * 3 * time)
+    noisy = clean + 2e-4 * np.random.default_rng(1).standard_normal(time.size)
+    found = range_of(noisy, RATE)
+    assert len(found.turns) == 8
+    assert np.abs(found.turns[1:-1]) == pytest.approx(0.05, rel=0.03)
+    assert found.path == pytest.approx(12 * 0.05, rel=0.03)
+
+
+def test_the_test_is_followed_to_shares_of_its_path():
+    found = along_the_test(VISITED, STEP)
+    until = found.ends[0] + 1
+    moved = np.abs(np.diff(found.elongation[:, ::2][:, :until], axis=1)).sum(axis=1)
+    # The way back to zero comes on top, and a share ends at the last reversal before it.
+    assert moved == pytest.approx(np.asarray(PLACES) * VISITED.path, abs=3 * VISITED.elongation)
+    assert np.all(np.diff(moved) > 0)
+    # The rate is the slope of the elongation.
+    slope = np.diff(found.elongation[:, ::2], axis=1)
+    length = np.where(found.lengths > 0, found.lengths, 1.0)
+    middle = found.rate[:, 1::2]
+    assert np.abs(slope / length - middle)[found.lengths > 0].max() < 0.1 * RATE
+
+
+def test_histories_that_could_not_be_simulated_have_no_number(histories):
+    force = elastoplastic(histories)
+    ok = np.arange(len(force)) != 3
+    force[3] = np.nan
+    found = probed(histories, force, ok)
+    assert math.isnan(found.quantities["strength+"][3])
+    assert np.isfinite(found.quantities["strength+"][ok]).all()
