@@ -259,6 +259,12 @@ def simulate(
 
     Raises:
         UserError: an input or parameter is missing or unknown, lengths differ, or the model gives no such history.
+
+    Example:
+        >>> study = hx.load_study("study.yaml")
+        >>> response = hx.simulate(study, {"V_P": 2.25, "T_P": 1.0}, {"A": 5e5, "beta": 1.0}, channels=())
+        >>> round(float(response.quantities["peak_force"]) / 1e3)  # kN
+        125
     """
     built = Built(study)
     free, _ = built.parameters

@@ -30,6 +30,11 @@ def initial_study(
     Raises:
         UserError: the campaign has no completed training experiment, or its records do not show stiffness and strength; or
             masses and height do not fit the sensors.
+
+    Example:
+        >>> study = hx.initial_study(hx.read_files("wall.csv"), "wall.yaml")
+        >>> study.model.spring, study.observe
+        ('bouc_wen', 'histories')
     """
     output = Path(file) if file is not None else Path("study.yaml")
     folder = Path(campaign.source) if campaign.source else output.parent / campaign.name

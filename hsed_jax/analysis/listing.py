@@ -23,7 +23,6 @@ def effects(study: Study | None = None) -> "pd.DataFrame":
         joined by commas, and its `reference`.
 
     Example:
-        >>> import hsed_jax as hx
         >>> hx.effects().loc["slip", "family"]
         'pinching'
     """

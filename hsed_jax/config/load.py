@@ -22,6 +22,11 @@ def load_study(source: str | Path | dict[str, Any], overrides: Sequence[str] = (
 
     Raises:
         UserError: the file is missing or no YAML, or a key or value is not allowed; names the key and what is.
+
+    Example:
+        >>> study = hx.load_study("study.yaml", ["design.iterations=10"])
+        >>> study.design.iterations
+        10
     """
     if isinstance(source, dict):
         content, where = source, "study"

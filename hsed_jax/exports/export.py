@@ -45,6 +45,10 @@ def export(
     Raises:
         UserError: there is no calibration, the law or an effect has no counterpart in OpenSees, the model is code of somebody's
             own, or the folder cannot be written to.
+
+    Example:
+        >>> [file.name for file in hx.export("runs/wall")]
+        ['specimen.py', 'specimen.tcl']
     """
     if kind not in KINDS:
         raise UserError(f"kind: {kind!r} is none of {', '.join(KINDS)}")

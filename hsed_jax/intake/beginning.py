@@ -82,9 +82,9 @@ def read_files(
         UserError: a file cannot be read, or a column or unit cannot be told; the message says what to say.
 
     Example:
-        ```python
-        campaign = hx.read_files("wall.csv", units={"d": "mm", "F": "kN"})
-        ```
+        >>> campaign = hx.read_files("wall.csv")  # or units={"d": "mm", "F": "kN"}, where the file does not tell them
+        >>> len(campaign.train), len(campaign.test)
+        (1, 1)
     """
     columns = {"elongation": elongation, "force": force, "time": time}
     said = Said({c: name for c, name in columns.items() if name is not None}, dict(units or {}), held_out=held_out)

@@ -22,7 +22,7 @@ _COUNT_AND_STEP = re.compile(rf"\s*(\d+)\s+({_NUMBER})\s+NPTS\s*,\s*DT", re.IGNO
 def read_at2(path: str | Path) -> tuple[float, np.ndarray]:
     """Read a ground motion.
 
-    Args:
+    Arguments:
         path: A PEER `.AT2` file, in g.
 
     Returns:
@@ -31,6 +31,11 @@ def read_at2(path: str | Path) -> tuple[float, np.ndarray]:
     Raises:
         UserError: No NPTS and DT in the header, another unit than g, text among the numbers (with its row), or not as
             many samples as NPTS says.
+
+    Example:
+        >>> step, acceleration = hx.read_at2("motion.AT2")
+        >>> step, acceleration.size
+        (0.01, 4)
     """
     path = Path(path)
     lines = read_text(path).splitlines()
@@ -58,7 +63,7 @@ def read_at2(path: str | Path) -> tuple[float, np.ndarray]:
 def write_at2(path: str | Path, dt: float, acceleration, title: str = "ground motion") -> None:
     """Write a ground motion as PEER `.AT2`, which keeps eight digits.
 
-    Args:
+    Arguments:
         path: File to write.
         dt: Time step [s].
         acceleration: Accelerations (n,) [m/s²].

@@ -87,7 +87,7 @@ class Backbone(Tabular):
     def side(self, sign: float) -> tuple[np.ndarray, np.ndarray]:
         """Magnitudes of elongation [m] and force [N] in one direction, from the origin outwards, (q,) each.
 
-        Args:
+        Arguments:
             sign: 1 or -1.
         """
         own = sign * self.elongation > 0
@@ -161,13 +161,20 @@ class Backbone(Tabular):
 def backbone_of(force, elongation, cycles: Cycles, which: Which = "first") -> Backbone:
     """The backbone of a loop.
 
-    Args:
+    Arguments:
         force, elongation: Of the loop [N], [m], (m,) each.
         cycles: Its cycles (`hsed_jax.measurements.cycles.cycles_of`).
         which: `first`: the first of consecutive cycles of one amplitude; `stabilised`: the last, where there are at least two.
 
     Returns:
         The points of both directions; of elongations that keep to one side those of one.
+
+    Example:
+        >>> elongation = np.linspace(0.01, 0.03, 301) * np.sin(np.linspace(0, 6 * np.pi, 301))
+        >>> force = 2e6 * elongation
+        >>> backbone = hx.backbone_of(force, elongation, hx.cycles_of(force, elongation))
+        >>> backbone.elongation.size
+        6
     """
     force, elongation = np.asarray(force, dtype=float), np.asarray(elongation, dtype=float)
     found: list[tuple[float, float]] = []

@@ -161,7 +161,7 @@ class Campaign(Header, Tabular):
     ) -> "Campaign":
         """Build a campaign from tables in memory, in the declared units.
 
-        Args:
+        Arguments:
             experiments: A table with the columns of experiments.csv (`id`, inputs, quantities, `status`, ...): a pandas
                 DataFrame, a dict of columns, or a list of dicts.  Without it, the ids are those of `records`.
             records: By id, a table of the channels: a DataFrame or a dict of arrays (n,).

@@ -23,7 +23,7 @@ FEWEST = 10  # time steps that tell what is usual
 def check_campaign(campaign: Campaign) -> list[Finding]:
     """Look for faults in the records and quantities of completed experiments, and in planned ground motions.
 
-    Args:
+    Arguments:
         campaign: Not changed.
 
     Returns:
@@ -31,6 +31,10 @@ def check_campaign(campaign: Campaign) -> list[Finding]:
         than eight measured samples in the window, NaN, backward or duplicate time and constant channels.  Doubts are those of
         single channels (`hsed_jax.measurements.channel_doubts`), of loops (`loop_doubts`) and of the campaign
         (`campaign_doubts`).
+
+    Example:
+        >>> hx.check_campaign(hx.read_campaign("my_campaign"))
+        []
     """
     used = [e for e in campaign if e.status in ("completed", "pending")]
     found, seen = [], []

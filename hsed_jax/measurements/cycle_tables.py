@@ -52,12 +52,17 @@ class Columns(Tabular):
 def cycle_table(campaign: Campaign) -> Columns:
     """Every cycle of every completed record that has force and elongation, in the declared units.
 
-    Args:
+    Arguments:
         campaign: Not changed.  Of a record that is fitted or scored in part it is that part.
 
     Returns:
         A row per cycle: peaks, absorbed energy, equivalent viscous damping, stiffnesses, residual elongation and strength loss
         (`hsed_jax.measurements.cycles` says what each is), those of the negative side first.
+
+    Example:
+        >>> table = hx.cycle_table(hx.read_campaign("my_campaign"))
+        >>> table.heads[:3]
+        ['experiment', 'cycle', 'whole']
     """
     rows = [
         [*names, number + 1, "yes" if cycles.is_whole[number] else "no", *(float(column[number]) for column in columns)]
@@ -78,12 +83,17 @@ def cycle_table(campaign: Campaign) -> Columns:
 def backbone_table(campaign: Campaign) -> Columns:
     """The idealised backbones of every completed record that has force and elongation, in the declared units.
 
-    Args:
+    Arguments:
         campaign: As of `cycle_table`.
 
     Returns:
         A row for each side, backbone (first cycles, stabilised) and idealisation (EEEP of ASTM E2126, bilinear of equal energy,
         a-b-c of ASCE/SEI 41) that has three points (`hsed_jax.measurements.backbones`).
+
+    Example:
+        >>> table = hx.backbone_table(hx.read_campaign("my_campaign"))
+        >>> table.heads[:2]
+        ['experiment', 'backbone']
     """
     rows: list[list[str | float]] = []
     whiches: tuple[Which, ...] = ("first", "stabilised")

@@ -103,7 +103,7 @@ class Cycles(Tabular):
 def cycles_of(force, elongation, along=None) -> Cycles:
     """Read the cycles of a loop.
 
-    Args:
+    Arguments:
         force: [N], (m,).
         elongation: [m], (m,).
         along: The elongation whose cycles they are [m], (m,); by default `elongation`.  A prediction is read over the cycles of
@@ -115,6 +115,12 @@ def cycles_of(force, elongation, along=None) -> Cycles:
 
     Raises:
         ValueError: The arrays differ in length, or a number is not finite.
+
+    Example:
+        >>> elongation = 0.01 * np.sin(np.linspace(0, 6 * np.pi, 301))
+        >>> cycles = hx.cycles_of(2e6 * elongation, elongation)
+        >>> len(cycles)
+        3
     """
     force, elongation = np.asarray(force, dtype=float), np.asarray(elongation, dtype=float)
     along = elongation if along is None else np.asarray(along, dtype=float)

@@ -182,7 +182,7 @@ class Experiment:
     def quantity(self, name: str, masses: int = 0) -> float:
         """Return a quantity [SI] as it was given, or else as the record tells it; NaN where neither does.
 
-        Args:
+        Arguments:
             name: Of the quantity (`hsed_jax.physics.outputs`).
             masses: How many masses the structure has; without them none of their quantities can be told.
         """

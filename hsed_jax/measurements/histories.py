@@ -12,7 +12,7 @@ from hsed_jax.measurements.tables import read_record_table
 def read_history(path: Path, channel: str) -> tuple[np.ndarray, np.ndarray]:
     """Read times and one channel, in SI units.
 
-    Args:
+    Arguments:
         path: A `.AT2` file of a ground motion, or a record with the columns `time` and `channel`; a text file without columns of
             these names has the time in its first and the channel in its second column.
         channel: Such as `force`.

@@ -9,7 +9,7 @@ def noise_estimate(time, values) -> float:
     The median magnitude of third divided differences, scaled for Gaussian noise: cubics cancel, rare jumps do not
     matter, sampling may be uneven.  Where the sampling does not resolve the signal it is an upper bound.
 
-    Args:
+    Arguments:
         time: Sample times (n,), increasing.
         values: Samples (n,), n ≥ 8.
 

@@ -15,7 +15,7 @@ _ALLOWED = ", ".join(map(str, PAIRS))
 def pair_of(declared: Mapping[str, Channel]) -> Pair:
     """Return the pair that the units of channels and quantities belong to; elongation and force where none are of a specimen.
 
-    Args:
+    Arguments:
         declared: Channels and quantities by where they are declared, such as `channels.force`.
 
     Raises:

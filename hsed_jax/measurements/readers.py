@@ -21,12 +21,17 @@ DEFAULT_ENDINGS = ("csv", "parquet", "mat", "h5", "txt")
 def read_campaign(path: str | Path) -> Campaign:
     """Read a campaign from its folder.
 
-    Args:
+    Arguments:
         path: The folder with campaign.yaml, experiments.csv and the records.
 
     Raises:
         UserError: Anything that cannot be read with certainty: the message names file, row and column, what is wrong
             and what is allowed.  Nothing is repaired or left out.
+
+    Example:
+        >>> campaign = hx.read_campaign("my_campaign")
+        >>> [experiment.id for experiment in campaign.train]
+        ['wall']
     """
     folder = Path(path)
     if not is_folder(folder):

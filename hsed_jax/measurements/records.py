@@ -24,7 +24,7 @@ _PART = re.compile(r"(.+)\((?::\s*,\s*(\d+)|(\d+)\s*,\s*:)\)")
 def read_columns(path: Path, wanted: Iterable[str], optional: Iterable[str] = ()) -> dict[str, np.ndarray]:
     """Read columns of a record file, as numbers in the file's units.
 
-    Args:
+    Arguments:
         path: The file; its ending tells the format.  In MATLAB and HDF5 files a column is a variable or dataset, and
             ``group/name`` or ``struct.field`` reaches into groups and structures, ``name(:,2)`` is the second column of a
             matrix and ``name(2,:)`` its second row.
@@ -57,7 +57,7 @@ def read_columns(path: Path, wanted: Iterable[str], optional: Iterable[str] = ()
 def vectors_of(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str], list[str], dict[str, str]]:
     """Read every vector of a binary file that could be a channel, and say what is wrong with the others.
 
-    Args:
+    Arguments:
         path: The file; its ending tells the format.  Columns of a matrix have the names that `read_columns` takes.
 
     Returns:

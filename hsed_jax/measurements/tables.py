@@ -210,7 +210,7 @@ def read_experiment_table(path: Path) -> Table:
 def read_record_table(path: Path, wanted: Iterable[str]) -> Table:
     """Read a record: commas, semicolons, tabs or blanks; comment lines; a header or none.
 
-    Args:
+    Arguments:
         path: The file.
         wanted: Columns that the record should have: they decide which separator is meant.
 

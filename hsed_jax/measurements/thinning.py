@@ -47,7 +47,7 @@ class Loss(NamedTuple):
 def thinned(experiment: Experiment, samples: int) -> Experiment:
     """Thin the record of a component test.
 
-    Args:
+    Arguments:
         experiment: With an elongation in its record; not changed.
         samples: About how many to keep; a shorter record stays as it is.
 

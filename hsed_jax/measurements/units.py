@@ -147,7 +147,7 @@ class Unit:
 def parse_unit(text: str, dimension: Dimension | None = None) -> Unit:
     """Read a unit such as ``mm``, ``kN``, ``kN*mm``, ``m/s^2``, ``g``, ``%`` or ``-``.
 
-    Args:
+    Arguments:
         text: The unit.  ``g`` is standard gravity; ``-`` and ``1`` are dimensionless.
         dimension: What the unit must measure; `None` allows anything (an input of an experiment).
 

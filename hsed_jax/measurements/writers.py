@@ -16,9 +16,12 @@ def write_campaign(campaign: Campaign, folder: str | Path) -> None:
     Records are CSV in the declared units; experiments that share a record share its file.  Every file is complete before it
     takes its name, and experiments.csv comes last, so that a reader never sees half a campaign.
 
-    Args:
+    Arguments:
         campaign: What to write.
         folder: Where to; made if it is not there.  Files of the same names are replaced.
+
+    Example:
+        >>> hx.write_campaign(hx.read_files("wall.csv"), "my_campaign")
     """
     owners = _owners(campaign)
     for experiment in campaign:
@@ -30,7 +33,7 @@ def write_campaign(campaign: Campaign, folder: str | Path) -> None:
 def write_experiment(campaign: Campaign, id: str, folder: str | Path) -> None:
     """Write one experiment of a campaign into its folder, leaving the records of the others alone.
 
-    Args:
+    Arguments:
         campaign: The campaign, with the experiment in it.
         id: The experiment that is new or has changed.
         folder: The campaign's folder.

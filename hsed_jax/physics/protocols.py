@@ -214,6 +214,11 @@ def protocol_history(
 
     Raises:
         UserError: there is no such protocol, it has not so many steps, or a number is not as said.
+
+    Example:
+        >>> time, elongation = hx.protocol_history("curee", reference=0.04, rate=0.005)
+        >>> float(elongation.max())
+        0.04
     """
     levels = protocol(name).levels(steps)
     for what, value in {"reference": reference, "rate": rate}.items():

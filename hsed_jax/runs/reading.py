@@ -29,6 +29,11 @@ def read_run(path: str | Path, known: "xr.DataTree | None" = None) -> "FinishedR
 
     Raises:
         UserError: there is no run, it has come to nothing yet, or a file is damaged.
+
+    Example:
+        >>> run = hx.read_run("runs/wall")
+        >>> run.summary["status"], list(run.results["posterior"])
+        ('complete', ['A', 'beta'])
     """
     from hsed_jax.reporting.finished import FinishedRun
 

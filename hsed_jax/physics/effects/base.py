@@ -205,7 +205,16 @@ class AbstractSetupEffect(AbstractEffect):
 
 
 def register[T: type[AbstractEffect]](cls: T) -> T:
-    """Class decorator: the effect is for the catalogue, the package's or that of the study which names the file."""
+    """Class decorator: the effect is for the catalogue, the package's or that of the study which names the file.
+
+    Example:
+        >>> from hsed_jax.physics.effects import AbstractSpringEffect
+        >>> @hx.register
+        ... class Mine(AbstractSpringEffect):
+        ...     name, family, reference = "mine", "elastic", "my thesis"
+        >>> "mine" in hx.effects(hx.load_study("study.yaml").with_own_effects(Mine)).index
+        True
+    """
     cls.registered = True
     return cls
 
