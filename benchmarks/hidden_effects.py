@@ -21,12 +21,22 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 
 from hidden.campaigns import TooSmall, make
-from hidden.cases import Case
+from hidden.cases import Case, draw
 from hidden.catalogue import EFFECTS, FORMULAS, KINDS, applicable
 from hidden.mixtures import drawn, mixable
 from hidden.opensees import is_available
+from hidden.probed import forces
+from hidden.specimen import Scales
 
+from hsed_jax.behaviour.histories import Range, along_the_test
+from hsed_jax.behaviour.probes import probed
+from hsed_jax.behaviour.specimens import longest_step
+from hsed_jax.config.load import load_study
+from hsed_jax.diagnosis.candidates import problem_of
+from hsed_jax.diagnosis.diagnose import diagnose
+from hsed_jax.diagnosis.findings import Diagnosis
 from hsed_jax.errors import UserError
+from hsed_jax.study.build import Built
 
 WEAK, MEDIUM, STRONG = 0.03, 0.10, 0.25
 SIZES = {WEAK: "weak", MEDIUM: "medium", STRONG: "strong"}
@@ -37,6 +47,8 @@ _SIZED = (("medium", MEDIUM, 0.05), ("strong", STRONG, 0.02))
 _EXPERIMENTS = {"shaken": (6, 4), "component": (6, 4), "quantities": (20, 6)}
 # So many mixtures of formulas for each effect and kind of campaign.
 _MIXTURES = 4
+# Quantities whose curves are judged: those that every specimen has.
+_JUDGED = ("initial_stiffness", "unloading_stiffness+", "unloading_stiffness-", "strength+", "strength-", "rate_force")
 # What is left with this probability is noise.
 _NOISE = 0.05
 
@@ -207,19 +219,62 @@ def scored(cases: Sequence[tuple[str, Case]]) -> Iterator[dict[str, Any]]:
                 yield row | {"skipped": f"refused: {refusal}"}
                 continue
             seconds = time.perf_counter() - begin
-            yield row | score(found, json.loads(truth.read_text(encoding="utf-8"))) | {"seconds": seconds}
+            told = json.loads(truth.read_text(encoding="utf-8"))
+            judged = {"behaviour": behaviour(found, folder_range(campaign), case, told)} if case.effects else {}
+            yield row | score(found.summary(), told) | judged | {"seconds": seconds}
 
 
-def diagnosed(folder: Path) -> dict[str, Any]:
-    """What the package finds in a campaign folder: the key `diagnosis` of `summary.json`."""
-    from hsed_jax.config.load import load_study
-    from hsed_jax.diagnosis.candidates import problem_of
-    from hsed_jax.diagnosis.diagnose import diagnose
-    from hsed_jax.study.build import Built
-
+def diagnosed(folder: Path) -> Diagnosis:
+    """What the package finds in a campaign folder."""
     built = Built(load_study(folder / "study.yaml"))
     assert built.measured is not None
-    return diagnose(problem_of(built, built.measured)).summary()
+    return diagnose(problem_of(built, built.measured))
+
+
+def behaviour(found: Diagnosis, visited: Range, case: Case, truth: dict[str, Any]) -> dict[str, Any] | None:
+    """The curves of the diagnosis beside those of the hidden specimen, by the same numerical experiments.
+
+    Returns:
+        By quantity: the largest difference over the largest value of the hidden specimen along the test (a force that depends
+        on the rate over the strength), and at how many of the places the interval holds it; None where nothing was probed, or
+        the effect is not in the specimen.
+    """
+    plan = draw(case)
+    if not found.behaviour.curves or any(item.formula.place != "specimen" for item in plan.hidden):
+        return None
+    step = longest_step(plan.A / plan.beta / plan.A, visited.elongation)
+    histories = along_the_test(visited, step)
+    force = forces(
+        plan,
+        truth["deltas"],
+        Scales(**truth["scales"]["used"]),
+        histories.elongation,
+        histories.rate,
+        histories.lengths,
+    )
+    hidden = probed(histories, force, np.isfinite(force).all(axis=1)).quantities
+    strength = np.nanmax(hidden["strength+"])
+    judged = {}
+    for name in _JUDGED:
+        curve, true = found.behaviour.curves[name], hidden[name]
+        size = strength if name == "rate_force" else np.abs(true).max()
+        inside = (curve.q05 <= true) & (true <= curve.q95)
+        judged[name] = {
+            "off": float(np.abs(curve.mean - true).max() / size),
+            "off_before": float(np.abs(curve.before - true).max() / size),
+            "inside": int(inside.sum()),
+            "of": len(true),
+        }
+    return judged
+
+
+def folder_range(folder: Path) -> Range:
+    """What the tests of a campaign folder visited, as the diagnosis sees it."""
+    built = Built(load_study(folder / "study.yaml"))
+    assert built.measured is not None
+    visited = problem_of(built, built.measured, effects=[]).visited
+    assert visited is not None
+    return visited
 
 
 def score(found: dict[str, Any], truth: dict[str, Any]) -> dict[str, Any]:

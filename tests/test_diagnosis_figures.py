@@ -61,7 +61,9 @@ def falling():
     }
     ends = Value(3e6, 2.7e6, 3.3e6), Value(1e6, 0.9e6, 1.1e6)
     change = Behaviour("initial_stiffness", "falls", {"absorbed_energy": 0.97}, *ends, "N/m")
-    return Behaviours([replace(change, sentence=told(change, ELONGATION_AND_FORCE))], {"strength": 0.0}, curves, (*places,))
+    return Behaviours(
+        [replace(change, sentence=told(change, ELONGATION_AND_FORCE))], {"strength": 0.0}, curves, (*places,)
+    )
 
 
 def test_what_a_specimen_does_is_drawn_where_it_differs_and_said():

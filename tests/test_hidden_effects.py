@@ -15,13 +15,22 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 from hidden import check
 from hidden.campaigns import coloured, make
-from hidden.cases import Case
+from hidden.cases import Case, draw
 from hidden.catalogue import EFFECTS, FORMULAS
 from hidden.degrading import reversals
 from hidden.mixtures import drawn, mixable, mixture
+from hidden.probed import forces
 from hidden.sensors import Program
 from hidden.specimen import EXTRA, Scales, Specimen, pull
 from hidden_effects import diagnosed, plan, score, table
+
+from hsed_jax.behaviour.histories import Range, along_the_test
+from hsed_jax.behaviour.specimens import alone, answers, longest_step
+from hsed_jax.physics import scales as of_package
+from hsed_jax.physics.effects import EFFECTS as CATALOGUE
+from hsed_jax.physics.parameters import parameters_of
+from hsed_jax.physics.simulator import Simulator
+from hsed_jax.physics.timeline import Timeline
 
 OTHER = [(effect, name) for effect, name in FORMULAS if name not in ("same", "opensees")]
 IN_THE_SPECIMEN = [key for key, formula in FORMULAS.items() if formula.place == "specimen"]
@@ -31,7 +40,7 @@ def result(tmp_path, kind, effects, noise=0.05, size=0.10, experiments=6, test=4
     """Make, diagnose and score one case."""
     campaign, truth = tmp_path / "campaign", tmp_path / "truth.json"
     make(Case(kind, effects, size, noise, experiments, test, seed), campaign, truth)
-    return score(diagnosed(campaign), json.loads(truth.read_text(encoding="utf-8")))
+    return score(diagnosed(campaign).summary(), json.loads(truth.read_text(encoding="utf-8")))
 
 
 @pytest.mark.parametrize(
@@ -264,3 +273,28 @@ def test_the_table_counts_false_alarms_and_errors_that_rise():
     cells = dict(zip(head.split(" | "), line.split(" | "), strict=True))
     assert (cells["false alarms"], cells["error raised"], cells["exact set"]) == ("1", "1", "50 %")
     assert "g: gap (same)" in table(rows, "formula")
+
+
+def test_the_hidden_specimen_and_the_package_answer_the_same_numerical_experiments_alike():
+    visited = Range(0.2 * np.linspace(0, 1, 13) * (-1.0) ** np.arange(13), 1.0)
+    case = Case("component", (("stiffness_degradation", "same"),), 0.1, 0.02, 6, 4, 5)
+    plan, scales = draw(case), Scales(3e5, 0.2, 1.0, 3e5)
+    histories = along_the_test(visited, longest_step(1 / plan.beta, visited.elongation))
+    own = forces(plan, [0.7], scales, histories.elongation, histories.rate, histories.lengths)
+    simulator = Simulator(
+        structure=None,
+        excitation=None,
+        timeline=Timeline(None, 1, 1),
+        effects=CATALOGUE.only(["stiffness_degradation"]),
+        scales=of_package.Scales(*scales),
+    )
+    held = {
+        f"stiffness_degradation.{name}": float(known.neutral)
+        for name, known in parameters_of(simulator.effects["stiffness_degradation"]).items()
+        if known.shapes
+    }
+    specimen = alone(simulator, simulator.elements[0], held)
+    values = {"A": plan.A, "beta": plan.beta, "gamma": 0.0, "n": 1.0, "stiffness_degradation.delta": 0.7}
+    found = answers(specimen, [values], histories)
+    assert found.ok.all()
+    assert_allclose(found.force[0], own, atol=0.01 * np.abs(own).max())

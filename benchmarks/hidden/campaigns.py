@@ -278,6 +278,7 @@ def _write_truth(case, plan, deltas, reached, together, used, observed, measured
     content = {
         "case": asdict(case),
         "effects": effects,
+        "deltas": [float(delta) for delta in deltas],
         "names": [e["effect"] for e in effects],
         "families": [e["family"] for e in effects],
         "A": plan.A,
