@@ -307,7 +307,7 @@ def normalised_error(measured: np.ndarray, predicted: np.ndarray, used: np.ndarr
 
 def _add_energy_errors(prediction: Prediction, per_experiment: dict[str, dict[str, dict[str, float]]]) -> None:
     """RMS error of the energy absorbed per cycle over its RMS, where force and elongation are both known."""
-    for id, name, measured, predicted, _ in _loops(prediction):
+    for id, name, measured, predicted, *_ in _loops(prediction):
         if id not in per_experiment:
             continue
         rms = float(np.sqrt(np.mean(measured.energy**2)))
@@ -317,9 +317,9 @@ def _add_energy_errors(prediction: Prediction, per_experiment: dict[str, dict[st
             per_experiment[id][name]["energy_error"] = error / rms
 
 
-def _loops(prediction: Prediction) -> Iterator[tuple[str, str, Cycles, Cycles | None, np.ndarray]]:
-    """Every loop that is known: experiment, name of the force, cycles measured and predicted (None of no numbers), and the
-    measured force (m,)."""
+def _loops(prediction: Prediction) -> Iterator[tuple[str, str, Cycles, Cycles | None, np.ndarray, np.ndarray]]:
+    """Every loop that is known: experiment, name of the force, cycles measured and predicted (None of no numbers), and
+    what was measured of elongation and force, (m,) each."""
     forces = [name for name in prediction.outputs if own_name(name) == "force"]
     for (row, experiment), name in product(enumerate(prediction.experiments), forces):
         if experiment.record is None:
@@ -338,14 +338,14 @@ def _loops(prediction: Prediction) -> Iterator[tuple[str, str, Cycles, Cycles | 
         force, elongation, predicted, stretched = (c[used] for c in (force, elongation, predicted, stretched))
         is_finite = bool(np.isfinite(predicted + stretched).all())
         ours = cycles_of(predicted, stretched, elongation) if is_finite else None
-        yield experiment.id, name, cycles_of(force, elongation), ours, force
+        yield experiment.id, name, cycles_of(force, elongation), ours, elongation, force
 
 
 def _of_cycles(prediction: Prediction) -> list[str]:
     """Sentences on cycles whose measured energy is negative."""
     found = []
-    for id, name, measured, _, force in _loops(prediction):
-        if numbers := returned(measured, force):
+    for id, name, measured, _, elongation, force in _loops(prediction):
+        if numbers := returned(measured, elongation, force):
             which = ", ".join(map(str, numbers[:_CYCLES])) + (" and more" if len(numbers) > _CYCLES else "")
             found.append(
                 f"{id}: the measured {name} does negative work over cycle {which}; no specimen returns more energy than it was "

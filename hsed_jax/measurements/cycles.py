@@ -37,6 +37,8 @@ _REACHED = 0.05
 _SAME = 0.05
 # A cycle that absorbs less than this share of the rectangle around it, below zero, returns more than it was given.
 _RETURNED = 0.02
+# Standard deviations of its noise that an energy is beyond by no chance.
+_SURPRISE = 4.0
 # The unloading stiffness is the slope between these shares of the force at the peak.
 _UNLOADING = (0.8, 0.2)
 
@@ -155,18 +157,32 @@ def absorbed_energy(force: np.ndarray, elongation: np.ndarray) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(0.5 * (force[1:] + force[:-1]) * np.diff(elongation))])
 
 
-def returned(cycles: Cycles, force: np.ndarray) -> list[int]:
+def returned(cycles: Cycles, elongation: np.ndarray, force: np.ndarray) -> list[int]:
     """Numbers, from 1, of the whole cycles that return more energy than they were given, which no specimen does.
+
+    The noise of the samples gives a cycle an energy of either sign: as much as that may be is no doubt.
 
     Arguments:
         cycles: of the loop.
-        force: of the loop [N], (m,).
+        elongation, force: of the loop [m], [N], (m,).
     """
     (swing,) = np.diff(cycles.elongation, axis=0)
-    ranges = np.asarray([np.ptp(force[a:b]) for a, b in zip(cycles.begin, cycles.end, strict=True)])
-    is_negative = cycles.is_whole & (cycles.energy < -_RETURNED * np.where(cycles.is_whole, swing, 0.0) * ranges)
+    parts = [slice(a, b) for a, b in zip(cycles.begin, cycles.end, strict=True)]
+    ranges = np.asarray([np.ptp(force[part]) for part in parts])
+    least = _RETURNED * np.where(cycles.is_whole, swing, 0.0) * ranges
+    chance = _SURPRISE * np.asarray([_energy_of_noise(elongation, force, part) for part in parts])
+    is_negative = cycles.is_whole & (cycles.energy < -np.maximum(least, chance))
     # The last one may end before it has taken up anything.
     return [int(i) + 1 for i in np.flatnonzero(is_negative[:-1])]
+
+
+def _energy_of_noise(elongation: np.ndarray, force: np.ndarray, part: slice) -> float:
+    """Standard deviation of the energy of a cycle by the noise of both channels: of each on the steps of the other."""
+    u, f = elongation[part], force[part]
+    samples = np.arange(len(force), dtype=float)
+    of_u, of_f = (np.nan_to_num(noise_estimate(samples, channel)) for channel in (elongation, force))
+    steps_u, steps_f = (np.sum(np.gradient(channel) ** 2) if len(channel) > 1 else 0.0 for channel in (u, f))
+    return float(np.sqrt(of_f**2 * steps_u + of_u**2 * steps_f))
 
 
 def _peaks(elongation: np.ndarray, found: Sequence[Span]) -> np.ndarray:
