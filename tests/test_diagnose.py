@@ -798,6 +798,16 @@ def test_look_alikes_are_what_the_evidence_does_not_exclude(unlike, alike):
     assert groups == ([["effect_0", "effect_2"]] if "effect_0" in best.effects else [["effect_2", "effect_0"]]) * alike
 
 
+@pytest.mark.parametrize(("unlike", "is_taken"), [(0.15, True), (0.6, False)])
+def test_another_name_is_taken_where_its_effect_explains_nine_tenths(unlike, is_taken):
+    # Of the hidden function the other one explains 1 / (1 + unlike²).
+    _, search = rival_case(unlike)
+    search.best = frozenset({"effect_0"})
+    assert search.exchange("effect_0", "effect_2", "") is is_taken
+    assert search.best == frozenset({"effect_2" if is_taken else "effect_0"})
+    assert search.exchange(*sorted(search.best), "effect_5", "") is False
+
+
 def test_an_average_over_explanations_is_their_mixture():
     problem, search = rival_case(0.07)
     models = [search.model({name}) for name in ("effect_0", "effect_2")]
