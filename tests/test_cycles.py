@@ -370,7 +370,9 @@ def test_cycles_of_measured_records(name):
     record = read_campaign(DATA / name[0])[name[1]].record
     found = cycles_of(record["force"], record["elongation"])
     assert len(found) == MEASURED[name]
-    assert returned(found, record["elongation"], record["force"]) == [] and turns(record["elongation"]).size >= 2 * len(found)
+    assert returned(found, record["elongation"], record["force"]) == [] and turns(record["elongation"]).size >= 2 * len(
+        found
+    )
 
 
 # --- tables ----------------------------------------------------------------------------------------------------------

@@ -1092,3 +1092,28 @@ def test_power_against_the_size_of_the_degradation(eta, least):
     assert len(seen) >= least
     if eta == 0.0:
         assert [d.verdict for d in found] == ["adequate"] * 3
+
+
+def test_a_force_that_comes_late_in_a_record_without_a_time_is_the_test_rigs(tmp_path):
+    rng = np.random.default_rng(3)
+    rows, late = 60 * 10, 4
+    elongation = 0.04 * np.repeat(np.linspace(0.2, 1, 10), 60) * np.sin(2 * np.pi * np.arange(rows) / 60)
+    force = np.zeros(rows)
+    for k in range(1, rows):
+        z, step = force[k - 1], (elongation[k] - elongation[k - 1]) / 50
+        for _ in range(50):
+            z += 4e6 * step - 1e2 * abs(step) * z
+        force[k] = z
+    measured = np.concatenate([np.zeros(late), force[:-late]])
+    measured = measured + 0.01 * np.std(measured) * rng.standard_normal(rows)
+    (tmp_path / "test.csv").write_text(
+        "displacement [mm],force [kN]\n"
+        + "\n".join(f"{1e3 * u:.6g},{f / 1e3:.6g}" for u, f in zip(elongation, measured, strict=True))
+    )
+    campaign = hx.read_files(tmp_path / "test.csv")
+    built = Built(hx.initial_study(campaign), campaign)
+    found = diagnose(problem_of(built, campaign, effects=["time_offset", "support_flexibility", "slip", "loop_shape"]))
+    assert (found.verdict, found.effects) == ("missing_effects", ["time_offset"])
+    estimate = found.ranking[0].estimate["tau"]
+    assert estimate["mean"] == pytest.approx(late, abs=0.1)
+    assert "a second stands for a row" in " ".join(found.notes)

@@ -174,13 +174,20 @@ def problem_of(
         candidates=inputs,
         seed=built.study.seed,
         start=start,
-        notes=(*built.naming.left_out(), *thinning_notes(built, campaign.train)),
+        notes=(*built.naming.left_out(), *thinning_notes(built, campaign.train), *_without_time(built, campaign)),
         pair=large.pair,
         held_out=test,
         opened=tuple(opened),
         simulator=large.simulator if isinstance(large.simulator, Simulator) else None,
         visited=_visited(large, train, campaign),
     )
+
+
+def _without_time(built: Built, campaign: Campaign) -> list[str]:
+    """What seconds are where there are none."""
+    if campaign.has_time or not built.component_test:
+        return []
+    return ["the record has no time: in delays and drifts of the test rig, a second stands for a row"]
 
 
 def _visited(large: Built, experiments: Sequence[Experiment], campaign: Campaign) -> Range | None:

@@ -128,12 +128,14 @@ class ForceOffset(_AbstractRigEffect):
 @register
 @final
 class ForceDrift(_AbstractRigEffect):
-    r"""The zero of the load cell drifts: $r + \delta\,F_c\,x$, $x = \frac{t}{100\,u_c/v_c}$."""
+    r"""The zero of the load cell drifts: $r + \delta\,F_c\,x$, $x = \frac{t}{100\,u_c/v_c}$.
+
+    Of a record without a time, rows stand for it: a row for a second.
+    """
 
     name: ClassVar[str] = "force_drift"
     family: ClassVar[str] = "test rig"
     reference: ClassVar[str] = "JCGM 100:2008 (GUM)"
-    needs_time: ClassVar[bool] = True
     histories_only: ClassVar[bool] = True
     forms: ClassVar[tuple[Form, ...]] = (
         Form("steady", r"\delta F_c\,x"),
@@ -201,12 +203,14 @@ class ActuatorDelay(_AbstractRigEffect):
 @register
 @final
 class TimeOffset(_AbstractRigEffect):
-    r"""The clock of the force differs from that of the elongation: $r(t-\tau)$, $\tau = \delta\,u_c/v_c$, either sign."""
+    r"""The clock of the force differs from that of the elongation: $r(t-\tau)$, $\tau = \delta\,u_c/v_c$, either sign.
+
+    Of a record without a time, rows stand for it: a row for a second.
+    """
 
     name: ClassVar[str] = "time_offset"
     family: ClassVar[str] = "test rig"
     reference: ClassVar[str] = "Horiuchi, Inoue, Konno & Namita 1999"
-    needs_time: ClassVar[bool] = True
     histories_only: ClassVar[bool] = True
 
     delta: Scalar = parameter(
