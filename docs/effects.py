@@ -21,6 +21,7 @@ from PIL import Image
 
 from hsed_jax.config.load import load_study
 from hsed_jax.inference.priors import Prior
+from hsed_jax.physics import display
 from hsed_jax.physics.effects import EFFECTS, AbstractEffect, AbstractSpringEffect
 from hsed_jax.physics.effects.base import MULTIPLIED
 from hsed_jax.physics.effects.forms import DRIVERS, forms_of, slots_of
@@ -405,7 +406,7 @@ def _picture(name: str, curves: list, x: tuple[str, str], y: tuple[str, str]) ->
     panel = figure.subplots()
     labels = []
     for channel, unit, values in ((*x, [c[0] for c in curves]), (*y, [c[1] for c in curves])):
-        divisor, shown = style.readable(unit, *values)
+        divisor, shown = display.readable(unit, *values)
         labels.append((divisor, "Time [s]" if channel == "time" else style.channel_label(channel, shown)))
     looks = ({"color": style.GREY, "linewidth": 1.0}, {"color": style.BLUE, "linewidth": 1.2})
     for (u, v), look in zip(curves, looks, strict=True):
