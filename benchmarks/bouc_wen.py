@@ -218,8 +218,8 @@ def known(fit: Calibration, campaign: hx.Campaign) -> dict[str, Any]:
 def e_rms(fit: Calibration, theta: np.ndarray, campaign: hx.Campaign) -> float:
     """Root mean square of what a model predicts less what was measured, in the windows of a campaign [m]."""
     built = replace(fit.built, campaign=campaign)
-    data = built.data(campaign, campaign.experiments)
-    predicted, ok = built.posterior.predict(jnp.asarray(theta), data.conditions, data.count)
+    data = built.inference.data(campaign, campaign.experiments)
+    predicted, ok = built.inference.posterior.predict(jnp.asarray(theta), data.conditions, data.count)
     assert np.all(ok)
     used = np.asarray(data.weights) > 0
     return float(np.sqrt(np.mean((np.asarray(predicted) - np.asarray(data.values))[used] ** 2)))

@@ -54,13 +54,13 @@ def numbers(case: Built) -> Numbers:
     stiffness = np.diag(springs) + specimen * np.array([[1.0, -1.0], [-1.0, 1.0]])
     root = scipy.linalg.sqrtm(np.diag(1 / masses) @ stiffness)
     damping = 2 * entry.damping.modal * np.diag(masses) @ np.real(root)
-    return Numbers(masses, springs, damping, *case.timeline[:2])
+    return Numbers(masses, springs, damping, *case.simulation.timeline[:2])
 
 
 def lanes(case: Built, count: int, seed: int) -> dict[str, np.ndarray]:
     """Random inputs and parameters over their whole ranges, by name, each (count,)."""
     random = np.random.default_rng(seed)
-    priors = {**case.space.priors, **case.parameters[0]}
+    priors = {**case.experiments.space.priors, **case.mechanics.parameters[0]}
     return {name: np.asarray(prior.quantile(random.uniform(size=count)), float) for name, prior in priors.items()}
 
 
@@ -71,7 +71,7 @@ def columns(values: dict[str, np.ndarray]) -> tuple[np.ndarray, ...]:
 
 def measured(case: Built, count: int) -> tuple[np.ndarray, np.ndarray]:
     """A space-filling campaign of the virtual laboratory: points of the unit cube (count, d), quantities (count, 3)."""
-    cube = case.space.initial_design(count)
-    si = case.space.si(case.space.declared(cube))
-    exact = [case.laboratory.exact({k: float(v[i]) for k, v in si.items()}) for i in range(count)]
+    cube = case.experiments.space.initial_design(count)
+    si = case.experiments.space.si(case.experiments.space.declared(cube))
+    exact = [case.site.laboratory.exact({k: float(v[i]) for k, v in si.items()}) for i in range(count)]
     return cube, np.asarray([[row[name] for name in QUANTITIES] for row in exact])

@@ -57,10 +57,10 @@ def at(reading: tuple[str, ...], inputs: list[list[float]]) -> dict[str, float]:
     from hsed_jax.study.build import Built
 
     built = Built(hx.load_study(PAPER, [*reading, "steps=[calibrate]", "calibration.sampler=laplace"]))
-    campaign = built.empty_campaign()
+    campaign = built.site.empty_campaign()
     for number, row in enumerate(inputs):
-        of_one = dict(zip(built.space.names, row, strict=True))
-        measured = built.laboratory.perform(number, of_one).quantities
+        of_one = dict(zip(built.experiments.space.names, row, strict=True))
+        measured = built.site.laboratory.perform(number, of_one).quantities
         campaign = campaign.add(Experiment(experiment_id(number), of_one, quantities=measured))
     return calibrate_built(built, campaign).map
 

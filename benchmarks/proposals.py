@@ -63,8 +63,8 @@ def row_of(case: Case) -> dict[str, Any] | None:
         try:
             make(case, campaign, Path(place) / "truth.json")
             built = Built(load_study(campaign / "study.yaml"))
-            assert built.measured is not None
-            problem = problem_of(built, built.measured)
+            assert built.experiments.measured is not None
+            problem = problem_of(built, built.experiments.measured)
         except (TooSmall, UserError):
             return None
         explained = partial(noise_explains, problem)

@@ -119,13 +119,15 @@ def large(test: str, seed: int) -> Large:
     """The large model of a kind of test."""
     kind = TESTS[test]
     built = Built(hx.load_study(kind.path, [*kind.settings, f"error={{relative: {kind.noise}}}"]))
-    cube = np.asarray(sobol_candidates(CANDIDATES, len(built.space.names), seed))
-    compared = built.space.initial_design(_COMPARED)
+    cube = np.asarray(sobol_candidates(CANDIDATES, len(built.experiments.space.names), seed))
+    compared = built.experiments.space.initial_design(_COMPARED)
     # What a problem is made of wants an experiment; nothing is fitted to this one.
-    first = {name: float(value) for name, value in built.space.point(cube[0]).si.items()}
-    one = hx.Experiment("E01", first, quantities=dict.fromkeys(built.outputs, 1.0))
+    first = {name: float(value) for name, value in built.experiments.space.point(cube[0]).si.items()}
+    one = hx.Experiment("E01", first, quantities=dict.fromkeys(built.observed.outputs, 1.0))
     effects = list(dict.fromkeys(effect for pair in kind.pairs for effect in pair))
-    problem = problem_of(built, built.empty_campaign().add(one), effects=effects, cube=np.concatenate([cube, compared]))
+    problem = problem_of(
+        built, built.site.empty_campaign().add(one), effects=effects, cube=np.concatenate([cube, compared])
+    )
     forms = {effect: next(iter(problem.effects[effect].values())) for effect in effects}
 
     def lanes(thetas, candidates):

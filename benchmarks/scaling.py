@@ -88,7 +88,7 @@ def _duration(duration: int) -> float:
 
 def _simulated(case: Built, count: int) -> float:
     """Seconds of a batch of simulations."""
-    simulator, values = case.simulator, lanes(case, count, seed=1)
+    simulator, values = case.simulation.simulator, lanes(case, count, seed=1)
     batch = tuple({n: jnp.asarray(values[n]) for n in names} for names in (("A", "beta"), ("V_P", "T_P")))
 
     def one(lane):
@@ -112,9 +112,9 @@ def _parameters(count: int) -> float:
 
 def _differentiated(case: Built, experiments: int) -> float:
     """Seconds of the predictions of so many experiments and their Jacobian in the free parameters."""
-    predict, values = case.posterior.predict, lanes(case, experiments, seed=2)
-    conditions = Conditions({name: jnp.asarray(values[name]) for name in case.space.names})
-    theta = jnp.asarray([float(prior.quantile(0.6)) for prior in case.posterior.priors.values()])
+    predict, values = case.inference.posterior.predict, lanes(case, experiments, seed=2)
+    conditions = Conditions({name: jnp.asarray(values[name]) for name in case.experiments.space.names})
+    theta = jnp.asarray([float(prior.quantile(0.6)) for prior in case.inference.posterior.priors.values()])
 
     def outputs(theta):
         found = predict(theta, conditions, jnp.asarray(experiments))[0]

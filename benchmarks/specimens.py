@@ -161,7 +161,7 @@ def draws_per_second(keep, seconds):
     campaign = read_campaign(COUPONS)
     fit = calibrated(study, campaign, keep)[0].fit
     posterior, data, maximum = fit.posterior, fit.data, fit.maximum
-    settings = Built(study, campaign).settings
+    settings = Built(study, campaign).inference.settings
     draw(posterior, data, maximum, jnp.asarray(0.8), jax.random.key(7), settings._replace(warmup=2, draws=12), Watch())
     cpu = time.process_time()
     chains = draw(posterior, data, maximum, jnp.asarray(0.8), jax.random.key(1), settings, Watch())

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from PIL import Image
 
+from hsed_jax.analysis.form_curves import curves_of
 from hsed_jax.config.load import load_study
 from hsed_jax.inference.priors import Prior
 from hsed_jax.physics import display
@@ -34,7 +35,6 @@ from hsed_jax.physics.simulator import Conditions, Recorded, Simulator, Timeline
 from hsed_jax.reporting import style
 from hsed_jax.reporting.style import Picture
 from hsed_jax.study.build import Built
-from hsed_jax.study.form_curves import curves_of
 
 DOCS = Path(__file__).resolve().parent
 PAGE, IMAGES = DOCS / "effects.md", DOCS / "images" / "effects"
@@ -369,11 +369,11 @@ class Shaken:
     def __init__(self):
         study = load_study(DOCS.parent / "configs" / "hidden_effect.yaml")
         built = Built(study)
-        space = built.space
+        space = built.experiments.space
         middle = space.si(space.declared(np.full((1, len(space.names)), 0.5)))
         self.conditions = Conditions({key: jnp.asarray(values[0]) for key, values in middle.items()})
-        self.law = {k: v for k, v in built.laboratory.parameters.items() if "." not in k}
-        self.simulator = replace(built.simulator, effects=EFFECTS.only([]), constants=())
+        self.law = {k: v for k, v in built.site.laboratory.parameters.items() if "." not in k}
+        self.simulator = replace(built.simulation.simulator, effects=EFFECTS.only([]), constants=())
         self.plain = _respond(self.simulator, self.law, self.conditions)
         step, _, every = self.simulator.timeline
         self.time = step * every * np.arange(len(self.plain["elongation"]))

@@ -159,14 +159,14 @@ def _effects(options: Any) -> int:
     effects = EFFECTS
     if options.study:
         from hsed_jax.config.load import load_trusted
-        from hsed_jax.study.own_effects import catalogue_of
+        from hsed_jax.study.own_parts import catalogue_of
 
         effects = catalogue_of(load_trusted(options.study, trust=options.trust))
     if not options.name:
         print(catalogue(effects))
         return 0
     # A picture of forms needs their priors, which the list does not wait for.
-    from hsed_jax.study.form_curves import curves_of
+    from hsed_jax.analysis.form_curves import curves_of
 
     print(entry(options.name, effects, curves_of))
     return 0
@@ -178,31 +178,36 @@ def _check(options: Any) -> int:
     study = load_trusted(options.study, options.overrides, trust=options.trust)
     # A wrong key is told before what calculates is loaded.
     from hsed_jax.measurements import check_campaign, overview, stop_at_errors
+    from hsed_jax.study.advice import forecast, frequency_doubts
     from hsed_jax.study.build import Built
     from hsed_jax.study.excitations import sentence_of
-    from hsed_jax.study.plausible import frequency_doubts
-    from hsed_jax.study.records import forecast, thinning_notes
 
     built, accepted = Built(study), frozenset()
-    _ = built.catalogue  # effects of its own, which may be wrong, come before the data
-    if built.measured is not None:
+    _ = built.mechanics.catalogue  # effects of its own, which may be wrong, come before the data
+    if built.experiments.measured is not None:
         # Before anything is computed from the data: steps of a time that is no number are none.
-        findings, accepted = check_campaign(built.measured), study.measurements.accepted(built.measured)
+        findings, accepted = (
+            check_campaign(built.experiments.measured),
+            study.measurements.accepted(built.experiments.measured),
+        )
         for finding in findings:
             print(f"{finding.line} (accepted)" if (finding.experiment, finding.kind) in accepted else finding)
         if any(finding.level == "error" for finding in findings):
             raise UserError(f"{options.study}: the data have errors, listed above; nothing is repaired silently")
     built.check()
-    if built.measured is not None:
-        print(overview(built.measured))
-        for note in (*thinning_notes(built, built.measured), *frequency_doubts(built, built.measured)):
+    if built.experiments.measured is not None:
+        print(overview(built.experiments.measured))
+        for note in (
+            *built.experiments.thinning_notes(built.experiments.measured),
+            *frequency_doubts(built.mechanics, built.experiments.measured),
+        ):
             print(note)
-        print(forecast(built, built.measured))
-        stop_at_errors(built.measured, accepted)
-    if built.excitation is not None and built.grid is None:
-        print(f"{sentence_of(study)}; {built.planned.steps} steps of the integration")
+        print(forecast(built.inference, built.experiments.measured))
+        stop_at_errors(built.experiments.measured, accepted)
+    if built.experiments.excitation is not None and built.simulation.grid is None:
+        print(f"{sentence_of(study)}; {built.simulation.planned.steps} steps of the integration")
     if "diagnose" in study.steps:
-        for note in built.naming.left_out():
+        for note in built.mechanics.naming.left_out():
             print(f"diagnose: {note}")
     print(f"{options.study}: the study is valid; its steps are {', '.join(study.steps)}")
     return 0
@@ -348,7 +353,7 @@ def _said(done: "Run", step: str) -> Iterator[Any]:
             f"{len(done.campaign)} experiments, max EI {max(improvement):.2e} at its largest and {improvement[-1]:.2e} "
             f"at the end; stopped by: {done.stop_reason}"
         )
-        if done.drift is not None and (said := done.drift.sentence(done.built.units)):
+        if done.drift is not None and (said := done.drift.sentence(done.built.mechanics.units)):
             yield said
     elif step == "calibrate":
         yield done.calibration

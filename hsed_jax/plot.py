@@ -56,10 +56,10 @@ def ground_motions(study: Study) -> np.ndarray:
         Axes of the accelerations over time and of the spectra, (2,); of forces or elongations over time, (1,).
     """
     built = Built(study)
-    if built.excitation is None or not built.space.names:
+    if built.experiments.excitation is None or not built.experiments.space.names:
         raise UserError(f"the study {study.study!r} has no excitation with inputs to draw")
-    found = over_inputs.excitations(built.planned_simulator, built.space, built.pair)
-    return _several(design_figures.excitations(found, built.pair))
+    found = over_inputs.excitations(built.simulation.planned_simulator, built.experiments.space, built.mechanics.pair)
+    return _several(design_figures.excitations(found, built.mechanics.pair))
 
 
 # What a calibrated model makes of its measurements.
@@ -296,7 +296,7 @@ def parameters(improvement: Improvement, truth: Mapping[str, float] | None = Non
     """
     before, after = improvement.original.fit, improvement.calibration.fit
     picture = diagnosis_figures.parameters_before_after(
-        before.summary(), after.summary(), after.units, truth or {}, improvement.original.built.catalogue
+        before.summary(), after.summary(), after.units, truth or {}, improvement.original.built.mechanics.catalogue
     )
     return _several(_there(picture, "no parameter of the law is free; there is nothing to draw"))
 
@@ -318,11 +318,11 @@ def expected(design: AskTell, experiment: str) -> np.ndarray:
         UserError: there is no such experiment.
     """
     asked = design.conduct.request(experiment)
-    given = ", ".join(f"{n} = {v:.4g} {design.built.space.units[n]}" for n, v in asked.inputs.items())
+    given = ", ".join(f"{n} = {v:.4g} {design.built.experiments.space.units[n]}" for n, v in asked.inputs.items())
     found = design.expected(asked)
     measured = design.campaign[experiment].record
     picture = request_figures.expected_response(
-        f"{experiment} at {given}", found.time, found.channels, measured, design.built.pair
+        f"{experiment} at {given}", found.time, found.channels, measured, design.built.mechanics.pair
     )
     return _several(picture)
 

@@ -27,10 +27,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import hsed_jax as hx
+from hsed_jax.analysis.form_curves import curves_of
 from hsed_jax.physics.effects import EFFECTS, AbstractSpringEffect
 from hsed_jax.physics.parameters import parameter
 from hsed_jax.reporting.catalogue import entry
-from hsed_jax.study.form_curves import curves_of
 
 # %% [markdown]
 # ## The class

@@ -390,7 +390,7 @@ def test_a_slider_moves_the_loop_as_independent_steps_do_and_compiles_nothing(fi
     degrading = explorer.variant(("stiffness_degradation",))
     assert [dial.name for dial in degrading.dials] == ["A", "beta", "stiffness_degradation.delta"]
     # δ = η E_c; a kN mm is a J.
-    delta = ETA * degrading.built.scales.energy
+    delta = ETA * degrading.built.simulation.scales.energy
     loop, first = timed(degrading, {**values, "stiffness_degradation.delta": delta}, experiment)
     _, force = specimen(samples=100)
     assert_allclose(loop.force, 1e3 * force, atol=4e-3 * np.abs(1e3 * force).max())

@@ -39,14 +39,14 @@ WITH_RECORDS = STUDY | {"experiments": {"folder": {"channels": CHANNELS}}}
 @pytest.fixture(scope="module")
 def specimen():
     """What is tested: from inputs in SI to quantities."""
-    laboratory = Built(load_study(STUDY | {"experiments": SPECIMEN})).laboratory
+    laboratory = Built(load_study(STUDY | {"experiments": SPECIMEN})).site.laboratory
     return lambda **inputs: laboratory.perform(0, inputs).quantities
 
 
 @pytest.fixture(scope="module")
 def recorded():
     """What is tested, with records: from inputs in SI to columns."""
-    laboratory = Built(load_study(STUDY | {"experiments": SPECIMEN, "observe": "histories"})).laboratory
+    laboratory = Built(load_study(STUDY | {"experiments": SPECIMEN, "observe": "histories"})).site.laboratory
 
     def perform(**inputs):
         record = laboratory.perform(0, inputs).record

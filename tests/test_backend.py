@@ -40,7 +40,7 @@ BUILD = """
 import hsed_jax as hx
 from hsed_jax.study.build import Built
 built = Built(hx.load_study("configs/paper.yaml"))
-built.simulator
+built.simulation.simulator
 """
 
 

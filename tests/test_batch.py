@@ -22,12 +22,12 @@ def case(request):
     """A large model of a short record, its neutral parameters, and lanes of every kind of set."""
     changes = ["observe=quantities", f"model.effects={{{', '.join(f'{name}: {{}}' for name in EFFECTS)}}}"]
     built = Built(load_study(request.config.rootpath / "configs" / "hidden_effect.yaml", changes))
-    names = tuple(built.parameters[0])
+    names = tuple(built.mechanics.parameters[0])
     law = {"A": 4.5e5, "beta": 1.1}
     known = {f"{effect}.{n}": p.neutral for effect in EFFECTS for n, p in parameters_of(CATALOGUE[effect]).items()}
     neutral = np.array([{**law, **known}[name] for name in names])
     columns = {effect: np.array([k for k, n in enumerate(names) if n.startswith(f"{effect}.")]) for effect in EFFECTS}
-    space = built.space
+    space = built.experiments.space
     cube = space.initial_design(3)
     conditions = Conditions({n: jnp.asarray(x) for n, x in space.si(space.declared(cube)).items()})
     parts = [Part(name, columns[name], neutral[columns[name]], frozenset(columns[name].tolist())) for name in EFFECTS]
@@ -49,8 +49,8 @@ def test_a_batch_gives_what_the_whole_model_gives(case, monkeypatch, price):
     built, names, conditions, parts, thetas, experiments = case
     monkeypatch.setattr(module, "_PRICE", price)
     # Without parts everything is one program.
-    whole, ok = Batch(built.simulator, built.observation, names, conditions)(thetas, experiments)
-    batch = Batch(built.simulator, built.observation, names, conditions, parts)
+    whole, ok = Batch(built.simulation.simulator, built.inference.observation, names, conditions)(thetas, experiments)
+    batch = Batch(built.simulation.simulator, built.inference.observation, names, conditions, parts)
     kinds = batch._by_program(thetas)
     # One of its own for each set, or one for all of them beside that of the law.
     assert len(kinds) == (7 if price < 0 else 2)
@@ -61,7 +61,7 @@ def test_a_batch_gives_what_the_whole_model_gives(case, monkeypatch, price):
     # In the order that was asked for, of the experiment that was asked for.
     theta = dict(zip(names, thetas[4], strict=True))
     at = jax.tree.map(lambda leaf: leaf[experiments[4]], conditions)
-    exact, _ = built.simulator.quantities(theta, at, tuple(built.study.quantities))
+    exact, _ = built.simulation.simulator.quantities(theta, at, tuple(built.study.quantities))
     np.testing.assert_allclose(found[4], exact, rtol=1e-9)
 
 
@@ -74,8 +74,8 @@ def sized(case, monkeypatch):
         Part("other", np.arange(3, 5), np.zeros(2), frozenset({3})),
         Part("third", np.arange(5, 6), np.zeros(1), frozenset({5})),
     ]
-    monkeypatch.setattr(module, "_PRICE", 1000 * built.simulator.timeline.steps)
-    return Batch(built.simulator, built.observation, names, conditions, parts)
+    monkeypatch.setattr(module, "_PRICE", 1000 * built.simulation.simulator.timeline.steps)
+    return Batch(built.simulation.simulator, built.inference.observation, names, conditions, parts)
 
 
 def served(batch, *asked):

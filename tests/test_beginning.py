@@ -9,12 +9,12 @@ import pytest
 
 from hsed_jax.command_line import main
 from hsed_jax.config.load import load_study
+from hsed_jax.drafting.floors import floors_of
 from hsed_jax.measurements import read_campaign
 from hsed_jax.reporting.loops import sketch
 from hsed_jax.runs.beginning import ParserOfFiles, add_force, files_of
+from hsed_jax.study.advice import frequency_doubts
 from hsed_jax.study.build import Built
-from hsed_jax.study.floors import floors_of
-from hsed_jax.study.plausible import frequency_doubts
 
 SAMPLES = 300
 U = np.round(0.1 * np.arange(SAMPLES) * np.sin(0.2 * np.arange(SAMPLES)), 3)
@@ -210,7 +210,7 @@ def test_masses_of_a_frame_bring_the_priors_with_them(frame, height, tmp_path, c
     assert told.model.effects == effects
     built = Built(told)
     built.check()
-    assert frequency_doubts(built, built.measured) == []
+    assert frequency_doubts(built.mechanics, built.experiments.measured) == []
     # A mass that is changed alone is doubted, with the prior to write.
     study.write_text(study.read_text().replace("[22118, 18810]", "[221180, 188100]"))
     assert main(["check", str(study)]) == 0

@@ -60,9 +60,9 @@ def test_an_improved_model_is_calibrated_from_where_it_fits_best(tmp_path, monke
 
     def begins(built, campaign, start, watch):
         # The model as it was is calibrated again where a better fit of it was found.
-        if "viscous_damping.delta" not in built.parameters[0]:
+        if "viscous_damping.delta" not in built.mechanics.parameters[0]:
             return whole(built, campaign, start=start, watch=watch)
-        begun.update(zip(built.parameters[0], np.asarray(start).tolist(), strict=True))
+        begun.update(zip(built.mechanics.parameters[0], np.asarray(start).tolist(), strict=True))
         raise InterruptedError
 
     calibration = hx.calibrate(study(tmp_path, "experiments.virtual.effects.viscous_damping={delta: 0.2}"))
@@ -79,17 +79,17 @@ def test_their_derivatives_are_those_of_differences(tmp_path):
 
     def peak(mass):
         parameters = {**TRUTH, "structure.mass_2": mass}
-        return built.simulator.respond(parameters, conditions).quantities["peak_force"]
+        return built.simulation.simulator.respond(parameters, conditions).quantities["peak_force"]
 
     slope = (peak(1.001e4) - peak(0.999e4)) / 20.0
     assert float(jax.jacfwd(peak)(1e4)) == pytest.approx(float(slope), rel=1e-3)
 
 
 def test_the_step_resolves_the_shortest_period_that_the_priors_allow(tmp_path):
-    plain = Built(study(tmp_path)).timeline.step
+    plain = Built(study(tmp_path)).simulation.timeline.step
     stiff = Built(
         study(tmp_path, "structure.springs=[{between: [ground, 1], stiffness: {uniform: [2e5, 8e7]}}]")
-    ).timeline
+    ).simulation.timeline
     assert stiff.step < 0.3 * plain
     assert np.isfinite(plain)
 

@@ -65,10 +65,10 @@ def paper(request):
     """Eight experiments of the paper's case: what was built, and the data."""
     path = request.config.rootpath / "configs" / "paper.yaml"
     built = Built(load_study(path, [f"design.initial={EXPERIMENTS}", "design.iterations=0"]))
-    design, state = built.design, built.design.init()
+    design, state = built.design.sequential, built.design.sequential.init()
     for number, cube in enumerate(design.space.initial_design(EXPERIMENTS)):
         si = design.space.si(design.space.declared(cube[None]))
-        measured = built.laboratory.perform(number, {name: float(x[0]) for name, x in si.items()})
+        measured = built.site.laboratory.perform(number, {name: float(x[0]) for name, x in si.items()})
         state = design.tell(state, cube.tolist(), [measured.quantities[q] for q in built.study.quantities])
     return built, design.data(state), state
 
@@ -76,7 +76,7 @@ def paper(request):
 @pytest.fixture(scope="module")
 def paper_maximum(paper):
     built, data, _ = paper
-    return find(built.posterior, data)
+    return find(built.inference.posterior, data)
 
 
 def log_moments(s):
@@ -99,7 +99,7 @@ def paper_grid(paper):
     @jax.jit
     def predict(A, beta):
         def one(c):
-            return built.simulator.quantities({"A": A, "beta": beta}, c, names)[0]
+            return built.simulation.simulator.quantities({"A": A, "beta": beta}, c, names)[0]
 
         return jax.vmap(one)(conditions)
 
@@ -152,12 +152,12 @@ def test_laplace_evidence_of_the_papers_case_is_the_grids_integral(paper_maximum
 @EXACT
 def test_draws_of_the_papers_case_have_the_moments_of_the_grid(paper, paper_maximum, paper_grid, sampler):
     built, data, _ = paper
-    chains = drawn(built.posterior, data, paper_maximum, Settings(4, 100, 500, sampler=sampler))
+    chains = drawn(built.inference.posterior, data, paper_maximum, Settings(4, 100, 500, sampler=sampler))
     assert chains.sampler == sampler
     # NUTS did without the simulator's derivatives here.
     assert sampler != "nuts" or 0 < chains.emulator_error < 0.1
     judged = convergence(chains)
-    assert judged.warning(built.posterior.names) is None
+    assert judged.warning(built.inference.posterior.names) is None
     mean, sd, correlation = moments(*paper_grid[:3])
     draws = np.asarray(chains.theta).reshape(-1, 2)
     # Four standard errors of the Monte Carlo, from the effective sample size.
@@ -169,12 +169,12 @@ def test_draws_of_the_papers_case_have_the_moments_of_the_grid(paper, paper_maxi
 
 def test_draws_of_the_gaussian_around_the_mode_are_near_the_grids(paper, paper_maximum, paper_grid):
     built, data, _ = paper
-    chains = drawn(built.posterior, data, paper_maximum, Settings(4, 100, 500, sampler="laplace"))
+    chains = drawn(built.inference.posterior, data, paper_maximum, Settings(4, 100, 500, sampler="laplace"))
     mean, sd, _ = moments(*paper_grid[:3])
     draws = np.asarray(chains.theta).reshape(-1, 2)
     assert chains.sampler == "laplace"
     assert float(chains.log_density.max()) == pytest.approx(
-        float(log_density(built.posterior, paper_maximum.start, data)), abs=0.02
+        float(log_density(built.inference.posterior, paper_maximum.start, data)), abs=0.02
     )
     assert (np.abs(draws.mean(axis=0) - mean) < 0.3 * sd).all()
     np.testing.assert_allclose(draws.std(axis=0), sd, rtol=0.2)
@@ -317,7 +317,7 @@ def test_padding_the_data_changes_no_number(paper, paper_maximum):
     built, data, state = paper
     design = Built(
         built.study.model_copy(update={"design": built.study.design.model_copy(update={"iterations": 5})})
-    ).design
+    ).design.sequential
     larger = design.init()
     for trial in state.trials:
         larger = design.tell(larger, trial.point.cube.tolist(), trial.outputs.tolist())
@@ -325,8 +325,8 @@ def test_padding_the_data_changes_no_number(paper, paper_maximum):
     assert padded.values.shape[0] == EXPERIMENTS + 5
     u = np.asarray(paper_maximum.u) + 0.1
     # Of the data alone a search and the draws have compiled both.
-    heights = [float(log_density(built.posterior, u, of)) for of in (padded, data)]
-    (found,), (expected,) = (expand(built.posterior, of, [u]) for of in (padded, data))
+    heights = [float(log_density(built.inference.posterior, u, of)) for of in (padded, data)]
+    (found,), (expected,) = (expand(built.inference.posterior, of, [u]) for of in (padded, data))
     assert heights[0] == pytest.approx(heights[1], rel=1e-13)
     np.testing.assert_allclose(found.log_density, heights[0], rtol=1e-13)
     np.testing.assert_allclose(found.log_posterior, expected.log_posterior, rtol=1e-13)
@@ -453,10 +453,10 @@ def test_an_unknown_relative_error_is_recovered(paper):
     truth = {"A": 4.5e5, "beta": 0.9}
     names = tuple(built.study.quantities)
     conditions = data.conditions
-    exact = np.asarray(jax.vmap(lambda c: built.simulator.quantities(truth, c, names)[0])(conditions))
+    exact = np.asarray(jax.vmap(lambda c: built.simulation.simulator.quantities(truth, c, names)[0])(conditions))
     noisy = exact * (1 + 0.1 * np.random.default_rng(5).standard_normal(exact.shape))
     study = built.study.model_copy(update={"error": None})
-    posterior = Built(study).posterior
+    posterior = Built(study).inference.posterior
     assert posterior.names[2:] == tuple(f"error.{q}" for q in names)
     found = find(posterior, data._replace(values=jnp.asarray(noisy)))
     # Eight values each: 0.1 within a quarter in standard deviation; 0.04 to 0.2 is three of them.

@@ -53,7 +53,7 @@ def replications():
         }
     )
     built = Built(study, campaign_of(exact_force(elongation, 2.0e7, 200.0) + 1.0, elongation))
-    posterior = built.posterior
+    posterior = built.inference.posterior
     starts, settings = posterior.starts(2), Settings(4, 60, 200)
     random = np.random.default_rng(20)
     ranks, inside, divergences = [], [], 0
@@ -65,7 +65,7 @@ def replications():
         clean = exact_force(elongation, A, beta)
         noise = error * np.sqrt(np.mean(clean**2)) * random.standard_normal(SAMPLES)
         campaign = campaign_of(clean + noise, elongation)
-        data = built.data(campaign, campaign.experiments)
+        data = built.inference.data(campaign, campaign.experiments)
         # A declared relative error is of the measured RMS, which holds the noise itself; a generative model needs the clean one.
         data = data._replace(scales=jnp.full_like(data.scales, np.sqrt(np.mean(clean**2))))
         maximum = maximise(posterior, data, starts)

@@ -63,7 +63,7 @@ def begin(built, tmp_path):
 
 
 def measure(built, asked):
-    return built.laboratory.perform(asked.number, asked.si)
+    return built.site.laboratory.perform(asked.number, asked.si)
 
 
 def events(built, conduct):
@@ -78,7 +78,7 @@ def events(built, conduct):
         asked = conduct.ask()
         tested = {name: 1.01 * value for name, value in asked.inputs.items()}
         si = tested  # the inputs' units are SI
-        conduct.tell(asked.id, built.laboratory.perform(asked.number, si), tested)
+        conduct.tell(asked.id, built.site.laboratory.perform(asked.number, si), tested)
 
     def fails(conduct):
         conduct.give_up(conduct.ask().id, "the pump stopped")
@@ -87,7 +87,7 @@ def events(built, conduct):
         conduct.give_up(conduct.ask().id, "the specimen broke", abandon=True)
 
     def uninvited(conduct):
-        conduct.tell("X1", built.laboratory.perform(90, exact), exact)
+        conduct.tell("X1", built.site.laboratory.perform(90, exact), exact)
 
     def two_at_once(conduct):
         first, second = conduct.ask(), conduct.ask()
@@ -202,12 +202,12 @@ def test_a_limit_keeps_the_design_where_the_response_stays_below_it(built, tmp_p
     study = load_study(STUDY | {"design": STUDY["design"] | {"limits": {"stroke": 0.35}}})
     limited = Built(study)
     draws = np.tile([[5e5, 1.0]], (8, 1))
-    closed = limited.limits(draws, limited.design.candidate_set)
+    closed = limited.design.limits(draws, limited.design.sequential.candidate_set)
     assert 0.1 < closed.mean() < 0.9
-    declared = limited.space.declared(np.asarray(limited.design.candidate_set))
+    declared = limited.experiments.space.declared(np.asarray(limited.design.sequential.candidate_set))
     for index in (int(np.argmax(closed)), int(np.argmin(closed))):
-        si = {name: float(values[index]) for name, values in limited.space.si(declared).items()}
-        plain = free.simulator.quantities({"A": 5e5, "beta": 1.0}, _conditions(si), ("peak_elongation",))[0]
+        si = {name: float(values[index]) for name, values in limited.experiments.space.si(declared).items()}
+        plain = free.simulation.simulator.quantities({"A": 5e5, "beta": 1.0}, _conditions(si), ("peak_elongation",))[0]
         assert (float(plain[0]) > 0.35) == closed[index]
 
 
@@ -221,8 +221,8 @@ def test_where_experiments_cost_something_a_cheaper_one_is_asked(built, tmp_path
     ordered = STUDY["design"] | {"cost": cost, "acquisition": "sobol"}
     with pytest.raises(UserError, match=r"design\.cost: sobol takes experiments in an order"):
         Built(load_study(STUDY | {"design": ordered})).check()
-    np.testing.assert_allclose(priced.design.cost(np.array([[2.0, 0.5]])), [4.0])
-    assert priced.design.cost.bounds == pytest.approx((1.5 + 2.0, 3.0 + 6.0))
+    np.testing.assert_allclose(priced.design.sequential.cost(np.array([[2.0, 0.5]])), [4.0])
+    assert priced.design.sequential.cost.bounds == pytest.approx((1.5 + 2.0, 3.0 + 6.0))
     for name, one in (("free", built), ("priced", priced)):
         store = RunFolder(tmp_path / name, one.study.written(), resume=False)
         conduct = Conduct(one, store)
@@ -237,7 +237,8 @@ def test_where_experiments_cost_something_a_cheaper_one_is_asked(built, tmp_path
         store.close()
     assert asked["priced"]["max_expected_improvement"] == asked["free"]["max_expected_improvement"]
     (cheap,), (dear,) = (
-        priced.design.cost(priced.space.declared(np.array([asked[name]["cube"]]))) for name in ("priced", "free")
+        priced.design.sequential.cost(priced.experiments.space.declared(np.array([asked[name]["cube"]])))
+        for name in ("priced", "free")
     )
     assert cheap < dear
 

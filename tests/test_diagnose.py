@@ -1051,7 +1051,7 @@ def test_steps_of_an_imposed_elongation_resolve_the_stiffest_law_of_the_prior():
         law = {"A": {"uniform": [1e6, 4e7]}, "beta": {"uniform": [100.0, steepest]}, "gamma": 0.0, "n": 1.0}
         built = Built(spring_study(model={"parameters": law}), campaign)
         # Of the yield elongation 1/β; the fourth-order method is unstable at 2.8.
-        divisions = np.concatenate([built.grid.divisions(e.record) for e in campaign.experiments])
+        divisions = np.concatenate([built.simulation.grid.divisions(e.record) for e in campaign.experiments])
         changes = np.concatenate([np.abs(np.diff(e.record["elongation"])) for e in campaign.experiments])
         assert np.max(changes / divisions) * steepest < 2.01
 
@@ -1086,7 +1086,7 @@ def test_power_against_the_size_of_the_degradation(eta, least):
     for seed in range(3):
         study = hx.load_study("configs/hidden_effect.yaml", [*changes, f"seed={seed}"])
         built = Built(study)
-        campaign = built.perform()
+        campaign = built.site.perform()
         found.append(diagnose(problem_of(Built(study, campaign), campaign)))
     seen = [d for d in found if "stiffness_degradation" in {*d.effects, *(n for g in d.look_alikes for n in g)}]
     assert len(seen) >= least

@@ -356,7 +356,7 @@ def test_it_follows_a_diagnosis(steps):
                                              (["learned_effect", "learned_effect_2"], "learned_effect_3")])  # fmt: skip
 def test_what_was_learned_before_keeps_its_name(taken, name):
     known = [type(one, (FreeForce,), {"name": one}) for one in taken]
-    beside = SimpleNamespace(_built=SimpleNamespace(catalogue=EFFECTS.joined(known)))
+    beside = SimpleNamespace(_built=SimpleNamespace(mechanics=SimpleNamespace(catalogue=EFFECTS.joined(known))))
     assert _Beside._name.fget(beside) == name
 
 

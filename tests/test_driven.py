@@ -107,7 +107,7 @@ def test_an_applied_force_moves_the_frame_as_scipy_says(pushed):
     names = ("displacement_1", "displacement_2", "velocity_1", "acceleration_2", "acceleration_2_absolute",
              "applied_force_1", "ground_acceleration")  # fmt: skip
     found = hx.simulate(study, {"s": 1.5}, {"k": K}, names).channels
-    step = Built(study).planned.step
+    step = Built(study).simulation.planned.step
     time, u, v, a = scipys(1.5, step)
     assert found["displacement_1"].shape == time.shape
     for name, exact in zip(names, (*u, v[0], a[1]), strict=False):
@@ -122,9 +122,9 @@ def test_steps_are_no_longer_than_the_samples_of_a_force(pushed, tmp_path):
     study = pushed()
     (tmp_path / "force.csv").write_text("0 0\n1 0\n1.001 1e6\n1.002 0\n4 0\n")  # a hammer
     built = Built(study)
-    assert built.planned.step <= 1e-3
+    assert built.simulation.planned.step <= 1e-3
     velocity = hx.simulate(study, {"s": 1.0}, {"k": K}, ("velocity_1",)).channels["velocity_1"]
-    after = float(np.interp(1.0022, built.planned.step * np.arange(velocity.size), velocity))
+    after = float(np.interp(1.0022, built.simulation.planned.step * np.arange(velocity.size), velocity))
     assert after == pytest.approx(1e6 * 1e-3 / 8e3, rel=0.03)  # the impulse over the mass
 
 
@@ -165,7 +165,7 @@ def test_a_force_on_a_mass_that_is_not_there_is_refused(pushed):
     units = {"time": "s", "applied_force_3": "N", "force": "N"}
     campaign = Campaign.from_frames(records={"E01": record}, protocol="ground_motion", channels=units)
     with pytest.raises(UserError, match=r"channels\.applied_force_3: there is no mass 3"):
-        _ = Built(pushed("inputs={}", "excitation={}", "observe=histories"), campaign).grid
+        _ = Built(pushed("inputs={}", "excitation={}", "observe=histories"), campaign).simulation.grid
 
 
 @pytest.mark.parametrize(
@@ -181,7 +181,7 @@ def test_a_file_that_is_no_history_is_refused(pushed, tmp_path, content, said):
 
 def test_a_gain_of_the_ground_motion_leaves_a_force_alone(pushed):
     built = Built(pushed())
-    campaign = built.empty_campaign()
+    campaign = built.site.empty_campaign()
     names = applicable(built, campaign)
     assert "mass_error" in names and "ground_motion_gain" not in names
     shaken = Built(pushed("excitation={near_fault_pulse: {V_P: 1.0, T_P: 1.0}, duration: 4.0}", "inputs={}"))
@@ -288,7 +288,7 @@ def test_a_request_tells_what_to_impose_and_the_answer_has_the_force(tmp_path):
     model = {"spring": "elastic", "parameters": {"k": {"uniform": [2e6, 9e6]}}}
     study = cycles("observe=histories", model=model, experiments={"python": {}})
     built = Built(study, function=bench)
-    campaign = built.perform()
+    campaign = built.site.perform()
     assert (tmp_path / "imposed_elongation.csv").read_text().startswith("t [s],du [m]\n")
     assert not (tmp_path / "ground_motion.AT2").exists()
     told = json.loads((tmp_path / "request.json").read_text())
@@ -347,7 +347,7 @@ def test_a_figure_shows_what_drives_the_experiments(pushed):
         (panel,) = hx.plot.ground_motions(study)
         assert f"[{unit}]" in panel.get_ylabel()
         assert len(panel.collections[0].get_segments()) == 200
-    assert isinstance(Built(pushed()).excitation({"s": 1.0}).sample(0.5), Applied)
+    assert isinstance(Built(pushed()).experiments.excitation({"s": 1.0}).sample(0.5), Applied)
 
 
 # --- a run from its first request to its report ---------------------------------------------------------------------
@@ -396,4 +396,4 @@ def test_a_run_with_an_applied_force_reaches_its_report(pushed, tmp_path):
     assert (tmp_path / "run" / "figures" / "fig3_excitation.svg").is_file()
     # What was run can be run again from its folder.
     again = hx.load_study(tmp_path / "run" / "study.yaml")
-    assert Built(again).planned == Built(study).planned
+    assert Built(again).simulation.planned == Built(study).simulation.planned

@@ -66,12 +66,12 @@ def with_form(name: str, label: str) -> Built:
 
 def middle(built: Built) -> dict[str, float]:
     """The free parameters in the middle of their priors."""
-    return {name: float(prior.quantile(0.5)) for name, prior in built.parameters[0].items()}
+    return {name: float(prior.quantile(0.5)) for name, prior in built.mechanics.parameters[0].items()}
 
 
 def simulated(built: Built) -> set[str]:
     """Names of what a simulation computes: traced, so that what is missing is found and nothing is compiled."""
-    model, at = built.planned_simulator, jax.tree.map(jnp.asarray, middle(built))
+    model, at = built.simulation.planned_simulator, jax.tree.map(jnp.asarray, middle(built))
     assert isinstance(model, Simulator)
     if any(issubclass(effect, AbstractSetupEffect) for effect in model.effects.values()):
         channels = ("elongation", "force", "energy")
@@ -95,10 +95,10 @@ def test_a_form_alone_is_simulated_and_exported(name, label):
     assert "energy" in simulated(built)
     at = middle(built)
     told = {key: {"mean": value, "q05": 0.9 * value, "q95": 1.1 * value} for key, value in at.items()}
-    model = Calibrated(built, at, told, built.scales)
+    model = Calibrated(built, at, told, built.simulation.scales)
     table = rows(model)
     assert all(key in text for key in at for text in (markdown(table), latex(table).replace(r"\_", "_")))
-    law, effects, outside = model.of(built.elements[0])
+    law, effects, outside = model.of(built.mechanics.elements[0])
     assert [*effects, *outside] == [name]
     try:
         commands = material(law, effects, model.scales, model.reach())
@@ -138,7 +138,7 @@ def test_a_model_is_improved_by_an_effect_that_changes_with_the_absorbed_energy(
     truth = with_form("hardening", "wearing of energy")
     at = {"A": 5e6, "beta": 100.0, "hardening.delta": 0.5, "hardening.worn": -0.8, "hardening.wears": 0.5}
     found = hx.simulate(truth.study, {}, at, ("elongation", "force"))
-    time = np.asarray(truth.planned_simulator.times({}))
+    time = np.asarray(truth.simulation.planned_simulator.times({}))
     record = {"time": time, **{name: np.asarray(values) for name, values in found.channels.items()}}
     channels = {"time": "s", "elongation": "m", "force": Channel("force", "N", noise=Noise(200.0))}
     campaign = Campaign.from_frames(records={"E01": record}, protocol="displacement", channels=channels)

@@ -844,7 +844,7 @@ def respond(effects) -> np.ndarray:
     t, omega = np.arange(2 * STEPS + 1) * STEP / 2, 2 * np.pi / PERIOD
     path = Imposed(jnp.asarray(AMPLITUDE * np.sin(omega * t)), jnp.asarray(AMPLITUDE * omega * np.cos(omega * t)))
     conditions = Conditions({}, Recorded(Tabulated(path), jnp.full(STEPS, STEP)))
-    simulator = replace(built.simulator, timeline=Timeline(STEP, STEPS))
+    simulator = replace(built.simulation.simulator, timeline=Timeline(STEP, STEPS))
     response = simulator.respond({"A": A}, conditions, ("force",))
     assert response.ok
     return np.asarray(response.channels["force"])
@@ -921,7 +921,7 @@ def test_the_default_form_by_its_name_is_the_same_model_for_every_effect():
     for name in (name for name in SEVERAL if not EFFECTS[name].linear_only):
         effect = EFFECTS[name]
         said = {"form": effect.forms[0].name} | ({"driver": effect.drivers[0]} if effect.drivers else {})
-        plain, named = (Built(load_study(study({name: entry}))).parameters for entry in ({}, said))
+        plain, named = (Built(load_study(study({name: entry}))).mechanics.parameters for entry in ({}, said))
         assert plain[1] == named[1]
         assert {key: str(prior) for key, prior in plain[0].items()} == {
             key: str(prior) for key, prior in named[0].items()
@@ -937,7 +937,7 @@ def test_what_a_form_holds_is_fixed_and_what_it_frees_has_its_prior(name):
         content = study({name: said}, **law)
         if law:
             content["experiments"]["virtual"]["parameters"] = {"k": A}
-        free, fixed = Built(load_study(content)).parameters
+        free, fixed = Built(load_study(content)).mechanics.parameters
         assert {key for key in free if "." in key} == {f"{name}.{key}" for key in form.parameters(effect)}
         assert {k: v for k, v in fixed.items() if k.startswith(name)} == {
             f"{name}.{k}": v for k, v in form.held.items()
@@ -947,7 +947,7 @@ def test_what_a_form_holds_is_fixed_and_what_it_frees_has_its_prior(name):
 def test_a_virtual_specimen_has_the_form_that_it_is_given():
     entry = {"form": "exponential", "driver": "path", "delta": 0.1}
     built = Built(load_study(study({}, {"stiffness_degradation": entry})))
-    assert {k: v for k, v in built.naming.true_parameters(built.study).items() if "." in k} == {
+    assert {k: v for k, v in built.mechanics.naming.true_parameters(built.study).items() if "." in k} == {
         "stiffness_degradation.delta": 0.1,
         "stiffness_degradation.growth": 1.0,
         "stiffness_degradation.driver_1": 1.0,
@@ -1009,7 +1009,7 @@ def test_a_mistake_in_a_form_is_one_sentence_with_key_and_what_is_allowed(mistak
     content = study(effects) if where == "model" else study({}, effects)
     with pytest.raises(UserError) as error:
         built = Built(load_study(content))
-        assert built.parameters and built.naming.true_parameters(built.study)
+        assert built.mechanics.parameters and built.mechanics.naming.true_parameters(built.study)
     (line,) = str(error.value).splitlines()
     for word in words:
         assert (
@@ -1024,4 +1024,4 @@ def test_a_law_without_the_place_of_a_form_says_so():
     with pytest.raises(
         UserError, match=r"model\.effects\.asymmetry: it writes to the slot gamma, which the law bilinear"
     ):
-        _ = Built(load_study(content)).parameters
+        _ = Built(load_study(content)).mechanics.parameters

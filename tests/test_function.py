@@ -100,7 +100,7 @@ def exact() -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("function", ["line", "plain"])
 def test_a_straight_line_has_the_posterior_of_the_textbook(folder, function):
     study = study_of(folder, [f"model.function=mine.py:{function}"])
-    model = Built(study).simulator
+    model = Built(study).simulation.simulator
     assert isinstance(model, FunctionModel)
     assert isinstance(model.function, Differenced) == (function == "plain")
     fit = hx.calibrate(study)
@@ -207,9 +207,9 @@ def test_a_program_is_a_model(folder):
     study = study_of(folder, model=model)
     assert load_study(study.written()).written() == study.written()
     built = Built(study)
-    response = built.simulator.respond({"a": 2.0, "b": 1.0}, Conditions({"x": 3.0}))
+    response = built.simulation.simulator.respond({"a": 2.0, "b": 1.0}, Conditions({"x": 3.0}))
     assert float(response.quantities["peak_force"]) == 7.0 and bool(response.ok)
-    assert not bool(built.simulator.respond({"a": 2.0, "b": 2e3}, Conditions({"x": 3.0})).ok)
+    assert not bool(built.simulation.simulator.respond({"a": 2.0, "b": 2e3}, Conditions({"x": 3.0})).ok)
     assert "sim.py" in study.code[0]
     with pytest.raises(UserError, match=r"model\.command\.run: it names \{y\}"):
         Built(study_of(folder, ["model.command.run='prog {y}'"], model=model)).check()
@@ -254,7 +254,7 @@ from hsed_jax.config.load import load_study
 from hsed_jax.physics.simulator import Conditions
 
 NAMES = ("peak_force", "peak_elongation", "dissipated_energy")
-SIMULATOR = Built(load_study({law!r})).simulator
+SIMULATOR = Built(load_study({law!r})).simulation.simulator
 
 
 def respond(parameters, inputs):
@@ -314,7 +314,7 @@ def test_a_function_is_told_the_cycles_of_a_designed_test_and_calibrated_by_it(f
     study = study_of(folder, **CYCLES)
     built = Built(study)
     built.check()
-    told = {name: np.asarray(value) for name, value in built.simulator.told(Conditions({"a": 0.02})).items()}
+    told = {name: np.asarray(value) for name, value in built.simulation.simulator.told(Conditions({"a": 0.02})).items()}
     # Two sines of the same peak rate, one after the other.
     first, second = (2 * np.pi * a / 0.05 for a in (0.02, 0.03))
     is_first, begun = told["time"] < first, np.minimum(told["time"], first)
@@ -327,7 +327,11 @@ def test_a_function_is_told_the_cycles_of_a_designed_test_and_calibrated_by_it(f
     assert abs(fit.map["k"] - 4.0e4) < 4 * fit.fit.summary()["k"]["sd"]
     alone = {"command": "true"}
     without = Built(study_of(folder, **{**CYCLES, "experiments": alone}))
-    assert without.planned.step is None and without.planned.every == 1 and 500 < without.planned.steps < 2000
+    assert (
+        without.simulation.planned.step is None
+        and without.simulation.planned.every == 1
+        and 500 < without.simulation.planned.steps < 2000
+    )
 
 
 def test_a_function_is_told_the_force_that_is_applied(folder):
@@ -335,7 +339,7 @@ def test_a_function_is_told_the_force_that_is_applied(folder):
     rows = "".join(f"{t!r},{p!r}\n" for t, p in zip(time.tolist(), force.tolist(), strict=True))
     (folder / "force.csv").write_text(f"t [s],p [N]\n{rows}", encoding="utf-8")
     study = study_of(folder, excitation={"applied_force": {"file": "force.csv", "mass": 2, "scale": "x"}})
-    told = Built(study).simulator.told(Conditions({"x": 3.0}))
+    told = Built(study).simulation.simulator.told(Conditions({"x": 3.0}))
     assert set(told) == {"x", "time", "applied_force_2"}
     np.testing.assert_allclose(told["time"], time, atol=1e-12)
     np.testing.assert_allclose(told["applied_force_2"], 3.0 * force, atol=1e-6)

@@ -25,7 +25,9 @@ STEP, SAMPLES = 1 / 64, 384
 def elongation():
     """Elongation of the specimen under a pulse, by slack over characteristic elongation and steps per sample, (samples + 1,)."""
     built = Built(load_study(STUDY))
-    simulator = replace(built.simulator, effects=EFFECTS.only(["gap"]), scales=Scales(1.2e5, U, V, 2e4), constants=())
+    simulator = replace(
+        built.simulation.simulator, effects=EFFECTS.only(["gap"]), scales=Scales(1.2e5, U, V, 2e4), constants=()
+    )
     conditions = Conditions({"V_P": jnp.asarray(2.2), "T_P": jnp.asarray(0.9)})
     law = {"A": jnp.asarray(5e5), "beta": jnp.asarray(1.0), "gamma": jnp.asarray(0.0), "n": jnp.asarray(1.0)}
 

@@ -42,7 +42,7 @@ def along_the_path(built, campaign, row, A=A, beta=BETA):
     """The closed form along the path that the package lays through the samples of an experiment."""
     experiment = campaign.experiments[row]
     # In steps so small that no reversal falls between them.
-    fine = replace(built.grid, change=built.grid.change / 40, steps=0)
+    fine = replace(built.simulation.grid, change=built.simulation.grid.change / 40, steps=0)
     fine = replace(fine, steps=int(fine.divisions(experiment.record).sum()))
     recorded = conditions_of(experiment, campaign, fine, None).recorded
     path, ends = np.asarray(recorded.forcing.samples.elongation), np.asarray(recorded.ends)
@@ -101,12 +101,12 @@ sigma_of = eqx.filter_jit(lambda posterior, *of: posterior.sigma(*of))
 
 def predict(built, campaign, theta):
     """Predicted outputs of all experiments, [experiment][output] -> samples of its record."""
-    data = built.data(campaign, campaign.experiments)
-    predicted, ok = outputs_of(built.posterior.predict, jnp.asarray(theta), data)
+    data = built.inference.data(campaign, campaign.experiments)
+    predicted, ok = outputs_of(built.inference.posterior.predict, jnp.asarray(theta), data)
     assert np.all(np.asarray(ok) == 1)
-    tables = np.asarray(predicted).reshape(len(campaign), len(built.outputs), -1)
+    tables = np.asarray(predicted).reshape(len(campaign), len(built.observed.outputs), -1)
     return [
-        dict(zip(built.outputs, table[:, : len(e.record)], strict=True))
+        dict(zip(built.observed.outputs, table[:, : len(e.record)], strict=True))
         for table, e in zip(tables, campaign, strict=True)
     ]
 
@@ -186,14 +186,14 @@ def test_values_outside_the_window_have_no_influence():
     other = changed(
         campaign, "E02", record=Record(experiment.record.time, {**experiment.record.channels, "force": force})
     )
-    one, two = (built.data(c, c.train.experiments) for c in (campaign, other))
+    one, two = (built.inference.data(c, c.train.experiments) for c in (campaign, other))
     jax.tree.map(np.testing.assert_array_equal, one, two)
     # But those inside have.
     force = np.where(experiment.in_window, 1.01, 1.0) * experiment.record["force"]
     other = changed(
         campaign, "E02", record=Record(experiment.record.time, {**experiment.record.channels, "force": force})
     )
-    assert np.any(np.asarray(built.data(other, other.train.experiments).values) != np.asarray(one.values))
+    assert np.any(np.asarray(built.inference.data(other, other.train.experiments).values) != np.asarray(one.values))
 
 
 def test_the_simulation_starts_with_the_record_and_not_with_the_window():
@@ -220,14 +220,14 @@ def test_the_row_number_stands_for_a_time_that_is_absent():
 
 def test_declared_noise_is_used_and_not_inferred():
     absolute = Built(study_of(), component_campaign(noise=Noise(absolute=NOISE)))
-    assert absolute.posterior.names == ("A", "beta")
-    np.testing.assert_allclose(np.asarray(absolute.posterior.errors(jnp.ones(2))), NOISE)
+    assert absolute.inference.posterior.names == ("A", "beta")
+    np.testing.assert_allclose(np.asarray(absolute.inference.posterior.errors(jnp.ones(2))), NOISE)
     relative = Built(study_of(), component_campaign(noise=Noise(relative=0.03)))
-    data = relative.data(relative.measured, relative.measured.train.experiments)
+    data = relative.inference.data(relative.experiments.measured, relative.experiments.measured.train.experiments)
     theta = jnp.asarray([A, BETA])
-    predicted, ok = outputs_of(relative.posterior.predict, theta, data)
-    sigma = np.asarray(sigma_of(relative.posterior, theta, predicted, ok, data))
-    for row, e in enumerate(relative.measured.train):
+    predicted, ok = outputs_of(relative.inference.posterior.predict, theta, data)
+    sigma = np.asarray(sigma_of(relative.inference.posterior, theta, predicted, ok, data))
+    for row, e in enumerate(relative.experiments.measured.train):
         # Less what the noise itself adds to it.
         used = np.asarray(data.weights[row]) > 0
         rms = np.sqrt(np.mean(e.record["force"][e.in_window] ** 2) / (1 + 0.03**2))
@@ -243,9 +243,9 @@ def test_quantities_are_taken_from_records():
     record = campaign["E01"].record
     force, elongation = record["force"], record["elongation"]
     exact = [np.abs(force).max(), np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(elongation))]
-    np.testing.assert_allclose(built.observation.measured(campaign["E01"]), exact, rtol=1e-12)
-    data = built.data(campaign, campaign.experiments)
-    predicted, _ = outputs_of(built.posterior.predict, jnp.asarray([A, BETA]), data)
+    np.testing.assert_allclose(built.inference.observation.measured(campaign["E01"]), exact, rtol=1e-12)
+    data = built.inference.data(campaign, campaign.experiments)
+    predicted, _ = outputs_of(built.inference.posterior.predict, jnp.asarray([A, BETA]), data)
     # The specimen's own, without noise: the peak is exact at its turn; the trapezoid of the samples errs by 1e-3.
     for row, experiment in enumerate(campaign):
         u = experiment.record["elongation"]
@@ -334,7 +334,7 @@ def test_histories_of_a_structure_under_measured_ground_acceleration_are_scipys(
     channels = {"time": "s", "ground_acceleration": "m/s^2", **CHANNELS}
     campaign = Campaign.from_frames(records=records, protocol="ground_motion", channels=channels)
     built = Built(study_of(structure=STRUCTURE, model=MODEL), campaign)
-    assert set(built.outputs) == set(CHANNELS)
+    assert set(built.observed.outputs) == set(CHANNELS)
     for found, experiment in zip(predict(built, campaign, THETA), campaign, strict=True):
         agree(found, {name: experiment.record[name] for name in CHANNELS}, 2e-4)
 
@@ -388,7 +388,7 @@ def test_recorded_ground_motions_drive_the_structure(shared):
         steps=["calibrate"],
     )
     scales = np.asarray([0.5, 1.2])
-    simulator, theta = Built(study).simulator, dict(zip(("A", "beta"), THETA, strict=True))
+    simulator, theta = Built(study).simulation.simulator, dict(zip(("A", "beta"), THETA, strict=True))
     found = jax.jit(jax.vmap(lambda S: simulator.respond(theta, Conditions({"S": S}))))(jnp.asarray(scales))
     for row, scale in enumerate(scales):
         exact = two_masses(time, lambda t, scale=scale: scale * np.interp(t, time, ground), *THETA)
@@ -453,7 +453,7 @@ def test_an_imposed_elongation_that_is_no_number_is_refused():
     broken = np.where(np.arange(len(record)) == 7, np.nan, record["elongation"])
     campaign = changed(campaign, "E01", record=Record(record.time, {**record.channels, "elongation": broken}))
     with pytest.raises(UserError, match=r"'E01'.*finite numbers"):
-        Built(study_of(), component_campaign()).data(campaign, campaign.train.experiments)
+        Built(study_of(), component_campaign()).inference.data(campaign, campaign.train.experiments)
 
 
 def test_quantities_that_nobody_measured_are_refused():
@@ -461,7 +461,7 @@ def test_quantities_that_nobody_measured_are_refused():
     without = replace(campaign, experiments=tuple(replace(e, record=None, window=None) for e in campaign))
     built = Built(study_of(observe="quantities", quantities=["peak_force"], error={"relative": 0.05}), campaign)
     with pytest.raises(UserError, match="'E01' has no record"):
-        built.data(without, without.train.experiments)
+        built.inference.data(without, without.train.experiments)
     with pytest.raises(UserError, match="none of peak_force was measured in E01, E02"):
         assemble(Quantities(("peak_force",)), without, without.train.experiments, np.asarray([True]))
 

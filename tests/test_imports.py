@@ -4,7 +4,7 @@ import ast
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
 import pytest
@@ -17,7 +17,7 @@ LEVELS = (
     ("physics",),
     ("behaviour",),
     ("measurements",),
-    ("intake",),
+    ("intake", "drafting"),
     ("laboratories",),
     ("models",),
     ("inference",),
@@ -73,6 +73,34 @@ def upward_imports(source: str, module: tuple[str, ...], is_package: bool = Fals
     return faults
 
 
+def modules_imported(source: str, module: tuple[str, ...], is_package: bool, known: Collection[str]) -> set[str]:
+    """The modules of the package that a module imports, wherever the import stands: in a function or for type checking, too."""
+    found = set()
+    for _, name in imported(source, module, is_package):
+        while name and name not in known:
+            name = name.rpartition(".")[0]
+        found.add(name)
+    # The package itself gathers public names, and who imports it by its name alone needs none of them at once.
+    return found - {"", "hsed_jax", ".".join(module)}
+
+
+def circles(graph: Mapping[str, Collection[str]]) -> list[set[str]]:
+    """Sets of modules that reach one another along imports."""
+    reached = {}
+    for start in graph:
+        seen, todo = set(), [start]
+        while todo:
+            fresh = set(graph[todo.pop()]) - seen
+            seen |= fresh
+            todo += fresh
+        reached[start] = seen
+    found = []
+    for module, seen in reached.items():
+        if module in seen and not any(module in one for one in found):
+            found.append({other for other in seen if module in reached[other]})
+    return found
+
+
 def private_imports(source: str) -> list[str]:
     """Names below `jax._src` that a module imports or reaches by attributes."""
     faults = [f"line {line}: {name}" for line, name in imported(source, ("m",)) if name.startswith("jax._src")]
@@ -91,6 +119,32 @@ def test_module_imports_downwards_only_and_nothing_private_and_is_short(path):
     assert upward_imports(source, dotted(path), path.name == "__init__.py") == []
     assert private_imports(source) == []
     assert len(source.splitlines()) <= 400
+
+
+def test_no_modules_import_one_another_in_a_circle():
+    names = {".".join(dotted(path)): path for path in MODULES}
+    graph = {
+        name: modules_imported(path.read_text(encoding="utf-8"), dotted(path), path.name == "__init__.py", names)
+        for name, path in names.items()
+    }
+    assert circles(graph) == []
+
+
+@pytest.mark.parametrize(
+    ("graph", "expected"),
+    [
+        ({"a": "b", "b": "c", "c": ""}, []),
+        ({"a": "b", "b": "a", "c": "a"}, [{"a", "b"}]),
+        ({"a": "b", "b": "cd", "c": "a", "d": "e", "e": "d"}, [{"a", "b", "c"}, {"d", "e"}]),
+    ],
+)
+def test_the_checker_finds_circles(graph, expected):
+    assert circles(graph) == expected
+
+
+def test_the_checker_sees_imports_in_functions_and_for_type_checking():
+    source = "from x.b import B\ndef f():\n    from x import c\nif TYPE_CHECKING:\n    import x.d\nfrom x.c import C"
+    assert modules_imported(source, ("x", "a"), False, {"x", "x.a", "x.b", "x.c", "x.d"}) >= {"x.b", "x.c", "x.d"}
 
 
 BEYOND_REPORTING = (
@@ -180,7 +234,7 @@ def test_the_checker_catches_private_jax():
         ),
         (
             "import hsed_jax.runs.reading, hsed_jax.reporting.report\n"
-            "import hsed_jax.reporting.side_by_side, hsed_jax.study.own_effects",
+            "import hsed_jax.reporting.side_by_side, hsed_jax.study.own_parts",
             {"scipy.stats", "scipy.interpolate", "numpyro", "diffrax", "optimistix", "tinygp", "pint", "altair"},
         ),
     ],

@@ -116,7 +116,7 @@ def test_a_model_that_was_not_at_its_best_fit_is_calibrated_again(calibration):
 
 
 def test_parameters_of_law_and_effects_are_the_true_ones(better):
-    scales = better.calibration.built.scales
+    scales = better.calibration.built.simulation.scales
     truth = {
         "A": A,
         "beta": BETA,
@@ -153,8 +153,8 @@ def test_the_improved_study_is_read_back_as_it_is(better, tmp_path, campaign):
     assert list(again.model.effects) == ["viscous_damping", "hardening"]
     assert again.study == "springs_improved"
     # Amplitudes mean what they meant, on whatever data it is run.
-    assert Built(again, spring_campaign(0.0)).scales == better.calibration.built.scales
-    assert tuple(Built(again, campaign).parameters[0]) == tuple(better.calibration.map)
+    assert Built(again, spring_campaign(0.0)).simulation.scales == better.calibration.built.simulation.scales
+    assert tuple(Built(again, campaign).mechanics.parameters[0]) == tuple(better.calibration.map)
 
 
 def test_the_improved_study_finds_the_campaign_from_where_it_lies_and_says_what_it_is(better, tmp_path):
@@ -197,7 +197,7 @@ def test_what_is_there_already_is_not_added_again(better):
 
 
 def test_an_improved_model_lacks_nothing(better, monkeypatch):
-    monkeypatch.setattr("hsed_jax.study.own_effects.EFFECTS", few())
+    monkeypatch.setattr("hsed_jax.study.own_parts.EFFECTS", few())
     built = Built(better.study, better.calibration.built.campaign)
     found = hx.diagnose(replace(better.calibration, built=built))
     assert found.verdict == "adequate" and {c.effect for c in found.ranking} == {"coulomb_friction"}
@@ -232,7 +232,7 @@ def summary_of(folder):
 
 
 def test_diagnose_and_improve_from_the_command_line(folder, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("hsed_jax.study.own_effects.EFFECTS", few())
+    monkeypatch.setattr("hsed_jax.study.own_parts.EFFECTS", few())
     assert main(["diagnose", str(folder), "--output", str(tmp_path / "run")]) == 0, capsys.readouterr().err
     summary = summary_of(tmp_path / "run")
     assert summary["status"] == "complete" and summary.keys() >= {"calibration", "comparison", "diagnosis"}

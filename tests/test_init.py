@@ -10,11 +10,11 @@ import pytest
 import hsed_jax as hx
 from hsed_jax.command_line import main
 from hsed_jax.config.load import load_study, parse_yaml
+from hsed_jax.drafting.floors import floors_of
+from hsed_jax.drafting.initial import text_of_study
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, Channel, Noise, characteristics, read_campaign, write_campaign
 from hsed_jax.study.build import Built
-from hsed_jax.study.floors import floors_of
-from hsed_jax.study.initial import initial_study
 
 A, BETA = 2.0e7, 200.0  # strength 100 kN
 
@@ -106,7 +106,7 @@ def init(folder: Path, campaign: Campaign, capsys):
 
 
 def central_95(built: Built, name: str) -> tuple[float, float]:
-    return tuple(float(built.parameters[0][name].quantile(share)) for share in (0.025, 0.975))  # type: ignore[return-value]
+    return tuple(float(built.mechanics.parameters[0][name].quantile(share)) for share in (0.025, 0.975))  # type: ignore[return-value]
 
 
 def holds(built: Built, **truth) -> bool:
@@ -123,7 +123,7 @@ def commented(text: str) -> bool:
 def test_study_of_a_component_test_has_priors_that_hold_the_truth(tmp_path, capsys):
     study, text = init(tmp_path / "spring", component_campaign(), capsys)
     built = Built(study)
-    assert study.observe == "histories" and study.structure is None and built.component_test
+    assert study.observe == "histories" and study.structure is None and built.experiments.component_test
     assert holds(built, A=A, beta=BETA)
     assert commented(text) and "the elongation was imposed" in text and "no noise, so it is inferred" in text
     assert study.steps == ["calibrate", "compare", "diagnose", "improve"]
@@ -132,7 +132,7 @@ def test_study_of_a_component_test_has_priors_that_hold_the_truth(tmp_path, caps
 def test_study_of_a_campaign_with_noise_says_that_it_is_declared(tmp_path, capsys):
     study, text = init(tmp_path / "spring", component_campaign(Noise(absolute=500.0)), capsys)
     assert "as the campaign declares it for force" in text
-    assert [error.size for error in Built(study).errors] == [500.0]
+    assert [error.size for error in Built(study).observed.errors] == [500.0]
 
 
 def test_study_of_a_shake_table_test_has_the_mass_and_priors_that_hold_the_truth(tmp_path, capsys):
@@ -199,7 +199,7 @@ def test_study_of_several_floors_has_a_storey_for_each(tmp_path, capsys):
     study, text = init(tmp_path / "floors", floors_campaign(**sensors), capsys)
     assert study.structure.masses == [1000.0] * 3 and "3 equal storeys" in text
     assert [spring.between for spring in study.structure.springs] == [(1, 2), (2, 3)]
-    frequencies = Built(study).structure.frequencies(study.structure.damping.specimen_stiffness)
+    frequencies = Built(study).mechanics.structure.frequencies(study.structure.damping.specimen_stiffness)
     said = float(text.split("first frequency is ")[1].split()[0])
     assert float(frequencies[0]) == pytest.approx(said, rel=0.01)
 
@@ -238,8 +238,12 @@ def test_scales_of_floor_sensors_are_those_of_the_plain_model(tmp_path, capsys):
     energy = np.trapezoid(record["force"], record["elongation"])
     expected = np.abs(record["force"]).max(), np.abs(record["elongation"]).max(), energy
     # Two per cent of modal damping are the model's alone.
-    assert (built.scales.force, built.scales.elongation, built.scales.energy) == pytest.approx(expected, rel=0.1)
-    assert 0.02 < built.scales.rate < 2.0
+    assert (
+        built.simulation.scales.force,
+        built.simulation.scales.elongation,
+        built.simulation.scales.energy,
+    ) == pytest.approx(expected, rel=0.1)
+    assert 0.02 < built.simulation.scales.rate < 2.0
 
 
 def test_after_errors_of_the_data_nothing_is_said_of_what_was_not_measured(tmp_path, capsys):
@@ -333,16 +337,16 @@ def test_what_cannot_start_a_study_is_said():
         channels={"time": "s", "elongation": "mm"},
     )
     with pytest.raises(UserError, match="force and elongation were not both measured"):
-        initial_study(only, Path("x"), Path("x/study.yaml"))
+        text_of_study(only, Path("x"), Path("x/study.yaml"))
     with pytest.raises(UserError, match="no completed training experiment"):
-        initial_study(Campaign("empty", "ground_motion"), Path("x"), Path("x/study.yaml"))
+        text_of_study(Campaign("empty", "ground_motion"), Path("x"), Path("x/study.yaml"))
     numbers = Campaign.from_frames(
         [{"id": "E01", "peak_force": 1.0, "peak_elongation": 1.0}],
         protocol="displacement",
         quantities={"peak_force": "kN", "peak_elongation": "mm"},
     )
     with pytest.raises(UserError, match="no experiment has a record of the elongation"):
-        initial_study(numbers, Path("x"), Path("x/study.yaml"))
+        text_of_study(numbers, Path("x"), Path("x/study.yaml"))
 
 
 def test_characteristic_values_of_a_campaign_are_those_of_its_loop():
@@ -364,7 +368,7 @@ def test_study_of_a_measured_campaign_passes_its_check(shared, tmp_path, capsys,
     assert main(["init", str(folder), "--output", str(output)]) == 0
     assert main(["check", str(output)]) == 0, capsys.readouterr().err
     text, built = output.read_text(encoding="utf-8"), Built(load_study(output))
-    assert commented(text) and built.component_test
+    assert commented(text) and built.experiments.component_test
     found = characteristics(read_campaign(folder))
     low, high = central_95(built, "A")
     assert low < found.stiffness < high

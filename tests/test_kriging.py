@@ -359,12 +359,12 @@ def papers_field(request):
 
     path = request.config.rootpath / "configs" / "paper.yaml"
     built = Built(load_study(path, ["design.initial=15", "design.iterations=0"]))
-    design, names = built.design, built.study.quantities
+    design, names = built.design.sequential, built.study.quantities
     state = design.init()
 
     def measured(cube):
-        si = built.space.si(built.space.declared(cube))
-        exact = [built.laboratory.exact({k: float(v[i]) for k, v in si.items()}) for i in range(len(cube))]
+        si = built.experiments.space.si(built.experiments.space.declared(cube))
+        exact = [built.site.laboratory.exact({k: float(v[i]) for k, v in si.items()}) for i in range(len(cube))]
         return si, np.asarray([[row[name] for name in names] for row in exact])
 
     cube = design.space.initial_design(15)

@@ -453,17 +453,17 @@ def test_a_function_from_a_file_or_from_python_performs_a_campaign(study, folder
     text = "def perform(request):\n    return {'peak_force': 1e3 * request.number + request.si['V_P']}\n"
     (folder / "lab.py").write_text(text)
     named = study(python="lab.py").model_copy(update={"quantities": ["peak_force"]})
-    campaign = Built(named).perform()
+    campaign = Built(named).site.perform()
     assert campaign["E01"].quantities == {"peak_force": 2.25} and campaign["E02"].quantities["peak_force"] > 1000
     open_ended = study(python={}).model_copy(update={"quantities": ["peak_force"]})
-    given = Built(open_ended, function=lambda request: {"peak_force": 7.0}).perform()
+    given = Built(open_ended, function=lambda request: {"peak_force": 7.0}).site.perform()
     assert [e.quantities["peak_force"] for e in given] == [7.0] * 3
     started = Run(
         open_ended, folder / "run", resume=False, force=False, progress=False, laboratory=lambda _: {"peak_force": 8.0}
     )
-    assert started.built.laboratory.perform(0, INPUTS).quantities == {"peak_force": 8.0}
+    assert started.built.site.laboratory.perform(0, INPUTS).quantities == {"peak_force": 8.0}
     started.store.close()
-    failing = Built(open_ended, function=broken).perform()
+    failing = Built(open_ended, function=broken).site.perform()
     assert [(e.status, e.reason) for e in failing] == [("failed", "broken failed with RuntimeError: no pressure")] * 3
 
 

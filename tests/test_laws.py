@@ -238,7 +238,9 @@ def test_a_shaken_structure_is_that_of_opensees(law, tmp_path):
     ours = {"virtual": {"parameters": parameters}}
     theirs = {"opensees": {"material": {"file": str(tmp_path / "mine.py")}, "step": 1e-3}}
     found, expected = (
-        Built(load_study({**content, "experiments": where})).laboratory.perform(0, {"V_P": 2.25, "T_P": 1.0}).quantities
+        Built(load_study({**content, "experiments": where}))
+        .site.laboratory.perform(0, {"V_P": 2.25, "T_P": 1.0})
+        .quantities
         for where in (ours, theirs)
     )
     assert found == pytest.approx(expected, rel=1e-3)
@@ -501,9 +503,12 @@ def test_a_calibration_from_yaml_alone_finds_the_parameters(tmp_path):
 def test_a_specimen_may_have_another_law_than_the_model():
     virtual = {"spring": "menegotto_pinto", "parameters": {"k": K, "F_y": F_Y, "b": 0.05}}
     built = Built(study(experiments={"virtual": virtual}))
-    assert [e.law for e in (*built.true_elements, *built.elements)] == [LAWS["menegotto_pinto"], LAWS["takeda"]]
-    found = built.laboratory.perform(0, {"V_P": 1.2}).record
-    model = built.simulator.respond(
+    assert [e.law for e in (*built.mechanics.virtual.elements, *built.mechanics.elements)] == [
+        LAWS["menegotto_pinto"],
+        LAWS["takeda"],
+    ]
+    found = built.site.laboratory.perform(0, {"V_P": 1.2}).record
+    model = built.simulation.simulator.respond(
         {"k": K, "F_y": F_Y, "alpha": 0.4}, Conditions({"V_P": jnp.asarray(1.2)}), ("force",)
     )
     assert np.abs(found["force"] - model.channels["force"]).max() > 0.05 * F_Y
@@ -513,17 +518,17 @@ def test_a_specimen_may_have_another_law_than_the_model():
 
 def test_a_diagnosis_of_a_law_looks_for_what_it_has_a_place_for_and_says_what_not():
     built = Built(study())
-    names = applicable(built, built.empty_campaign())
+    names = applicable(built, built.site.empty_campaign())
     assert "strength_degradation" in names and "pinching" not in names
-    (said,) = built.naming.left_out()
+    (said,) = built.mechanics.naming.left_out()
     assert "takeda" in said and "pinching" in said and "hardening" not in said
     with pytest.raises(
         UserError, match="slip cannot be added: it writes to the slot compliance, which the law takeda has no"
     ):
-        check_added(built.study, ["slip"], built.naming)
+        check_added(built.study, ["slip"], built.mechanics.naming)
     model = {"parameters": {"A": {"uniform": [1e5, 9e5]}, "beta": 1.0}}
     plain = Built(study(model=model, experiments={"virtual": {"parameters": {"A": K, "beta": 1.0}}}))
-    assert plain.naming.left_out() == []
+    assert plain.mechanics.naming.left_out() == []
 
 
 @pytest.mark.parametrize(
@@ -581,9 +586,11 @@ def folder(tmp_path):
 def test_the_law_of_the_documentation_is_one(folder):
     given = load_study(folder / "study.yaml", ["inputs={V_P: {uniform: [0.8, 1.6], unit: m/s}}"])
     built = Built(given)
-    assert built.elements[0].law.name == "cubic" and built.true_elements == built.elements
-    assert Built(given).elements == built.elements  # executed once
-    response = built.simulator.respond({"k": K}, conditions(), ("force", "elongation"))
+    assert (
+        built.mechanics.elements[0].law.name == "cubic" and built.mechanics.virtual.elements == built.mechanics.elements
+    )
+    assert Built(given).mechanics.elements == built.mechanics.elements  # executed once
+    response = built.simulation.simulator.respond({"k": K}, conditions(), ("force", "elongation"))
     u = np.asarray(response.channels["elongation"])
     np.testing.assert_allclose(response.channels["force"], K * u * (1 + (u / 0.2) ** 2), rtol=1e-12, atol=1e-6)
     written = given.written()["model"]["spring"]
@@ -612,4 +619,4 @@ def test_an_own_law_that_is_none_is_one_clear_message(folder, text, name, said):
         (folder / "mine.py").write_text(text, encoding="utf-8")
     given = load_study(folder / "study.yaml", ["inputs={V_P: {uniform: [0.8, 1.6], unit: m/s}}"])
     with pytest.raises(UserError, match=rf"model\.spring: mine\.py: .*{said}"):
-        _ = Built(given).parameters
+        _ = Built(given).mechanics.parameters

@@ -19,7 +19,6 @@ from hsed_jax.measurements import Campaign, Channel, Noise, write_campaign
 from hsed_jax.reporting.digest import verdict
 from hsed_jax.runs.reading import read_run
 from hsed_jax.study.build import Built
-from hsed_jax.study.possible import possible_of
 
 POSITIVE = (0.0, math.inf)
 
@@ -175,7 +174,7 @@ def test_physical_limits_are_those_of_the_catalogue_in_either_form(campaign):
     added = {"hardening": {"k": {"normal": [0.0, 1e6]}}, "slip": {}, "gap": {"width": {"half_normal": 1e-3}}}
     study["model"] |= {"effects": added}
     study |= {"scales": {"force": 1e6, "elongation": 0.02, "rate": 0.06, "energy": 1e4}}
-    possible = possible_of(Built(Study.model_validate(study), campaign))
+    possible = Built(Study.model_validate(study), campaign).inference.possible
     assert possible["A"] == (0.0, math.inf)
     assert possible["slip.delta"] == (0.0, 1.0)
     assert possible["hardening.k"] == pytest.approx((-1e6 / 0.02, math.inf))
@@ -189,6 +188,6 @@ def test_numbers_of_a_structure_and_of_a_function_have_the_limits_that_are_known
              "excitation": {"near_fault_pulse": {"V_P": 0.5, "T_P": 0.5}, "duration": 2.0},
              "experiments": {"virtual": {"parameters": {"A": 5e7, "beta": 100.0}, "structure": {"mass_1": 1.5e3, "ratio": 0.05}}},
              "error": {"relative": 0.01}}  # fmt: skip
-    possible = possible_of(Built(Study.model_validate(study)))
+    possible = Built(Study.model_validate(study)).inference.possible
     assert possible["structure.mass_1"] == (0.0, math.inf)
     assert possible["structure.ratio"] == (0.0, 1.0)

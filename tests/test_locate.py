@@ -118,7 +118,7 @@ class Plain:
 
     def __init__(self, study, campaign):
         self.built = Built(study, campaign)
-        posterior = self.built.posterior
+        posterior = self.built.inference.posterior
         starts = posterior.starts(2)
         self._find = lambda data: maximise(posterior, data, starts)
         self._predict = jax.jit(
@@ -126,8 +126,8 @@ class Plain:
         )
 
     def __call__(self, campaign) -> Prediction:
-        posterior, experiments = self.built.posterior, campaign.train.experiments
-        data = self.built.data(campaign, experiments)
+        posterior, experiments = self.built.inference.posterior, campaign.train.experiments
+        data = self.built.inference.data(campaign, experiments)
         theta = self._find(data).theta
         predicted, ok = (np.asarray(x) for x in self._predict(theta, data))
         sigma = np.asarray(posterior.sigma(theta, jax.numpy.asarray(predicted), jax.numpy.asarray(ok), data))

@@ -73,7 +73,7 @@ def test_links_between_points_are_the_stiffness_and_damping_of_the_structure():
 
 
 def test_bouc_wen_without_degradation_is_our_own_specimen(openseespy):
-    ours, theirs = built({"virtual": {"parameters": OURS}}).laboratory, built(specimen("BoucWen")).laboratory
+    ours, theirs = built({"virtual": {"parameters": OURS}}).site.laboratory, built(specimen("BoucWen")).site.laboratory
     for V_P, T_P in ((2.25, 1.0), (1.5, 0.5), (3.0, 1.5), (2.9, 0.6)):
         inputs = {"V_P": V_P, "T_P": T_P}
         # The tolerance that the laboratory states.
@@ -82,8 +82,8 @@ def test_bouc_wen_without_degradation_is_our_own_specimen(openseespy):
 
 def test_degradation_of_the_material_is_our_effect(openseespy):
     effects = {"stiffness_degradation": {"eta": 2e-5}}
-    ours = built({"virtual": {"parameters": OURS, "effects": effects}}).laboratory.perform(0, INPUTS).quantities
-    theirs = built(specimen("BoucWen", PAPER | {"deltaEta": 2e-5})).laboratory.perform(0, INPUTS).quantities
+    ours = built({"virtual": {"parameters": OURS, "effects": effects}}).site.laboratory.perform(0, INPUTS).quantities
+    theirs = built(specimen("BoucWen", PAPER | {"deltaEta": 2e-5})).site.laboratory.perform(0, INPUTS).quantities
     assert theirs == pytest.approx(ours, rel=3e-3)
 
 
@@ -98,8 +98,8 @@ def test_histories_of_any_structure_are_those_of_our_simulator(openseespy):
     responses = ["elongation", "elongation_rate", "force"]
     channels = [*responses, "displacement_1", "velocity_2", "acceleration_3", "acceleration_2_absolute"]
     changes = {"structure": structure, "observe": "histories", "channels": channels}
-    ours = short({"virtual": {"parameters": OURS}}, **changes).laboratory.perform(0, INPUTS).record
-    theirs = short(specimen("BoucWen", step=1e-3), **changes).laboratory.perform(0, INPUTS).record
+    ours = short({"virtual": {"parameters": OURS}}, **changes).site.laboratory.perform(0, INPUTS).record
+    theirs = short(specimen("BoucWen", step=1e-3), **changes).site.laboratory.perform(0, INPUTS).record
     np.testing.assert_allclose(theirs.time, ours.time, atol=1e-12)
     for name in ["ground_acceleration", *channels]:
         error = np.sqrt(np.mean((theirs[name] - ours[name]) ** 2)) / np.std(ours[name])
@@ -110,15 +110,15 @@ def test_histories_of_any_structure_are_those_of_our_simulator(openseespy):
 
 
 def peaks(material, parameters=PAPER):
-    return short(specimen(material, parameters)).laboratory.perform(0, INPUTS).quantities
+    return short(specimen(material, parameters)).site.laboratory.perform(0, INPUTS).quantities
 
 
 def test_further_quantities_are_those_of_its_record(openseespy):
     names = ["peak_force", "residual_elongation", "peak_absolute_acceleration", "energy_at_2s"]
-    ours = built({"virtual": {"parameters": OURS}}, quantities=names).laboratory.exact(INPUTS)
+    ours = built({"virtual": {"parameters": OURS}}, quantities=names).site.laboratory.exact(INPUTS)
     theirs = built(specimen("BoucWen"), quantities=names)
-    assert list(theirs.sensors.quantities) == ["peak_force"]
-    quantities, record = theirs.laboratory.perform(0, INPUTS)
+    assert list(theirs.observed.sensors.quantities) == ["peak_force"]
+    quantities, record = theirs.site.laboratory.perform(0, INPUTS)
     measured = Experiment("E01", INPUTS, record=record, quantities=quantities)
     # Measured: 1.6 µm, 0.07 % (a peak between samples) and 0.18 % (the work between samples).
     assert measured.quantity("residual_elongation") == pytest.approx(ours["residual_elongation"], abs=1e-5)
@@ -132,15 +132,17 @@ def test_bwbn_pinches_as_our_effect(openseespy):
     effects = {"pinching": {"zeta": 0.6, "p": 1e-4, "psi": 0.2, "ratio": 0.5, "q": 0.0, "spread": 0.0}}
     # With a characteristic energy of 1 J, and a strength at z = 1 m, both have the same units.
     scales = {"force": 5e5, "elongation": 1.0, "rate": 1.0, "energy": 1.0}
-    ours = short({"virtual": {"parameters": OURS, "effects": effects}}, scales=scales).laboratory.perform(0, INPUTS)
+    ours = short({"virtual": {"parameters": OURS, "effects": effects}}, scales=scales).site.laboratory.perform(
+        0, INPUTS
+    )
     # Measured 3.4e-3, and 1.1e-3 with a third of the step.
-    theirs = short(specimen("BWBN", PAPER | pinched, step=3e-4)).laboratory.perform(0, INPUTS)
+    theirs = short(specimen("BWBN", PAPER | pinched, step=3e-4)).site.laboratory.perform(0, INPUTS)
     assert theirs.quantities == pytest.approx(ours.quantities, rel=5e-3)
 
 
 def test_steel02_is_elastic_below_its_strength_and_stops_at_it(openseespy):
     elastic = peaks("Steel02", {"Fy": 1e12, "E0": 5e5})
-    linear = short({"virtual": {"parameters": OURS | {"beta": 1e-9}}}).laboratory.perform(0, INPUTS).quantities
+    linear = short({"virtual": {"parameters": OURS | {"beta": 1e-9}}}).site.laboratory.perform(0, INPUTS).quantities
     for name in ("peak_force", "peak_elongation"):
         assert elastic[name] == pytest.approx(linear[name], rel=2e-3)
     yielding = peaks("Steel02", {"Fy": 6e4, "E0": 5e5})
@@ -187,7 +189,7 @@ def test_a_material_that_fails_fails_the_experiment_and_says_how(openseespy, tmp
 
 def test_noise_has_its_size_and_depends_on_the_experiment_alone(openseespy):
     def elongation(number, **noise):
-        record = short(specimen("BoucWen", **noise), observe="histories").laboratory.perform(number, INPUTS).record
+        record = short(specimen("BoucWen", **noise), observe="histories").site.laboratory.perform(number, INPUTS).record
         return record["elongation"]
 
     exact, noise = elongation(3), {"noise": {"relative": 0.02}}

@@ -40,19 +40,19 @@ def folder(tmp_path):
 
 def test_the_example_of_the_documentation_joins_the_catalogue(folder, capsys):
     built = Built(load_study(folder / "study.yaml"), CAMPAIGN)
-    assert built.parameters[1]["wave.force"] == 2e3
+    assert built.mechanics.parameters[1]["wave.force"] == 2e3
     assert main(["effects", "wave", "--study", str(folder / "study.yaml"), "--trust"]) == 0
     assert "waves with the elongation" in capsys.readouterr().out
 
 
 def test_a_changed_file_is_read_again(folder):
     study = load_study(folder / "study.yaml")
-    before = Built(study).catalogue["wave"]
-    assert Built(study).catalogue["wave"] is before
+    before = Built(study).mechanics.catalogue["wave"]
+    assert Built(study).mechanics.catalogue["wave"] is before
     text = (folder / "mine.py").read_text(encoding="utf-8").replace("post-yield", "another")
     (folder / "mine.py").write_text(text, encoding="utf-8")
     (folder / "mine.py").touch()
-    assert Built(study).catalogue["wave"].family == "another"
+    assert Built(study).mechanics.catalogue["wave"].family == "another"
 
 
 def test_an_effect_belongs_to_the_study_that_names_its_file(folder):
@@ -65,19 +65,26 @@ def test_an_effect_belongs_to_the_study_that_names_its_file(folder):
     plain = load_study(folder / "study.yaml", ["model.own_effects=[]", "model.effects={}"])
     ours, theirs = Built(study), Built(load_study(other / "study.yaml"))
     # One name, two effects; and a study beside them knows neither.
-    assert [b.catalogue["wave"].family for b in (ours, theirs)] == ["post-yield", "another"]
+    assert [b.mechanics.catalogue["wave"].family for b in (ours, theirs)] == ["post-yield", "another"]
     # By which compiled programs are told apart, and shared.
-    assert ours.catalogue != theirs.catalogue and ours.catalogue == Built(study).catalogue
-    assert hash(ours.catalogue) == hash(Built(study).catalogue)
-    assert Built(plain).catalogue == EFFECTS and "wave" not in EFFECTS and len(ours.catalogue) == len(EFFECTS) + 1
+    assert (
+        ours.mechanics.catalogue != theirs.mechanics.catalogue
+        and ours.mechanics.catalogue == Built(study).mechanics.catalogue
+    )
+    assert hash(ours.mechanics.catalogue) == hash(Built(study).mechanics.catalogue)
+    assert (
+        Built(plain).mechanics.catalogue == EFFECTS
+        and "wave" not in EFFECTS
+        and len(ours.mechanics.catalogue) == len(EFFECTS) + 1
+    )
 
 
 def test_an_effect_is_given_from_python(folder):
-    wave = Built(load_study(folder / "study.yaml")).catalogue["wave"]
+    wave = Built(load_study(folder / "study.yaml")).mechanics.catalogue["wave"]
     study = load_study(folder / "study.yaml", ["model.own_effects=[]"])
     with pytest.raises(UserError, match="no such effect"):
-        _ = Built(study, CAMPAIGN).parameters
-    assert Built(study.with_own_effects(wave), CAMPAIGN).parameters[1] == {"beta": 40.0, "wave.force": 2e3}
+        _ = Built(study, CAMPAIGN).mechanics.parameters
+    assert Built(study.with_own_effects(wave), CAMPAIGN).mechanics.parameters[1] == {"beta": 40.0, "wave.force": 2e3}
 
 
 def test_a_name_that_is_taken_is_refused(folder):

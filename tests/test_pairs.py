@@ -30,7 +30,6 @@ from hsed_jax.measurements import (
 )
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.effects.forms import forms_of
-from hsed_jax.physics.excitations import CyclicElongation
 from hsed_jax.physics.laws import LAWS
 from hsed_jax.physics.outputs import CHANNELS, QUANTITIES
 from hsed_jax.physics.pairs import ELONGATION_AND_FORCE, PAIRS
@@ -235,30 +234,27 @@ def test_masses_that_are_shaken_have_no_rotations():
         Built(study, campaign).check()
     laboratory = {"folder": {"channels": CHANNELS_OF_A_JOINT}}
     with pytest.raises(hx.UserError, match=r"experiments.folder: .*measured in rotation \[rad\] and moment"):
-        _ = Built(load_study(FRAME | {"experiments": laboratory})).units
+        _ = Built(load_study(FRAME | {"experiments": laboratory})).mechanics.units
     wrong = {"folder": {"channels": CHANNELS_OF_A_JOINT | {"elongation": {"unit": "mm", "column": "M"}}}}
     with pytest.raises(hx.UserError, match=r"experiments.folder.channels.elongation in 'mm' and .*do not belong"):
-        _ = Built(load_study(FRAME | {"experiments": wrong})).pair
+        _ = Built(load_study(FRAME | {"experiments": wrong})).mechanics.pair
 
 
 def test_what_a_laboratory_declares_is_asked_in_its_pair():
     study = load_study(
         {k: v for k, v in FRAME.items() if k != "structure"}
-        | {"experiments": {"folder": {"channels": CHANNELS_OF_A_JOINT}}}
+        | {
+            "experiments": {"folder": {"channels": CHANNELS_OF_A_JOINT}},
+            "excitation": {"imposed": {"amplitudes": [0.01, "a"], "cycles": 2, "rate": 0.01}},
+            "inputs": {"a": {"uniform": [0.02, 0.05], "unit": "m"}},
+        }
     )
-    alone = type("ComponentTest", (Built,), {"component_test": True})
-    built = alone(study)
-    assert built.pair == ROTATION and built.units == {"A": "N*m/rad"}
+    built = Built(study)
+    assert built.mechanics.pair == ROTATION and built.mechanics.units == {"A": "N*m/rad"}
     asks, asked = object.__new__(AskTell), Asked("E01", 0, 1, {}, {})
     expected = Expected(np.zeros(1), {}, {"peak_force": np.asarray([1e3, 2e3, 3e3])})
     vars(asks).update(
-        built=SimpleNamespace(
-            space=SimpleNamespace(units={}),
-            study=study,
-            pair=built.pair,
-            design=SimpleNamespace(cost=None),
-            excitation=SimpleNamespace(constructor=CyclicElongation),
-        ),
+        built=built,
         path="here",
         conduct=SimpleNamespace(steps=[]),
         _requests=SimpleNamespace(folder=lambda id: Path("there"), expected=lambda asked: expected),
@@ -400,7 +396,7 @@ def test_a_campaign_keeps_its_pair_in_memory_and_is_not_compared_in_another(join
     built = Built(joint_study(joint))
     metres = {n: Channel(n, u) for n, u in {"time": "s", "elongation": "mm", "force": "kN"}.items()}
     with pytest.raises(hx.UserError, match=r"measured in elongation \[m\] and force \[N\]; the study is of rotation"):
-        built.data(Campaign("other", "displacement", {}, metres), ())
+        built.inference.data(Campaign("other", "displacement", {}, metres), ())
 
 
 # --- measured coupons: strain and stress --------------------------------------------------------------------------

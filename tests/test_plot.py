@@ -64,10 +64,7 @@ def fitted(names=("A", "beta"), at=(4e5, 1.0), count=3):
 def calibration(case, observe="histories", fit=None):
     """A calibration whose predictions are those of a synthetic comparison."""
     campaign, comparison, _ = case
-    study = SimpleNamespace(observe=observe, model=None)
-    built = SimpleNamespace(
-        study=study, structure=None, component_test=not campaign.has_time, grid=None, taken=lambda e: e, catalogue={}
-    )
+    built = Built(STUDY.model_copy(update={"observe": observe}), campaign)
     fit = fit or fitted()
     fit.posterior.is_declared = np.ones(len(comparison.train_prediction.outputs), dtype=bool)
     return bare(Calibration, campaign=campaign, built=built, fit=fit,
@@ -88,7 +85,7 @@ def design():
     """A run of a design of two steps after one initial experiment."""
     step = {"max_expected_improvement": 0.3, "map": {"A": 4e5, "beta": 1.0},
             "posterior": {n: {"q05": 0.9 * x, "q95": 1.1 * x} for n, x in (("A", 4e5), ("beta", 1.0))}}  # fmt: skip
-    space, points = Built(STUDY).space, ([0.5, 0.5], [0.2, 0.8], [0.9, 0.1])
+    space, points = Built(STUDY).experiments.space, ([0.5, 0.5], [0.2, 0.8], [0.9, 0.1])
     steps = [step, {**step, "max_expected_improvement": 0.1}]
     state = DesignState(tuple(Trial(space.point(np.array(x)), np.zeros(3), "completed") for x in points))
     laboratory = SimpleNamespace(parameters={"A": 5e5, "beta": 1.0})

@@ -157,9 +157,9 @@ def test_a_bar_that_was_never_tested_is_predicted_from_the_population(calibratio
 def test_the_map_and_its_coordinates_are_what_finite_differences_say(folder):
     study = study_of(folder, ["model.levels={mill: {a: {half_normal: 2.0}}, bar: [a, b]}"])
     built = Built(study)
-    campaign = built.measured
-    data = built.data(campaign, campaign.train.experiments)
-    plain, random = built.posterior, np.random.default_rng(0)
+    campaign = built.experiments.measured
+    data = built.inference.data(campaign, campaign.train.experiments)
+    plain, random = built.inference.posterior, np.random.default_rng(0)
     posterior = eqx.tree_at(
         lambda p: (p.population.told, p.population.reference),
         plain,
@@ -225,7 +225,7 @@ def test_offsets_are_centred_where_measurements_tell_them(folder, calibration):
     np.testing.assert_allclose(told, SIGMA / np.sqrt(EACH), rtol=0.1)
     few = study_of(folder, ["error={absolute: 30.0}"])
     built = Built(few)
-    hardly = calibrate_built(built, built.measured, start=jnp.asarray([5.0, 2.0]))
+    hardly = calibrate_built(built, built.experiments.measured, start=jnp.asarray([5.0, 2.0]))
     assert np.asarray(hardly.fit.posterior.population.told[0]).min() > hardly.map["bar.a.spread"]
     assert hardly.fit.warning is None
     # Nothing was learned: the spread is as its prior has it.
@@ -281,7 +281,7 @@ def test_levels_need_a_campaign_and_members(folder):
     with pytest.raises(UserError, match=r"model\.levels: members are told by a column of experiments\.csv"):
         Built(virtual).check()
     study = study_of(folder)
-    campaign = Built(study).measured
+    campaign = Built(study).experiments.measured
     one = dataclasses.replace(campaign, experiments=campaign.experiments[:EACH])
     with pytest.raises(UserError, match=r"needs at least two members, and the training experiments have only 'A1'"):
         hx.calibrate(study, one)

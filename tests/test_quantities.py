@@ -258,7 +258,7 @@ def test_a_mistake_gets_one_message(override, message):
     with pytest.raises(hx.UserError, match=message):
         built = Built(hx.load_study(PAPER, [quantities, override]))
         built.check()
-        _ = built.limits
+        _ = built.design.limits
 
 
 def test_a_component_test_has_no_acceleration_of_a_mass(tmp_path):

@@ -453,7 +453,7 @@ def test_an_event_that_lacks_a_key_is_one_clear_message(built, tmp_path, event, 
 def test_experiments_that_a_lost_journal_does_not_know_are_not_performed_again(built, tmp_path):
     store = RunFolder(tmp_path / "run", built.study.written())
     inputs, quantities = {"V_P": 2.25, "T_P": 1.0}, dict.fromkeys(QUANTITIES, 1.0)
-    campaign = built.empty_campaign()
+    campaign = built.site.empty_campaign()
     for name in ("E01", "E02", "E03"):
         campaign = campaign.add(Experiment(name, inputs, quantities=quantities))
     write_campaign(campaign, store.campaign)
@@ -755,7 +755,7 @@ def test_a_fit_tells_what_it_found_before_it_draws(study, monkeypatch):
     monkeypatch.setattr("hsed_jax.inference.fit.draw", lambda *_: heard.append("draws") or pytest.fail("stop"))
     built = Built(load_study(study))
     with pytest.raises(pytest.fail.Exception):
-        calibrate_built(built, built.perform(), watch=Heard())
+        calibrate_built(built, built.site.perform(), watch=Heard())
     assert heard == ["fitted", "draws"]
 
 

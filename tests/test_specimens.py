@@ -247,12 +247,12 @@ def test_a_campaign_on_disk_has_channels_of_each(calibration, tmp_path):
 
 def test_candidates_are_those_of_each_specimen(tmp_path):
     built = Built(study(tmp_path))
-    found = applicable(built, built.empty_campaign())
+    found = applicable(built, built.site.empty_campaign())
     assert {"storey1.stiffness_degradation", "storey2.strength_degradation", "mass_error"} <= set(found)
     assert "storey2.stiffness_degradation" not in found  # no slot of the bilinear law
     assert not {"slip", "force_gain", "storey1.mass_error", "yielding"} & set(found)
     larger = with_effects(built, ["storey2.strength_degradation"])
-    assert "storey2.strength_degradation.delta" in Built(larger).parameters[0]
+    assert "storey2.strength_degradation.delta" in Built(larger).mechanics.parameters[0]
     with pytest.raises(UserError, match=r"the model has storey2\.strength_degradation already"):
         with_effects(Built(larger), ["storey2.strength_degradation"])
 
@@ -268,8 +268,8 @@ def test_an_effect_of_all_needs_one_that_shares_the_model(tmp_path):
     changes += ["experiments.virtual.effects={}", "model={}"]
     built = Built(study(tmp_path, *changes))
     built.check()
-    assert "left.slip" in built.naming.candidates and "slip" not in built.naming.candidates
-    assert "storey2.yielding" not in built.naming.candidates
+    assert "left.slip" in built.mechanics.naming.candidates and "slip" not in built.mechanics.naming.candidates
+    assert "storey2.yielding" not in built.mechanics.naming.candidates
     with pytest.raises(
         UserError, match=r"slip: no specimen shares the model of the study; say of which one, left\.slip"
     ):

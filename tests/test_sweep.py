@@ -253,7 +253,7 @@ def run(folder, monkeypatch):
         here.mkdir(exist_ok=True)
         run.does()
         (here / "summary.json").write_text("{}")
-        return SimpleNamespace(built=SimpleNamespace(units={"A": "N/m"}))
+        return SimpleNamespace(built=SimpleNamespace(mechanics=SimpleNamespace(units={"A": "N/m"})))
 
     def run():
         return workers.run_point(str(folder.path), 0, folder.plan.studies()[0].written(), False)

@@ -15,8 +15,8 @@ from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.elements import Element
 from hsed_jax.physics.laws import BoucWen
 from hsed_jax.reporting.page_tables import _predicted_part
+from hsed_jax.study.advice import forecast
 from hsed_jax.study.build import Built
-from hsed_jax.study.records import forecast, thinning_notes
 from hsed_jax.study.specimens import Naming
 from hsed_jax.study.timelines import imposed_grid
 
@@ -145,13 +145,13 @@ def test_time_and_memory_are_forecast_and_grow_with_the_steps():
     said = {}
     for samples in (1000, 28000):
         built = Built(study_of(measurements={"samples": samples}, steps=["calibrate", "compare", "diagnose"]), campaign)
-        text = forecast(built, campaign)
+        text = forecast(built.inference, campaign)
         found = re.fullmatch(
             r"2 experiments of (\d+) steps each: expect about (.*) on \d+ cores, .* and ([\d.]+) GB", text
         )
-        assert found and int(found[1]) == built.timeline.steps
+        assert found and int(found[1]) == built.simulation.timeline.steps
         said[samples] = float(found[3])
-        notes = thinning_notes(built, campaign)
+        notes = built.experiments.thinning_notes(campaign)
         assert [note.partition(" samples")[0] for note in notes] == (
             [] if samples > 1000 else ["E01 is thinned from 1501 to 137", "E02 is thinned from 26500 to 860"]
         )

@@ -54,9 +54,11 @@ def _training_set() -> tuple[np.ndarray, np.ndarray]:
     """The design's inputs in the unit cube, and how far the model at the specimen's own parameters is from it there."""
     case = built()
     cube, values = measured(case, EXPERIMENTS)
-    conditions = {name: jnp.asarray(v) for name, v in case.space.si(case.space.declared(cube)).items()}
-    truth = jnp.asarray([case.laboratory.parameters[name] for name in case.parameters[0]])
-    predicted = np.asarray(case.posterior.predict(truth, Conditions(conditions), jnp.asarray(EXPERIMENTS))[0])
+    conditions = {
+        name: jnp.asarray(v) for name, v in case.experiments.space.si(case.experiments.space.declared(cube)).items()
+    }
+    truth = jnp.asarray([case.site.laboratory.parameters[name] for name in case.mechanics.parameters[0]])
+    predicted = np.asarray(case.inference.posterior.predict(truth, Conditions(conditions), jnp.asarray(EXPERIMENTS))[0])
     return cube, np.sum((values - predicted) ** 2 / predicted.var(axis=0), axis=1)
 
 

@@ -30,7 +30,7 @@ def growth(count: int) -> tuple[float, float]:
     import hsed_jax as hx
 
     case = degrading()
-    study, free = case.study, case.parameters[0]
+    study, free = case.study, case.mechanics.parameters[0]
 
     def simulated(count: int) -> float:
         values = lanes(case, count, seed=7)

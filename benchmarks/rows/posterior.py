@@ -21,7 +21,7 @@ NOTE = "emcee is not installed, so it was not measured"
 def measure(quick: bool) -> list[dict[str, Any]]:
     """All lines of this row."""
     case = built()
-    design = case.design
+    design = case.design.sequential
     state = design.init()
     for point, values in zip(*measured(case, EXPERIMENTS), strict=True):
         state = design.tell(state, point.tolist(), values.tolist())

@@ -38,7 +38,7 @@ def measure(quick: bool) -> list[dict[str, Any]]:
 
 def _batch(peers, missing, count: int, checked: int) -> dict[str, Any]:
     case = degrading()
-    plain, simulator = numbers(case), case.simulator
+    plain, simulator = numbers(case), case.simulation.simulator
     many = jax.jit(lambda batch: tiled_map(jax.vmap(lambda lane: _one(simulator, lane)), batch))
 
     def costs_and_results(values):
@@ -57,7 +57,7 @@ def _batch(peers, missing, count: int, checked: int) -> dict[str, Any]:
 
 def _alone(peers, missing) -> dict[str, Any]:
     case = degrading()
-    plain, simulator = numbers(case), case.simulator
+    plain, simulator = numbers(case), case.simulation.simulator
     values = lanes(case, 1, seed=3)
     lane = jax.tree.map(lambda x: x[0], _batch_of(values))
     one = jax.jit(lambda lane: _one(simulator, lane))
@@ -72,7 +72,7 @@ def _alone(peers, missing) -> dict[str, Any]:
 
 def _histories(count: int) -> dict[str, Any]:
     case = degrading("observe=histories")
-    simulator = case.simulator
+    simulator = case.simulation.simulator
     batch = _batch_of(lanes(case, count, seed=4))
 
     def histories(lane):
@@ -88,9 +88,9 @@ def _histories(count: int) -> dict[str, Any]:
 
 def _jacobian(c, missing) -> dict[str, Any]:
     case = built()
-    plain, predict = numbers(case), case.posterior.predict
+    plain, predict = numbers(case), case.inference.posterior.predict
     values = lanes(case, EXPERIMENTS, seed=5)
-    conditions = Conditions({name: jnp.asarray(values[name]) for name in case.space.names})
+    conditions = Conditions({name: jnp.asarray(values[name]) for name in case.experiments.space.names})
     thetas = jnp.stack([jnp.asarray(x) for x in list(lanes(case, CHAINS, seed=6).values())[-2:]], axis=1)
 
     def outputs(theta):
@@ -132,7 +132,7 @@ def _public(count: int) -> dict[str, Any]:
 def public(count: int) -> tuple[dict[str, float], tuple[str, ...]]:
     """Wall seconds of the public call on all cores of this process, and of C with a thread for each core."""
     case = degrading()
-    plain, free = numbers(case), case.parameters[0]
+    plain, free = numbers(case), case.mechanics.parameters[0]
     values = lanes(case, count, seed=2)
     parameters = {name: x for name, x in values.items() if name in free}
     inputs = {name: x for name, x in values.items() if name not in free}

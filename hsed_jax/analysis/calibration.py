@@ -31,11 +31,8 @@ from hsed_jax.physics.outputs import further
 from hsed_jax.physics.response import Response
 from hsed_jax.physics.simulator import AbstractModel, Conditions
 from hsed_jax.programs import program
+from hsed_jax.study.advice import frequency_doubts
 from hsed_jax.study.build import Built
-from hsed_jax.study.discrepancies import check_told, support_of
-from hsed_jax.study.plausible import frequency_doubts
-from hsed_jax.study.possible import possible_of
-from hsed_jax.study.records import thinning_notes
 from hsed_jax.tables import Table, Tabular
 
 if TYPE_CHECKING:
@@ -97,14 +94,16 @@ class Calibration(Tabular):
         experiments = campaign.completed.experiments
         # Padded to the larger split of its own campaign, so that one program predicts both.
         size = max(len(experiments), len(self.campaign.train), len(self.campaign.test))
-        return predict(self.fit, self.built.data(campaign, experiments, size), self.built.taken(experiments))
+        return predict(
+            self.fit, self.built.inference.data(campaign, experiments, size), self.built.experiments.taken(experiments)
+        )
 
     def apart(self, campaign: Campaign) -> Apart | None:
         """How far the specimens of a campaign are from their population, those for training first; None without levels."""
         posterior = self.fit.posterior
         if not (levels := posterior.population.levels):
             return None
-        data = self.built.data(campaign, (*campaign.train.experiments, *campaign.test.experiments))
+        data = self.built.inference.data(campaign, (*campaign.train.experiments, *campaign.test.experiments))
         theta, strangers = self.fit.maximum.theta, posterior.population.strangers(data.members, 1)
         own = np.asarray(posterior.by_experiment(theta, data, tuple(z[0] for z in strangers)))
         varying = {v.name: v for level in levels for v in level.varying}
@@ -125,15 +124,17 @@ class Calibration(Tabular):
 
     def _table(self) -> Table:
         table = self.fit._table()
-        said = [called(name, self.map, self.built.catalogue) for name in dict.fromkeys(map(owner_of, self.map))]
+        said = [
+            called(name, self.map, self.built.mechanics.catalogue) for name in dict.fromkeys(map(owner_of, self.map))
+        ]
         signs = [f"with a negative amplitude: {words}" for words in said if words.endswith(")")]
-        return replace(table, notes=[*table.notes, *signs, *frequency_doubts(self.built, self.campaign)])
+        return replace(table, notes=[*table.notes, *signs, *frequency_doubts(self.built.mechanics, self.campaign)])
 
 
 def campaign_of(study: Study) -> Campaign:
     """The experiments of a study: the campaign it names, or what its virtual laboratory measures at the initial design."""
     built = Built(study)
-    return built.perform() if built.measured is None else built.measured
+    return built.site.perform() if built.experiments.measured is None else built.experiments.measured
 
 
 def calibrate(study: Study, campaign: Campaign | None = None) -> Calibration:
@@ -171,20 +172,20 @@ def calibrate_built(
         settings: of the draws, by default those of the study.
     """
     study = built.study
-    check_told(built, len(campaign.train))
+    built.inference.check_told(len(campaign.train))
     found = fit(
-        built.posterior,
-        built.data(campaign, campaign.train.experiments, size),
+        built.inference.posterior,
+        built.inference.data(campaign, campaign.train.experiments, size),
         starts=study.calibration.starts,
-        settings=settings or built.settings,
+        settings=settings or built.inference.settings,
         key=jax.random.fold_in(jax.random.key(study.seed), _CALIBRATION_KEY),
-        units=built.units,
-        errors=built.errors,
+        units=built.mechanics.units,
+        errors=built.observed.errors,
         start=start,
         watch=watch,
         seconds=study.calibration.seconds,
-        support=support_of(built),
-        possible=possible_of(built),
+        support=built.inference.support,
+        possible=built.inference.possible,
     )
     return Calibration(built, campaign, found)
 
@@ -201,9 +202,13 @@ def compare(calibration: Calibration, campaign: Campaign | None = None) -> Compa
         calibration = replace(calibration, campaign=campaign)
     declared = calibration.fit.posterior.is_declared
     parameters = calibration.fit.posterior.fitted
-    notes = [*calibration.fit.correlation_notes(), *thinning_notes(calibration.built, campaign)]
-    notes += frequency_doubts(calibration.built, campaign)
-    if calibration.built.component_test and calibration.built.grid is not None and not campaign.has_time:
+    notes = [*calibration.fit.correlation_notes(), *calibration.built.experiments.thinning_notes(campaign)]
+    notes += frequency_doubts(calibration.built.mechanics, campaign)
+    if (
+        calibration.built.experiments.component_test
+        and calibration.built.simulation.grid is not None
+        and not campaign.has_time
+    ):
         notes.append(
             "the records have no time: the row number stands for it, which a rate-independent law does not notice"
         )
@@ -267,7 +272,7 @@ def simulate(
         125
     """
     built = Built(study)
-    free, _ = built.parameters
+    free, _ = built.mechanics.parameters
     given = {**{name: float(prior.quantile(0.5)) for name, prior in free.items()}, **(parameters or {})}
     for what, names, known in (("input", inputs, built.study.inputs), ("parameter", given, free)):
         for name in names:
@@ -275,7 +280,7 @@ def simulate(
                 raise UserError(f"there is no {what} {name!r}; the study has {', '.join(known) or 'none'}")
         if missing := [name for name in known if name not in names]:
             raise UserError(f"{what} {missing[0]!r} is missing; the study has {', '.join(known)}")
-    factors = built.space.factors
+    factors = built.experiments.space.factors
     lanes = (
         {name: jnp.asarray(value, dtype=float) for name, value in given.items()},
         {name: jnp.asarray(value, dtype=float) * factors[name] for name, value in inputs.items()},
@@ -288,7 +293,7 @@ def simulate(
 
     # The study may be of records; what is simulated here has none.
     parameters, inputs = lanes
-    model, more = built.planned_simulator, further(tuple(study.quantities))
+    model, more = built.simulation.planned_simulator, further(tuple(study.quantities))
     if channels is None:
         channels = tuple(name for name in of_each(model.owners, _CHANNELS) if model.gives(name))
     if missing := [name for name in channels if not model.gives(name)]:

@@ -66,9 +66,9 @@ def discover(
         UserError: the model is a function, or has several specimens.
     """
     campaign, watch = calibration.campaign if campaign is None else campaign, watch or Watch()
-    if not isinstance(calibration.built.simulator, Simulator):
+    if not isinstance(calibration.built.simulation.simulator, Simulator):
         raise UserError("discover: it needs a spring law, and the model of this study is a function")
-    if any(element.name for element in calibration.built.elements):
+    if any(element.name for element in calibration.built.mechanics.elements):
         raise UserError("discover: it looks into one specimen, and this study has specimens with names")
     diagnosis = diagnosis or diagnose(calibration, campaign, watch)
     if diagnosis.verdict == "adequate":
@@ -106,12 +106,12 @@ class _Beside:
         self._built = Built(with_effects(built, effects, forms), built.campaign) if effects else built
         self._campaign, self._effects, self._forms, self._watch = campaign, effects, forms, watch
         self._known, self._apart = calibration.map, calibration.apart(campaign)
-        has_inner = set(FreeFunction.slots[1:]) <= set(built.elements[0].law.slots)
+        has_inner = set(FreeFunction.slots[1:]) <= set(built.mechanics.elements[0].law.slots)
         kind = FreeFunction if has_inner else FreeForce
         self.problem = self._problem(kind)
         self._reaches = Reaches(self._motions(), self.problem.scales)
         self._search = PlaceSearch(self.problem, self._reaches, watch.report)
-        has_time = campaign.has_time or not built.component_test or built.grid is None
+        has_time = campaign.has_time or not built.experiments.component_test or built.simulation.grid is None
         self._search.run(places(kind.slots, has_time))
         self._before = self._search.judged(None)
 
@@ -208,7 +208,7 @@ class _Beside:
     def _name(self) -> str:
         """A name for what is learned that the catalogue does not have."""
         names = chain([EFFECT], (f"{EFFECT}_{number}" for number in count(2)))
-        return next(name for name in names if name not in self._built.catalogue)
+        return next(name for name in names if name not in self._built.mechanics.catalogue)
 
     def _law(self) -> dict[str, float]:
         """Parameters of the model as it is, by name, SI."""
@@ -233,11 +233,17 @@ class _Beside:
     def _motions(self) -> list[Motion]:
         """What the model as it is goes through in the training experiments."""
         built, found = self._built, []
-        middle = {name: float(prior.quantile(0.5)) for name, prior in built.parameters[0].items()}
-        known = {**built.parameters[1], **middle, **self._known}
+        middle = {name: float(prior.quantile(0.5)) for name, prior in built.mechanics.parameters[0].items()}
+        known = {**built.mechanics.parameters[1], **middle, **self._known}
         for experiment in self.problem.experiments:
-            conditions = conditions_of(experiment, self._campaign, built.grid, built.excitation)
-            channels = built.simulator.respond(known, conditions, ("elongation", "elongation_rate", "force")).channels
-            time = built.simulator.times(conditions.inputs) if experiment.record is None else experiment.record.time
+            conditions = conditions_of(experiment, self._campaign, built.simulation.grid, built.experiments.excitation)
+            channels = built.simulation.simulator.respond(
+                known, conditions, ("elongation", "elongation_rate", "force")
+            ).channels
+            time = (
+                built.simulation.simulator.times(conditions.inputs)
+                if experiment.record is None
+                else experiment.record.time
+            )
             found.append(Motion(np.asarray(time), *map(np.asarray, channels.values())))
         return found

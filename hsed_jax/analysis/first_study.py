@@ -5,11 +5,10 @@ from pathlib import Path
 
 from hsed_jax.config.load import load_study
 from hsed_jax.config.schema import Study
+from hsed_jax.drafting.initial import Frame, text_of_study
 from hsed_jax.drafts import write_whole
 from hsed_jax.measurements import Campaign
 from hsed_jax.plain import parse_yaml
-from hsed_jax.study.initial import Frame
-from hsed_jax.study.initial import initial_study as text_of_study
 
 
 def initial_study(

@@ -6,7 +6,7 @@ from hsed_jax.config.schema import Study
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.reporting.catalogue import first_line
-from hsed_jax.study.own_effects import catalogue_of
+from hsed_jax.study.own_parts import catalogue_of
 
 if TYPE_CHECKING:
     import pandas as pd

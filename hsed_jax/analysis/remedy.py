@@ -52,7 +52,7 @@ def diagnose(calibration: Calibration, campaign: Campaign | None = None, watch: 
     built = calibration.built
 
     def problem_with(some: Campaign) -> Problem:
-        leaning = [one.parameter for one in calibration.fit.leaning if one.parameter in built.parameters[0]]
+        leaning = [one.parameter for one in calibration.fit.leaning if one.parameter in built.mechanics.parameters[0]]
         return problem_of(
             built,
             some,
@@ -76,9 +76,9 @@ def discriminate(built: Built, campaign: Campaign) -> Given:
         built: the study, with a design.
         campaign: the experiments so far.
     """
-    cube, factors = np.asarray(built.design.candidate_set[:_DISCRIMINATED]), built.space.factors
+    cube, factors = np.asarray(built.design.sequential.candidate_set[:_DISCRIMINATED]), built.experiments.space.factors
     out = [
-        built.space.located({name: value / factors[name] for name, value in one.inputs.items()}).cube
+        built.experiments.space.located({name: value / factors[name] for name, value in one.inputs.items()}).cube
         for one in campaign
         if one.status == "pending"
     ]
@@ -118,7 +118,7 @@ class Improvement(Tabular):
 
     def write(self, path: str | Path) -> None:
         """Write the improved study as YAML, with comments, its paths relative to the file."""
-        path, pair = Path(path), self.original.built.pair
+        path, pair = Path(path), self.original.built.mechanics.pair
         plain = self.study.written()
         model, experiments = plain["model"], plain["experiments"]
 
@@ -214,7 +214,9 @@ def improve(
     study = study.model_copy(update={"study": f"{study.study.removesuffix('_improved')}_improved"})
     watch = watch or Watch()
     watch.report("the model with the effects")
-    forms = {effect: default_form(calibration.built.catalogue[effect]).label for effect in effects} | dict(forms or {})
+    forms = {effect: default_form(calibration.built.mechanics.catalogue[effect]).label for effect in effects} | dict(
+        forms or {}
+    )
     known, apart = calibration.map, calibration.apart(campaign)
     problem = problem_of(calibration.built, campaign, effects, watch=watch, known=known, forms=forms, apart=apart)
     before = compare(calibration, campaign)
@@ -248,7 +250,7 @@ def improve(
     built = Built(study, calibration.built.campaign)
     # What is told of an improvement is its error.  Chains of a model with so many parameters take minutes: the study that is
     # written has them when it is run.
-    settings = built.settings
+    settings = built.inference.settings
     if settings.sampler == "auto":
         settings = settings._replace(sampler="importance")
     start_at = _parameters(problem, fit, built)
@@ -293,7 +295,7 @@ def _best(
 def _parameters(problem: Problem, fit: Descent, built: Built) -> Array:
     """θ of a fit, in the order of the study that has its effects: those of a structure are after them."""
     theta = problem.models.theta(fit.x, fit.member)
-    return jnp.asarray([theta[problem.names.index(name)] for name in built.parameters[0]])
+    return jnp.asarray([theta[problem.names.index(name)] for name in built.mechanics.parameters[0]])
 
 
 def _between(problem: Problem, fit: Descent, effects: Sequence[str]) -> Step:

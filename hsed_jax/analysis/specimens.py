@@ -38,7 +38,7 @@ def over_specimens(
         campaign: the experiments.
         report: called with what is being done.
     """
-    if not built.levels:
+    if not built.inference.levels:
         return found
     memberships = memberships_of(built, campaign)
     if found.effects:
@@ -61,7 +61,7 @@ def over_specimens(
 
 def memberships_of(built: Built, campaign: Campaign) -> list[Membership]:
     """The levels of the training experiments."""
-    levels, experiments = built.levels, campaign.train.experiments
+    levels, experiments = built.inference.levels, campaign.train.experiments
     table = members_of(levels, campaign, experiments, len(experiments))
     names = [tuple(v.name for v in level.varying) for level in levels]
     return [Membership(lv.name, lv.members, table[:, i], names[i]) for i, lv in enumerate(levels)]

@@ -63,14 +63,14 @@ class Variant:
     @cached_property
     def dials(self) -> list[Dial]:
         """Its free parameters, in the middle of their priors."""
-        free, _ = self.built.parameters
-        found = []
+        mechanics, found = self.built.mechanics, []
+        free, _ = mechanics.parameters
         for name, prior in free.items():
             low, middle, high = (float(prior.quantile(share)) for share in (_ENDS[0], 0.5, _ENDS[1]))
             meaning, neutral = self._known(name)
             if neutral is not None:
                 low, high = min(low, neutral), max(high, neutral)
-            found.append(Dial(name, self.built.units[name], self.built.pair.words(meaning), low, high, middle))
+            found.append(Dial(name, mechanics.units[name], mechanics.pair.words(meaning), low, high, middle))
         return found
 
     def simulate(self, parameters: Mapping[str, float], experiment: Experiment) -> Loop:
@@ -84,12 +84,12 @@ class Variant:
             UserError: the integration diverged.
         """
         built = self.built
-        (taken,) = built.taken((experiment,))
+        (taken,) = built.experiments.taken((experiment,))
         assert taken.record is not None
-        names = tuple(dict.fromkeys(("elongation", "force", *built.outputs)))
-        free = {name: jnp.asarray(parameters[name], dtype=float) for name in built.parameters[0]}
-        conditions = conditions_of(taken, self.campaign, built.grid, built.excitation)
-        channels, ok = _responded(built.simulator, names, free, conditions)
+        names = tuple(dict.fromkeys(("elongation", "force", *built.observed.outputs)))
+        free = {name: jnp.asarray(parameters[name], dtype=float) for name in built.mechanics.parameters[0]}
+        conditions = conditions_of(taken, self.campaign, built.simulation.grid, built.experiments.excitation)
+        channels, ok = _responded(built.simulation.simulator, names, free, conditions)
         if not bool(ok):
             raise UserError("the integration diverged: such a specimen cannot be simulated")
         size = len(taken.record)
@@ -103,7 +103,7 @@ class Variant:
         first, last = experiment.window or (-np.inf, np.inf)
         inside = (record.time >= first) & (record.time <= last)
         shares = []
-        for name in self.built.outputs:
+        for name in self.built.observed.outputs:
             if name in record.channels:
                 used = inside & np.isfinite(record.channels[name])
                 measured = record.channels[name][used]
@@ -113,12 +113,12 @@ class Variant:
     def _known(self, name: str) -> tuple[str, float | None]:
         """What a parameter means, and where it changes nothing; of a law that is no place for a slider."""
         owner, own = owner_of(name), own_name(name)
-        if owner in self.built.catalogue:
-            effect = parameters_of(self.built.catalogue[owner])
+        if owner in self.built.mechanics.catalogue:
+            effect = parameters_of(self.built.mechanics.catalogue[owner])
             if own in effect:
                 return effect[own].meaning, effect[own].neutral
             return next((p.meaning for p in effect.values() if p.physical and p.physical.name == own), own), None
-        known = self.built.naming.of_laws.get(name)
+        known = self.built.mechanics.naming.of_laws.get(name)
         return (own if known is None else known.meaning), None
 
 
@@ -169,11 +169,11 @@ class Explorer:
         own = tuple(getattr(self._study.model, "effects", {}))
         self.effects = [*own, *applicable(built, self._campaign)]
         """Effects that can be ticked."""
-        self.catalogue = built.catalogue
+        self.catalogue = built.mechanics.catalogue
         self.starts = {"the model as it was": Start(own, plain)}
         improved = summary.get("improvement", {}).get("map", {})
         added = tuple(dict.fromkeys(owner_of(name) for name in improved if owner_of(name) in self.effects))
-        if improved and self.variant(added).built.parameters[0].keys() <= improved.keys():
+        if improved and self.variant(added).built.mechanics.parameters[0].keys() <= improved.keys():
             self.starts["the improved model"] = Start(added, improved)
 
     @property

@@ -11,10 +11,10 @@ import panel as pn
 from hsed_jax.app.jobs import Job
 from hsed_jax.app.pieces import attempt, error, html, note, widget
 from hsed_jax.app.session import Session
+from hsed_jax.drafting.initial import text_of_study
 from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import read_campaign
-from hsed_jax.study.initial import initial_study
 
 STEPS = {
     "fit, compare, find the missing effect, add it": "calibrate, compare, diagnose, improve",
@@ -97,7 +97,7 @@ class Fitting:
         self._describe(text or "")
 
     def _text(self, where: Path) -> str:
-        return initial_study(read_campaign(where), where, where / "study.yaml")
+        return text_of_study(read_campaign(where), where, where / "study.yaml")
 
     async def _start(self, _: Any) -> None:
         self._go.disabled = True

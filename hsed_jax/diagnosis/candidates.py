@@ -35,7 +35,6 @@ from hsed_jax.physics.timeline import Timeline, times
 from hsed_jax.study.build import Built
 from hsed_jax.study.laboratories import driver_of
 from hsed_jax.study.plan import ORDER, check_added
-from hsed_jax.study.records import thinning_notes
 from hsed_jax.study.specimens import effects_of
 
 # Experiments that could be made, to look for one that tells rivals apart.
@@ -50,18 +49,18 @@ _PADDING = 16
 
 def applicable(built: Built, campaign: Campaign) -> list[str]:
     """Effects of the catalogue that the model lacks and the measurements could show."""
-    has_time = campaign.has_time or not built.component_test or built.grid is None
+    has_time = campaign.has_time or not built.experiments.component_test or built.simulation.grid is None
     is_shaken = "ground_acceleration" in drivers(built, campaign)
     quantities = built.study.observe == "quantities"
     return [
         name
-        for name in built.naming.candidates
+        for name in built.mechanics.naming.candidates
         if name not in effects_of(built.study)
-        and not built.naming.unserved(name)
-        and (has_time or not built.catalogue[name].needs_time)
-        and not (quantities and built.catalogue[name].histories_only)
-        and not (built.component_test and built.catalogue[name].shaken_only)
-        and (is_shaken or not built.catalogue[name].ground_only)
+        and not built.mechanics.naming.unserved(name)
+        and (has_time or not built.mechanics.catalogue[name].needs_time)
+        and not (quantities and built.mechanics.catalogue[name].histories_only)
+        and not (built.experiments.component_test and built.mechanics.catalogue[name].shaken_only)
+        and (is_shaken or not built.mechanics.catalogue[name].ground_only)
     ]
 
 
@@ -82,21 +81,27 @@ def with_effects(built: Built, effects: Sequence[str], forms: Mapping[str, str] 
         UserError: there is no such effect, the model has it, or it stands twice.
     """
     study = built.study
-    check_added(study, effects, built.naming)
+    check_added(study, effects, built.mechanics.naming)
     added = {name: _said(built, name, (forms or {}).get(name)) for name in effects}
     model = study.model.model_copy(update={"effects": {**study.model.effects, **added}})
     # Ready to be improved again: what was chosen by hand this time is for the diagnosis to find next time.
     steps = [step for step in ORDER if step in study.steps or (step == "diagnose" and "improve" in study.steps)]
     larger = study.model_copy(update={"model": model, "steps": steps, "improve": ImproveEntry()})
-    scales = Built(larger, built.campaign).scales
+    scales = Built(larger, built.campaign).simulation.scales
     return larger.model_copy(update={"scales": ScalesEntry(**scales._asdict())})
 
 
 def _said(built: Built, effect: str, label: str | None) -> dict[str, str]:
     """A form as a study says it."""
-    form = default_form(built.catalogue[effect]) if label is None else built.naming.forms(effect).get(label)
+    form = (
+        default_form(built.mechanics.catalogue[effect])
+        if label is None
+        else built.mechanics.naming.forms(effect).get(label)
+    )
     if form is None:
-        raise UserError(f"there is no form {label!r} of {effect}; it has {', '.join(built.naming.forms(effect))}")
+        raise UserError(
+            f"there is no form {label!r} of {effect}; it has {', '.join(built.mechanics.naming.forms(effect))}"
+        )
     return {key: word for key, word in ((FORM, form.name), (DRIVER, form.driver)) if word and not form.is_default}
 
 
@@ -132,19 +137,22 @@ def problem_of(
         built = replace(built, study=built.study.model_copy(update={"measurements": fewer}))
     names = applicable(built, campaign) if effects is None else list(effects)
     large = Built(with_effects(built, names), built.campaign, open_forms=tuple(names))
-    free, _ = large.parameters
-    data = large.data(campaign, (*campaign.train.experiments, *campaign.test.experiments))
-    train, test = large.taken(campaign.train.experiments), large.taken(campaign.test.experiments)
+    free, _ = large.mechanics.parameters
+    data = large.inference.data(campaign, (*campaign.train.experiments, *campaign.test.experiments))
+    train, test = (
+        large.experiments.taken(campaign.train.experiments),
+        large.experiments.taken(campaign.test.experiments),
+    )
     inputs, further = _candidates(large, campaign, cube)
     parts = [data.conditions, *([] if further is None else [further])]
     conditions = _padded(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts))
-    catalogue, order = built.catalogue.only(names), tuple(free)
+    catalogue, order = built.mechanics.catalogue.only(names), tuple(free)
     declared = _declared(free, catalogue)
     neutral = _neutral(free, declared)
     own = {name: _forms(large, name, order, (forms or {}).get(name)) for name in names}
     columns = {n: np.asarray([k for k, one in enumerate(order) if owner_of(one) == n], dtype=int) for n in names}
     parts = [Part(name, k, neutral[k], _simplest(own[name])) for name, k in columns.items()]
-    batch = Batch(large.simulator, large.observation, order, conditions, parts)
+    batch = Batch(large.simulation.simulator, large.inference.observation, order, conditions, parts)
     size = jax.tree.leaves(conditions)[0].shape[0]
     predictions = batch if apart is None else BatchApart(batch, apart.across(order, size))
     # A prior may reach beyond what is possible, and another effect is what lies there.
@@ -162,15 +170,15 @@ def problem_of(
     return Problem(
         models=models,
         names=order,
-        units=large.units,
+        units=large.mechanics.units,
         catalogue=catalogue,
         law=np.asarray([k for k in range(len(order)) if k not in of_effects]),
         effects=own,
-        scales=large.scales,
+        scales=large.simulation.scales,
         train=measured[0],
         test=measured[1] if test else None,
         experiments=train,
-        outputs=large.outputs,
+        outputs=large.observed.outputs,
         candidates=inputs,
         seed=built.study.seed,
         start=start,
@@ -178,7 +186,7 @@ def problem_of(
         pair=large.pair,
         held_out=test,
         opened=tuple(opened),
-        simulator=large.simulator if isinstance(large.simulator, Simulator) else None,
+        simulator=large.simulation.simulator if isinstance(large.simulation.simulator, Simulator) else None,
         visited=_visited(large, train, campaign),
     )
 
@@ -192,9 +200,9 @@ def _without_time(built: Built, campaign: Campaign) -> list[str]:
 
 def _visited(large: Built, experiments: Sequence[Experiment], campaign: Campaign) -> Range | None:
     """What the specimens went through: the measured elongation of the longest path, or else cycles to what is characteristic."""
-    if not isinstance(large.simulator, Simulator):
+    if not isinstance(large.simulation.simulator, Simulator):
         return None
-    scales, has_time = large.scales, campaign.has_time or not large.component_test
+    scales, has_time = large.simulation.scales, campaign.has_time or not large.experiments.component_test
     measured = [
         range_of(values, float(scales.rate), has_time)
         for experiment in experiments
@@ -210,9 +218,9 @@ def _visited(large: Built, experiments: Sequence[Experiment], campaign: Campaign
 
 def _forms(large: Built, effect: str, order: tuple[str, ...], only: str | None) -> dict[str, FormColumns]:
     """The forms that a candidate may have, in a model with these parameters."""
-    kind = large.catalogue[effect]
+    kind = large.mechanics.catalogue[effect]
     found = {}
-    for label, form in large.naming.forms(effect).items():
+    for label, form in large.mechanics.naming.forms(effect).items():
         columns = np.asarray([order.index(f"{effect}.{p}") for p in form.parameters(kind)])
         held = {order.index(f"{effect}.{p}"): value for p, value in form.held.items()}
         if only is None or label == only:
@@ -247,15 +255,15 @@ def _neutral(free: Mapping[str, Prior], declared: Mapping[str, Parameter]) -> np
 
 def _measured(large: Built, data: Data, experiments: Sequence[Experiment], rows: slice) -> Measured:
     values, used, gaps = (np.asarray(table)[rows] for table in (data.values, data.weights, data.gaps))
-    groups = np.asarray(large.observation.groups)
-    measured = Measured(values, used > 0, gaps, groups, large.errors, 0.0)
+    groups = np.asarray(large.inference.observation.groups)
+    measured = Measured(values, used > 0, gaps, groups, large.observed.errors, 0.0)
     # Where no noise is declared, that of a history is what its record shows, and a number alone shows none.
     declared = ~np.isnan(measured.declared)
-    is_history = np.bincount(groups, minlength=len(large.errors)) >= HISTORY
+    is_history = np.bincount(groups, minlength=len(large.observed.errors)) >= HISTORY
     unknown = np.where(is_history, _ANY_NOISE, 1 / _ANY_NOISE)
     sigma = measured.sigma(np.where(declared, measured.declared, unknown), values)
     itself = Prediction(
-        large.outputs,
+        large.observed.outputs,
         groups,
         tuple(experiments),
         values,
@@ -273,11 +281,15 @@ def _candidates(
     built: Built, campaign: Campaign, cube: np.ndarray | None
 ) -> tuple[list[dict[str, float]], Conditions | None]:
     """Inputs of experiments that could be made, in declared units, and their conditions; none without an excitation of inputs."""
-    space = built.space
-    excitation = built.excitation
-    if excitation is None or not space.names or excitation.constructor.declared.kind.protocol != built.protocol:
+    space = built.experiments.space
+    excitation = built.experiments.excitation
+    if (
+        excitation is None
+        or not space.names
+        or excitation.constructor.declared.kind.protocol != built.experiments.protocol
+    ):
         return [], None
-    if not built.component_test and drivers(built, campaign) != [driver_of(built.study)]:
+    if not built.experiments.component_test and drivers(built, campaign) != [driver_of(built.study)]:
         return [], None
     declared = space.declared(space.initial_design(_CANDIDATES) if cube is None else cube)
     si = space.si(declared)
@@ -287,7 +299,7 @@ def _candidates(
         inputs = dict(longest.inputs) | {name: float(values[number]) for name, values in si.items()}
         record = None if longest.record is None else Record(_times(excitation(inputs), longest.record.time), {})
         experiment = Experiment(f"candidate {number + 1}", inputs, record=record)
-        conditions.append(conditions_of(experiment, campaign, built.grid, excitation))
+        conditions.append(conditions_of(experiment, campaign, built.simulation.grid, excitation))
     return [dict(zip(space.names, row.tolist(), strict=True)) for row in declared], stacked(conditions)
 
 

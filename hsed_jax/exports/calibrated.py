@@ -48,11 +48,11 @@ class Calibrated:
     @property
     def priors(self) -> dict[str, Prior]:
         """Of the free parameters."""
-        return self.built.parameters[0]
+        return self.built.mechanics.parameters[0]
 
     def known(self, name: str) -> Parameter | None:
         """What is known of a parameter of a law, an effect or the structure; None of another one."""
-        return self.built.naming.known(name)
+        return self.built.mechanics.naming.known(name)
 
     def of(self, element: Element) -> tuple[AbstractSpringLaw, dict[str, AbstractSpringEffect], list[str]]:
         """The law of a specimen at θ_MAP, the effects in it, and the names of effects outside it.
@@ -60,7 +60,7 @@ class Calibrated:
         Raises:
             UserError: a parameter of the law varies from experiment to experiment.
         """
-        owners = by_owner({**self.built.parameters[1], **self.map})
+        owners = by_owner({**self.built.mechanics.parameters[1], **self.map})
         values = {name: float(value) for name, value in element.parameters(owners).items()}
         for name, known in parameters_of(element.law).items():
             if name not in values and known.neutral is None:
@@ -69,7 +69,7 @@ class Calibrated:
                 )
         effects, outside = {}, []
         for name, given in owners.items():
-            effect = self.built.catalogue.get(name)
+            effect = self.built.mechanics.catalogue.get(name)
             if effect is None:
                 continue
             if issubclass(effect, AbstractSetupEffect):
@@ -83,7 +83,7 @@ class Calibrated:
 
     def reach(self) -> float:
         """The largest elongation that was measured [m], or the characteristic one."""
-        measured = [] if self.built.measured is None else _elongations(self.built.measured)
+        measured = [] if self.built.experiments.measured is None else _elongations(self.built.experiments.measured)
         return max(measured, default=float(self.scales.elongation))
 
 
@@ -101,7 +101,7 @@ def calibrated(source: "str | Path | Calibration | Improvement", *, before: bool
         source = source.original if before else source.calibration
     if isinstance(source, Calibration):
         _require_law(source.built, "the model")
-        return Calibrated(source.built, source.map, source.fit.summary(), source.built.scales)
+        return Calibrated(source.built, source.map, source.fit.summary(), source.built.simulation.scales)
     run = read_run(source)
     improved = not before and "map" in run.summary.get("improvement", {})
     found = run.summary.get("improvement" if improved else "calibration", {})

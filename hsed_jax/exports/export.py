@@ -81,7 +81,7 @@ def _files(model: Calibrated, kind: str) -> dict[str, str]:
 
 def _scripts(model: Calibrated) -> dict[str, str]:
     files = {}
-    for element in model.built.elements:
+    for element in model.built.mechanics.elements:
         law, effects, outside = model.of(element)
         reach = model.reach()
         commands = material(law, effects, model.scales, reach)

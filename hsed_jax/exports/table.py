@@ -31,7 +31,7 @@ class Row(NamedTuple):
 
 def rows(model: Calibrated) -> list[Row]:
     """The calibrated parameters, those of inferred errors last."""
-    priors, units, found = model.priors, model.built.units, []
+    priors, units, found = model.priors, model.built.mechanics.units, []
     for name, told in model.posterior.items():
         known = model.known(name)
         in_units = known is not None and known.physical is not None and name.endswith(f".{known.physical.name}")

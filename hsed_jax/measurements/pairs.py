@@ -63,3 +63,20 @@ def _apart(found: Mapping[str, list[Pair]]) -> tuple[str, str]:
         if not set(found[one]) & set(found[other]):
             return one, other
     return next(iter(found)), list(found)[-1]
+
+
+def check_masses(where: str, pair: Pair) -> None:
+    """Refuse a pair that no structure of masses has.
+
+    Arguments:
+        where: it is declared.
+        pair: that the specimen is measured in.
+
+    Raises:
+        UserError: it is not elongation [m] and force [N].
+    """
+    if pair != ELONGATION_AND_FORCE:
+        raise UserError(
+            f"{where}: the specimen is measured in {pair}; between masses that are shaken only {ELONGATION_AND_FORCE} make "
+            "sense, another pair needs a test of the specimen alone (protocol: displacement)"
+        )

@@ -176,7 +176,7 @@ class AskTell(Tabular):
         Raises:
             UserError: an experiment does not fit the study; those before it were taken.
         """
-        factors, taken = self.built.space.factors, []
+        factors, taken = self.built.experiments.space.factors, []
         for experiment in campaign:
             id = experiment.id
             if experiment.status == "pending" or (
@@ -190,7 +190,7 @@ class AskTell(Tabular):
                 )
             inputs = {name: value / factors[name] for name, value in experiment.inputs.items()}
             if experiment.status == "completed":
-                quantities = self._in_units(experiment.quantities) if self.built.sensors.quantities else None
+                quantities = self._in_units(experiment.quantities) if self.built.observed.sensors.quantities else None
                 self.tell(id, record=self._columns(experiment), quantities=quantities, inputs=inputs)
             else:
                 abandon = experiment.status == "abandoned"
@@ -204,17 +204,17 @@ class AskTell(Tabular):
 
     def told(self, asked: Asked) -> str:
         """A request in a few lines."""
-        units, folder = self.built.space.units, self.folder(asked.id)
+        units, folder = self.built.experiments.space.units, self.folder(asked.id)
         again = "" if asked.attempt == 1 else f", attempt {asked.attempt}"
         lines = [f"{asked.id}{again}: {', '.join(f'{n} {v:.4g} {units[n]}' for n, v in asked.inputs.items())}"]
         for name, (low, middle, high) in self.expected(asked).quantities.items():
-            unit = self.built.pair.output(name).unit
+            unit = self.built.mechanics.pair.output(name).unit
             lines.append(f"  {name} expected {middle:.4g} {unit} ({low:.4g} to {high:.4g})")
         if (limits := self.built.study.design.limits) is not None:
             most = limits.model_dump(exclude_none=True, exclude={"probability"})
             lines.append(f"  limits: {', '.join(f'{name} {value:g}' for name, value in most.items())} (SI)")
         here = 1.0
-        if (cost := self.built.design.cost) is not None:
+        if (cost := self.built.design.sequential.cost) is not None:
             (here,) = cost(np.asarray([list(asked.inputs.values())]))
             lines.append(f"  costs {here:.3g}; the dearest would cost {cost.bounds[1]:.3g}")
         if (step := self._step_of(asked)) is not None:
@@ -222,8 +222,10 @@ class AskTell(Tabular):
             value, of = here * step["acquisition"], self.built.study.design.acquisition
             if teaches := lesson(of, value, step["discrepancy"]):
                 lines.append(f"  expected to teach {teaches}")
-        assert self.built.excitation is not None
-        files = ", ".join(["request.json", *self.built.excitation.constructor.declared.kind.files, "expected.csv"])
+        assert self.built.experiments.excitation is not None
+        files = ", ".join(
+            ["request.json", *self.built.experiments.excitation.constructor.declared.kind.files, "expected.csv"]
+        )
         return "\n".join(
             [*lines, f"  request in {folder}: {files}", f"  then: hsed tell {quote(str(self.path))} {quote(asked.id)}"]
         )
@@ -231,7 +233,7 @@ class AskTell(Tabular):
     def _step_of(self, asked: Asked) -> Mapping[str, Any] | None:
         """The step of the design that chose an experiment; None where none did."""
         for step in reversed(self.conduct.steps):
-            if self.built.space.point(np.asarray(step["cube"])).si == asked.si:
+            if self.built.experiments.space.point(np.asarray(step["cube"])).si == asked.si:
                 return step
         return None
 
@@ -258,19 +260,19 @@ class AskTell(Tabular):
         self.conduct.give_up(id, reason, abandon=abandon, record=kept, inputs=inputs)
 
     def _in_units(self, quantities: Mapping[str, float]) -> dict[str, float]:
-        declared = self.built.sensors.quantities
+        declared = self.built.observed.sensors.quantities
         return {n: float(parse_unit(declared[n].unit).from_si(v)) for n, v in quantities.items() if n in declared}
 
     def _columns(self, experiment: Experiment) -> dict[str, np.ndarray] | None:
         """The record of an experiment from elsewhere, in the columns and units of this study."""
-        sensors, record = self.built.sensors, experiment.record
+        sensors, record = self.built.observed.sensors, experiment.record
         if record is None or not sensors.channels:
             return None
         known = {"time": record.time, **record.channels}
         return {c.column: parse_unit(c.unit).from_si(known[n]) for n, c in sensors.channels.items() if n in known}
 
     def _table(self) -> Table:
-        space, rows = self.built.space, []
+        space, rows = self.built.experiments.space, []
         for experiment in self.campaign:
             inputs = [f"{experiment.inputs[name] / space.factors[name]:.4g}" for name in space.names]
             rows.append([experiment.id, *inputs, experiment.status, experiment.reason or ""])

@@ -126,10 +126,10 @@ def study_of_files(files: Sequence[Path], options: Any, output: str | None, *, r
             f"{folder} exists already; run its study with: hsed run {quote(str(study))}; or say --force to replace it, or choose "
             "another --output of hsed init"
         )
+    from hsed_jax.drafting.initial import text_of_study
     from hsed_jax.intake.beginning import begun
     from hsed_jax.measurements import read_campaign, write_campaign
     from hsed_jax.reporting.loops import loops_picture, sketch
-    from hsed_jax.study.initial import initial_study
 
     made = begun(files, _said(options))
     for line in (*made.taken, *(f"note: {note}" for note in made.notes)):
@@ -142,7 +142,7 @@ def study_of_files(files: Sequence[Path], options: Any, output: str | None, *, r
         campaign = read_campaign(folder)
         names = ", ".join(file.name for file in files[:3]) + (" ..." if len(files) > 3 else "")
         taken = [f"Made of {names}:", *(f"  {line}" for line in (*made.taken, *made.notes))]
-        _write_study(study, initial_study(campaign, folder, study, _frame(options), taken))
+        _write_study(study, text_of_study(campaign, folder, study, _frame(options), taken))
         if (picture := loops_picture(campaign)) is not None:
             _write(folder / "loops.png", picture)
     except OSError as error:
@@ -170,8 +170,8 @@ def _init(options: Any) -> int:
 
 
 def _study_of_campaign(folder: Path, options: Any) -> Path:
+    from hsed_jax.drafting.initial import text_of_study
     from hsed_jax.measurements import read_campaign
-    from hsed_jax.study.initial import initial_study
 
     if said := [flag for flag in ("elongation", "force_column", "time", "channel", "unit", "sheet", "split", "missing")
                 if getattr(options, flag)]:  # fmt: skip
@@ -184,7 +184,7 @@ def _study_of_campaign(folder: Path, options: Any) -> Path:
     output = Path(options.output) if options.output else folder / "study.yaml"
     if output.exists() and not options.force:
         raise UserError(f"{output} exists already; say --force to replace it or choose another --output")
-    _write_study(output, initial_study(campaign, folder, output, _frame(options)))
+    _write_study(output, text_of_study(campaign, folder, output, _frame(options)))
     return output
 
 
@@ -218,7 +218,7 @@ def _write(path: Path, content: str | bytes) -> None:
 
 def _frame(options: Any) -> Any:
     """What was said of a frame."""
-    from hsed_jax.study.initial import Frame
+    from hsed_jax.drafting.initial import Frame
 
     masses = getattr(options, "masses", None)
     try:

@@ -62,9 +62,9 @@ class Conduct:
     """
 
     def __init__(self, built: Built, store: RunFolder):
-        self.built, self.store, self.design = built, store, built.design
+        self.built, self.store, self.design = built, store, built.design.sequential
         self.state: DesignState = self.design.init()
-        self.campaign = built.empty_campaign()
+        self.campaign = built.site.empty_campaign()
         self.steps: list[dict[str, Any]] = []
         self._attempts: Counter[str] = Counter()
         self._initial = self.design.space.initial_design(built.study.design.initial)
@@ -183,7 +183,7 @@ class Conduct:
         by = discriminate(self.built, self.campaign) if study.design.acquisition == "discriminate" else None
         key = jax.random.fold_in(jax.random.key(study.seed), number)
         chosen, self.state, info = self.design.ask(self.state, key, by)
-        names = self.built.posterior.names
+        names = self.built.inference.posterior.names
         draws = np.asarray(info.chains.theta).reshape(-1, len(names))
         step = {
             "number": number,
@@ -222,8 +222,8 @@ class Conduct:
     def draws(self) -> np.ndarray:
         """Parameters of the model as they are known now, SI, (n, p): of the posterior of the last step, else of the prior."""
         if self.steps:
-            return np.asarray(self.steps[-1]["draws"])[:, : len(self.built.posterior.model_names)]
-        priors = self.built.parameters[0].values()
+            return np.asarray(self.steps[-1]["draws"])[:, : len(self.built.inference.posterior.model_names)]
+        priors = self.built.mechanics.parameters[0].values()
         keys = jax.random.split(jax.random.key(self.built.study.seed), len(priors))
         return np.stack(
             [np.asarray(p.distribution.sample(k, (_DRAWS,))) for p, k in zip(priors, keys, strict=True)], axis=1
@@ -275,10 +275,10 @@ class Conduct:
         row = self._row(experiment.id) if experiment.id in self.campaign else len(self.campaign)
         is_new = row == len(self.campaign)
         self.campaign = self.campaign.add(experiment) if is_new else self.campaign.update(experiment)
-        outputs = np.full(self.built.observation.groups.size, np.nan)
+        outputs = np.full(self.built.inference.observation.groups.size, np.nan)
         if experiment.status == "completed":
             # As the campaign holds it: what is read back from its files is the same to the last bit.
-            outputs = self.built.observation.measured(self.campaign[experiment.id])
+            outputs = self.built.inference.observation.measured(self.campaign[experiment.id])
             if not np.isfinite(outputs).any():
                 raise UserError(f"experiment {experiment.id}: nothing that the study observes was measured")
         self.state = self.design.tell(self.state, point.cube.tolist(), outputs.tolist(), experiment.status, row)

@@ -102,23 +102,23 @@ class Requests:
             return np.quantile(np.asarray(values)[good], BAND, axis=0)
 
         return Expected(
-            np.asarray(self.built.planned_simulator.times(inputs)),
+            np.asarray(self.built.simulation.planned_simulator.times(inputs)),
             {name: band(values) for name, values in channels.items()},
             {name: band(values) for name, values in quantities.items()},
         )
 
     @cached_property
     def _respond(self):
-        names = tuple(self.built.parameters[0])
-        model, more = self.built.planned_simulator, further(tuple(self.built.study.quantities))
-        measured = [name for name in self.built.sensors.channels if not is_driver(name)]
+        names = tuple(self.built.mechanics.parameters[0])
+        model, more = self.built.simulation.planned_simulator, further(tuple(self.built.study.quantities))
+        measured = [name for name in self.built.observed.sensors.channels if not is_driver(name)]
         wanted = [*measured, *of_each(model.owners, ("elongation", "force"))]
         wanted = [name for name in dict.fromkeys(wanted) if model.gives(name)]
         peaks = [name for name in dict.fromkeys((*of_each(model.owners, EQ_18), *more)) if model.gives(name)]
         return partial(_responses, model, names, tuple(wanted), tuple(peaks), more)
 
     def _request(self, id: str, si: Mapping[str, float], number: int = 0) -> Request:
-        return replace(self.built.programme.request(number, si), id=id)
+        return replace(self.built.site.programme.request(number, si), id=id)
 
     def write(self, asked: Asked) -> None:
         """Write a request, where it is not there already."""
@@ -126,8 +126,8 @@ class Requests:
         if (folder / "request.json").is_file():
             return
         folder.mkdir(parents=True, exist_ok=True)
-        output = self.built.pair.output
-        expected, sensors = self.expected(asked), self.built.sensors
+        output = self.built.mechanics.pair.output
+        expected, sensors = self.expected(asked), self.built.observed.sensors
         columns = {"t [s]": expected.time}
         for name, band in expected.channels.items():
             declared = sensors.channels.get(name)
@@ -170,7 +170,7 @@ class Requests:
         Raises:
             UserError: something is missing, or is not what the study declares.
         """
-        sensors, history, numbers = self.built.sensors, None, {}
+        sensors, history, numbers = self.built.observed.sensors, None, {}
         if record is not None and not sensors.channels:
             raise UserError(f"experiment {id}: the study declares no channels of a record; see experiments")
         if quantities is not None:
@@ -204,7 +204,7 @@ class Requests:
             ExperimentFailed: it is not what the study declares.
             UserError: the experiment is unknown, and its inputs were not given.
         """
-        sensors, space = self.built.sensors, self.built.space
+        sensors, space = self.built.observed.sensors, self.built.experiments.space
         if inputs is not None and inputs.keys() == space.factors.keys():
             si = {name: float(value) * space.factors[name] for name, value in inputs.items()}
         else:

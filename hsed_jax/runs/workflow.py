@@ -32,8 +32,8 @@ from hsed_jax.runs.outcome import Outcome, summary
 from hsed_jax.runs.progress import Progress
 from hsed_jax.runs.reading import read_run
 from hsed_jax.runs.requests import Requests
+from hsed_jax.study.advice import forecast
 from hsed_jax.study.build import Built
-from hsed_jax.study.records import forecast
 from hsed_jax.study.specimens import effects_of
 
 
@@ -98,17 +98,18 @@ class Run:
     ):
         self.study = study
         self.built = Built(study, workspace=laboratory_folder(output), function=laboratory)
-        if self.built.measured is not None:
-            stop_at_errors(self.built.measured, study.measurements.accepted(self.built.measured))
+        measured = self.built.experiments.measured
+        if measured is not None:
+            stop_at_errors(measured, study.measurements.accepted(measured))
         self.built.check()
-        if self.built.measured is not None and progress:
-            print(forecast(self.built, self.built.measured), flush=True)
+        if measured is not None and progress:
+            print(forecast(self.built.inference, measured), flush=True)
         self.store = RunFolder(output, study.written(), resume=resume, force=force)
         self.progress = progress
         self.figures = True
         self.tell: Callable[..., None] = lambda run, step: None
         self.conduct: Conduct | None = None
-        self._campaign = self.built.empty_campaign() if self.built.measured is None else self.built.measured
+        self._campaign = self.built.site.empty_campaign() if measured is None else measured
         self.stop_reason = "iterations"
         self.drift: Drift | None = None
         self._under_way = ""
@@ -210,17 +211,19 @@ class Run:
 
     def outcome(self, status: str) -> Outcome:
         """What the run has come to."""
-        laboratory = None if self.study.experiments.laboratory is None else self.built.laboratory
+        laboratory = None if self.study.experiments.laboratory is None else self.built.site.laboratory
         return Outcome(
             study=self.study.study,
             status=status,
-            posterior=self.built.posterior,
-            model=self.built.simulator,
-            catalogue=(self.built if self.improvement is None else self.improvement.calibration.built).catalogue,
+            posterior=self.built.inference.posterior,
+            model=self.built.simulation.simulator,
+            catalogue=(
+                self.built if self.improvement is None else self.improvement.calibration.built
+            ).mechanics.catalogue,
             laboratory=laboratory if isinstance(laboratory, VirtualLaboratory) else None,
-            units=self.built.units,
+            units=self.built.mechanics.units,
             campaign=self.campaign,
-            space=self.built.space,
+            space=self.built.experiments.space,
             design=None if self.conduct is None else self.conduct.design,
             initial=self.study.design.initial,
             state=None if self.conduct is None else self.conduct.state,
@@ -244,10 +247,10 @@ class Run:
     def _scales(self) -> Scales | None:
         """Characteristic values of the improved model, of a diagnosis' candidates, or of the model; None without effects."""
         if self.improvement is not None:
-            return self.improvement.calibration.built.scales
+            return self.improvement.calibration.built.simulation.scales
         if self.diagnosis is not None and self.diagnosis.ranking:
             return self.diagnosis.scales
-        return self.built.scales if effects_of(self.study) else None
+        return self.built.simulation.scales if effects_of(self.study) else None
 
     # The design: Steps 1 to 8 of the paper.
 
@@ -274,7 +277,7 @@ class Run:
     def _perform(self, asked: Asked) -> None:
         assert self.conduct is not None
         try:
-            measured = self.built.laboratory.perform(asked.number, asked.si)
+            measured = self.built.site.laboratory.perform(asked.number, asked.si)
         except ExperimentFailed as failure:
             self.conduct.give_up(asked.id, str(failure))
             return
@@ -291,7 +294,7 @@ class Run:
         requests.write(asked)
         if (measured := requests.answered(asked)) is not None:
             return measured
-        inputs = ", ".join(f"{n} {v:.4g} {self.built.space.units[n]}" for n, v in asked.inputs.items())
+        inputs = ", ".join(f"{n} {v:.4g} {self.built.experiments.space.units[n]}" for n, v in asked.inputs.items())
         raise Waiting(
             f"experiment {asked.id} is asked: {inputs}; its request is in {requests.folder(asked.id)}; leave there what is "
             "measured and say --resume, or say hsed tell"
@@ -309,8 +312,8 @@ class Run:
             # Padded as the design's own data are, so that its programs serve.
             size = self.conduct.design.size_of(self.conduct.state)
         else:
-            if self.built.measured is None:
-                self._campaign = self.built.perform()
+            if self.built.experiments.measured is None:
+                self._campaign = self.built.site.perform()
             write_campaign(self.campaign, self.store.campaign)
             size = None
         self.tell(self, "data")

@@ -11,7 +11,7 @@ from hsed_jax.physics.elements import Element
 from hsed_jax.physics.laws import AbstractSpringLaw
 from hsed_jax.physics.names import OWNER, SPECIMEN, named, number_of_spring, spring_name
 from hsed_jax.plain import shown
-from hsed_jax.study.spring_laws import law_of
+from hsed_jax.study.own_parts import law_of
 
 
 def elements_of(study: Study, shared: type[AbstractSpringLaw]) -> tuple[Element, ...]:

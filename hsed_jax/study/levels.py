@@ -1,42 +1,45 @@
 """Levels of a study: which columns of the experiments parameters vary with, and who is a member of what."""
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from hsed_jax.errors import UserError
-from hsed_jax.inference.leaning import ANYTHING
+from hsed_jax.inference.leaning import ANYTHING, Range
 from hsed_jax.inference.population import Level, Varying
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Experiment
 from hsed_jax.plain import shown
 from hsed_jax.study import parts
-from hsed_jax.study.possible import possible_of
-
-if TYPE_CHECKING:
-    from hsed_jax.study.build import Built
 
 # Prior of a spread, a half-normal: of the logarithm, or in standard deviations of the parameter's own prior.
 _SPREAD = 0.3
 
 
-def levels_of(built: "Built") -> tuple[Level, ...]:
+def levels_of(
+    said: Mapping[str, Mapping[str, Mapping]],
+    campaign: Campaign | None,
+    free: Mapping[str, Prior],
+    possible: Callable[[], Mapping[str, Range]],
+) -> tuple[Level, ...]:
     """The levels of a study, their members those of the training experiments.
+
+    Arguments:
+        said: what the study says, by column and parameter.
+        campaign: of measurements.
+        free: parameters of the model with their priors.
+        possible: gives what is physically possible of each.
 
     Raises:
         UserError: there is no measured campaign or no such column, a cell of it is empty, or a parameter is none that could vary.
     """
-    said = built.study.model.levels
     if not said:
         return ()
-    campaign = built.measured
     if campaign is None:
         raise UserError(
             "model.levels: members are told by a column of experiments.csv, and this study has no campaign of measurements; "
             "leave the levels out, or give experiments.campaign"
         )
-    free, _ = built.parameters
     found = []
     for column, entries in said.items():
         where = f"model.levels.{column}"
@@ -44,7 +47,7 @@ def levels_of(built: "Built") -> tuple[Level, ...]:
         if len(members) < 2:
             only = f"only {members[0]!r}" if members else "no experiment"
             raise UserError(f"{where}: a level needs at least two members, and the training experiments have {only}")
-        varying = [_varying(built, f"{where}.{name}", name, entry, free) for name, entry in entries.items()]
+        varying = [_varying(f"{where}.{name}", name, entry, free, possible) for name, entry in entries.items()]
         found.append(Level(column, members, tuple(varying)))
     return tuple(found)
 
@@ -77,7 +80,9 @@ def members_of(levels: Sequence[Level], campaign: Campaign, experiments: Sequenc
     return table
 
 
-def _varying(built: "Built", where: str, name: str, entry: Mapping, free: Mapping[str, Prior]) -> Varying:
+def _varying(
+    where: str, name: str, entry: Mapping, free: Mapping[str, Prior], possible: Callable[[], Mapping[str, Range]]
+) -> Varying:
     if name not in free:
         raise UserError(f"{where}: {shown(name)} is no parameter that is calibrated; those are {', '.join(free)}")
     prior = free[name]
@@ -89,4 +94,4 @@ def _varying(built: "Built", where: str, name: str, entry: Mapping, free: Mappin
     else:
         sd = 0.5 * float(prior.quantile(0.84) - prior.quantile(0.16))
         spread = Prior("half_normal", _SPREAD if is_log else _SPREAD * sd)
-    return Varying(name, list(free).index(name), is_log, spread, *possible_of(built).get(name, ANYTHING))
+    return Varying(name, list(free).index(name), is_log, spread, *possible().get(name, ANYTHING))

@@ -2,64 +2,105 @@
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from functools import cached_property
 
 from hsed_jax.config.experiments import MeasuredEntry
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
+from hsed_jax.inference.likelihood import Error
+from hsed_jax.laboratories.sensors import Sensors
+from hsed_jax.models.function import is_output
 from hsed_jax.physics.names import of_each, own_name, owner_of
-from hsed_jax.physics.outputs import CHANNELS, PER_MASS, quantity
+from hsed_jax.physics.outputs import CHANNELS, PER_MASS, is_driver, quantity
 from hsed_jax.physics.structures import Structure
 from hsed_jax.plain import shown
 from hsed_jax.study import parts
-from hsed_jax.study.laboratories import driver_of, responses
+from hsed_jax.study.experiments import Experiments
+from hsed_jax.study.laboratories import driver_of, responses, sensors_of
+from hsed_jax.study.mechanics import AbstractMechanics
+from hsed_jax.study.noise import errors_of
 from hsed_jax.study.structures import masses_of
-from hsed_jax.study.timelines import duration_of
-
-if TYPE_CHECKING:
-    from hsed_jax.study.build import Built
 
 
-def outputs_of(built: "Built") -> tuple[str, ...]:
-    """Names of the observed quantities or channels.
+@dataclass(frozen=True)
+class Observed:
+    """What a study observes.
 
-    Raises:
-        UserError: one is not measured, or is none that the model gives.
+    Attributes:
+        study: what the user said.
+        experiments: that are observed.
+        mechanics: of the model.
     """
-    study, measured = built.study, built.measured
-    if study.observe == "quantities":
-        built.check_outputs(tuple(study.quantities))
-        return tuple(study.quantities)
-    if measured is None:
-        known = _declared(study)
-        default = ("force",) if built.component_test else ("elongation", "force")
-        names = tuple(study.channels or known or of_each([element.name for element in built.elements], default))
-    else:
-        known = responses(measured.channels, component_test=built.component_test)
-        names = tuple(study.channels or known)
-    for name in names:
-        if known is not None and name not in known:
-            raise UserError(f"channels: {name} was not measured; measured are {', '.join(known) or 'none'}")
-    built.check_outputs(names)
-    if not names:
-        raise UserError("observe: there is no measured channel to compare with; the campaign has only what was imposed")
-    return names
 
+    study: Study
+    experiments: Experiments
+    mechanics: AbstractMechanics
 
-def check_outputs(built: "Built", names: tuple[str, ...]) -> None:
-    """Refuse quantities or channels, whichever a study observes, that its specimens and their structure do not have.
+    @cached_property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the observed quantities or channels.
 
-    Raises:
-        UserError: one is none of theirs.
-    """
-    structure, owners = built.structure, [element.name for element in built.elements]
-    if built.study.observe == "quantities":
+        Raises:
+            UserError: one is not measured, or is none that the model gives.
+        """
+        study, measured, alone = self.study, self.experiments.measured, self.experiments.component_test
+        if study.observe == "quantities":
+            self._check(tuple(study.quantities))
+            return tuple(study.quantities)
+        if measured is None:
+            known = _declared(study)
+            default = ("force",) if alone else ("elongation", "force")
+            owners = [element.name for element in self.mechanics.elements]
+            names = tuple(study.channels or known or of_each(owners, default))
+        else:
+            known = responses(measured.channels, component_test=alone)
+            names = tuple(study.channels or known)
+        for name in names:
+            if known is not None and name not in known:
+                raise UserError(f"channels: {name} was not measured; measured are {', '.join(known) or 'none'}")
+        self._check(names)
+        if not names:
+            raise UserError(
+                "observe: there is no measured channel to compare with; the campaign has only what was imposed"
+            )
+        return names
+
+    @cached_property
+    def sensors(self) -> Sensors:
+        """What the laboratory measures."""
+        return sensors_of(self.study, self.outputs, self.mechanics.structure)
+
+    @cached_property
+    def errors(self) -> tuple[Error, ...]:
+        """Of each output."""
+        source = self.sensors if self.experiments.measured is None else self.experiments.measured
+        declared = source.quantities if self.study.observe == "quantities" else source.channels
+        return errors_of(self.study, self.outputs, declared, self.mechanics.pair)
+
+    def _check(self, names: tuple[str, ...]) -> None:
+        """Refuse quantities or channels that the model does not give, as far as its specimens tell.
+
+        Raises:
+            UserError: one is none of theirs.
+        """
+        mechanics, experiments = self.mechanics, self.experiments
+        histories = self.study.observe == "histories"
+        if not mechanics.has_specimens:
+            if histories and (unknown := [name for name in names if not is_output(name)]):
+                known = [*(name for name in CHANNELS if not is_driver(name)), *(f"{kind}_1" for kind in PER_MASS)]
+                raise UserError(
+                    f"channels: there is no channel {shown(unknown[0])}; there are {', '.join(known)} and so on"
+                )
+            return
+        owners = [element.name for element in mechanics.elements]
+        if histories:
+            for name in names:
+                parts.at("channels", _check_channel, name, mechanics.structure, owners)
+            return
         # A record that ends before is passed over.
-        duration = duration_of(built) if built.grid is None and built.excitation is not None else math.inf
-        _check_quantities(names, structure, owners, duration)
-        return
-    for name in names:
-        parts.at("channels", _check_channel, name, structure, owners)
+        is_planned = not experiments.records and experiments.excitation is not None
+        _check_quantities(names, mechanics.structure, owners, experiments.duration if is_planned else math.inf)
 
 
 def _check_channel(name: str, structure: Structure | None, owners: Sequence[str]) -> None:

@@ -1,18 +1,16 @@
 """The grids of the integration: of planned experiments, and of measured records."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hsed_jax.config.excitation_entry import ExcitationEntry
-from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
 from hsed_jax.inference.observation import Grid
 from hsed_jax.measurements import Characteristics, Record
-from hsed_jax.physics.excitations.base import AbstractImposedElongation
+from hsed_jax.physics.excitations.base import AbstractExcitation, AbstractImposedElongation
 from hsed_jax.physics.laws import AbstractSpringLaw
 from hsed_jax.physics.outputs import driven_mass
 from hsed_jax.physics.simulator import Parametrised
@@ -20,9 +18,8 @@ from hsed_jax.physics.structures import Structure
 from hsed_jax.physics.systems import RESOLVED
 from hsed_jax.physics.timeline import Timeline
 from hsed_jax.study.excitations import LOWEST
-
-if TYPE_CHECKING:
-    from hsed_jax.study.build import Built
+from hsed_jax.study.experiments import Experiments
+from hsed_jax.study.mechanics import AbstractMechanics
 
 # The integration resolves the shortest period with this many steps; peaks are then good to 1e-4 (tests/test_response.py).
 _STEPS_PER_PERIOD = 24
@@ -42,35 +39,37 @@ TOLD = 1000
 """Samples of what drives an experiment, as a model is told that integrates nothing here."""
 
 
-def longest_step(
-    structure: Structure, steepest: Sequence[AbstractSpringLaw], excitation: Parametrised | None, space: InputSpace
-) -> float:
+def longest_step(structure: Structure, steepest: Sequence[AbstractSpringLaw], experiments: Experiments) -> float:
     """The step that resolves the structure, its specimens at the upper ends of their stiffness, and the excitation [s]."""
     stiffest = [float(law.stiffness) for law in steepest]
     periods = [1 / float(structure.frequencies(stiffest)[-1])]
-    if excitation is not None:
-        periods.append(float(excitation(_end(space, LOWEST)).shortest_period))
+    if experiments.excitation is not None:
+        periods.append(float(experiments.excitation(experiments.quantile(LOWEST)).shortest_period))
     return min(periods) / _STEPS_PER_PERIOD
 
 
-def planned_timeline(built: "Built") -> Timeline:
-    """The grid of the integration for an experiment without a record.
+def required(experiments: Experiments) -> tuple[ExcitationEntry, Parametrised[AbstractExcitation]]:
+    """What drives the planned experiments.
 
     Raises:
-        UserError: there is no excitation, its step is longer than it, or it takes too many.
+        UserError: the study does not say.
     """
-    entry, excitation = built.study.excitation, built.excitation
+    entry, excitation = experiments.study.excitation, experiments.excitation
     if entry is None or excitation is None:
         known = ", ".join(
             name for name in type(entry or ExcitationEntry()).model_fields if name not in ("duration", "step")
         )
         raise UserError(f"excitation: give one of {known}, where no record tells what drives an experiment")
-    histories = built.study.observe == "histories"
-    if built.component_test:
-        return _imposed(built, excitation, histories)
-    _check_mass(f"excitation.{excitation.constructor.declared.name}.mass", entry.channel, built)
-    step = built.longest_step if entry.step is None else entry.step
-    duration = duration_of(built)
+    return entry, excitation
+
+
+def planned_timeline(experiments: Experiments, step: float) -> Timeline:
+    """The grid of the integration for an experiment without a record, driven over time.
+
+    Raises:
+        UserError: the step [s] is longer than the experiment, or takes too many.
+    """
+    duration = experiments.duration
     if step > duration:
         raise UserError(f"excitation.step: {step:g} s is longer than the duration, {duration:g} s")
     steps = _checked(
@@ -79,22 +78,27 @@ def planned_timeline(built: "Built") -> Timeline:
         "step, unless excitation.step is given",
     )
     every = 1
-    if histories:
+    if experiments.study.observe == "histories":
         every = max(1, round(steps / _SAMPLES))
         steps = every * math.ceil(steps / every)
     return Timeline(duration / steps, steps, every)
 
 
-def _imposed(built: "Built", excitation: Parametrised, histories: bool) -> Timeline:
+def imposed_timeline(
+    experiments: Experiments,
+    excitation: Parametrised[AbstractExcitation],
+    laws: Sequence[AbstractSpringLaw],
+    steepest: Sequence[AbstractSpringLaw],
+) -> Timeline:
     """The same number of steps for every branch, at the largest of which the spring that yields soonest, if any, is resolved."""
-    largest = excitation(_end(built.space, 1 - LOWEST))
+    largest = excitation(experiments.quantile(1 - LOWEST))
     assert isinstance(largest, AbstractImposedElongation)
     wanted, least, stable = TOLD / largest.branches, 0.0, 0.0
-    for middle, steepest in zip(built.laws, built.steepest, strict=True):
-        wanted, least, stable = _divisions(float(largest.reach), [float(middle.yield_elongation)], steepest)
+    for middle, soonest in zip(laws, steepest, strict=True):
+        wanted, least, stable = _divisions(float(largest.reach), [float(middle.yield_elongation)], soonest)
     per_branch = math.ceil(max(min(wanted, _MOST_PER_BRANCH), least, stable, _SAMPLES_PER_BRANCH) - 1e-9)
     every = 1
-    if histories:
+    if experiments.study.observe == "histories":
         every = min(max(1, round(per_branch * largest.branches / _SAMPLES)), per_branch // _SAMPLES_PER_BRANCH)
         per_branch = every * math.ceil(per_branch / every)
     steps = _checked(
@@ -105,48 +109,33 @@ def _imposed(built: "Built", excitation: Parametrised, histories: bool) -> Timel
     return Timeline(None, steps, every)
 
 
-def duration_of(built: "Built") -> float:
-    """How long a planned experiment in the middle of the inputs lasts [s]."""
-    entry = built.study.excitation
-    assert entry is not None and built.excitation is not None
-    return float(built.excitation(_end(built.space, 0.5)).duration) if entry.duration is None else entry.duration
-
-
-def measured_records(built: "Built") -> list[Record]:
-    """Records of the measured experiments, as they are taken; none where nothing was measured.
-
-    Raises:
-        UserError: there is a campaign, and no experiment of it is completed.
-    """
-    campaign = built.measured
-    if campaign is None:
-        return []
-    if not len(campaign.completed):
-        raise UserError(f"the campaign {campaign.name!r} has no completed experiment")
-    return [e.record for e in built.taken(campaign.completed.experiments) if e.record is not None]
-
-
-def measured_grid(built: "Built") -> Grid | None:
+def measured_grid(experiments: Experiments, mechanics: AbstractMechanics, needed: Callable[[], float]) -> Grid | None:
     """Samples and steps per sample of the measured records; None where there are none.
+
+    Arguments:
+        experiments: of the study.
+        mechanics: of a model of spring laws.
+        needed: gives the longest step that resolves them in a structure [s].
 
     Raises:
         UserError: no experiment is completed, or a force was applied to a mass that the structure has not.
     """
-    records = measured_records(built)
+    records = experiments.records
     if not records:
         return None
-    if built.component_test:
-        assert built.characteristics is not None
-        (middle,), (steepest,) = built.laws, built.steepest
-        return imposed_grid(records, built.characteristics, middle, steepest)
+    if experiments.component_test:
+        assert experiments.characteristics is not None
+        (middle,), (steepest,) = mechanics.laws, mechanics.steepest
+        return imposed_grid(records, experiments.characteristics, middle, steepest)
     for name in dict.fromkeys(name for record in records for name in record.channels):
-        _check_mass(f"channels.{name}", name, built)
+        check_mass(f"channels.{name}", name, mechanics.structure)
     longest = max(float(np.max(np.diff(record.time), initial=0.0)) for record in records)
-    return _divided(records, longest / built.longest_step)
+    return _divided(records, longest / needed())
 
 
-def _check_mass(where: str, channel: str, built: "Built") -> None:
-    mass, masses = driven_mass(channel), math.inf if built.structure is None else len(built.structure.masses)
+def check_mass(where: str, channel: str, structure: Structure | None) -> None:
+    """Refuse a force on a mass that the structure has not."""
+    mass, masses = driven_mass(channel), math.inf if structure is None else len(structure.masses)
     if mass is not None and mass > masses:
         raise UserError(f"{where}: there is no mass {mass}; the structure has {masses}")
 
@@ -202,8 +191,3 @@ def _checked(steps: int, words: str) -> int:
     if steps > _MOST_STEPS:
         raise UserError(f"excitation: {steps} {words}")
     return steps
-
-
-def _end(space: InputSpace, quantile: float) -> dict[str, float]:
-    """Every input at a quantile of its distribution, SI."""
-    return {name: float(prior.quantile(quantile)) * space.factors[name] for name, prior in space.priors.items()}

@@ -67,9 +67,9 @@ class Plan:
             try:
                 built = Built(study, campaigns.get(where))
                 # Points have the measurements in common, as a rule, and reading them takes the longest.
-                campaigns[where] = built.measured
-                if built.measured is not None:
-                    stop_at_errors(built.measured, study.measurements.accepted(built.measured))
+                campaigns[where] = built.experiments.measured
+                if built.experiments.measured is not None:
+                    stop_at_errors(built.experiments.measured, study.measurements.accepted(built.experiments.measured))
                 built.check()
             except UserError as error:
                 raise UserError(f"{self._about(number)}: {error}") from None

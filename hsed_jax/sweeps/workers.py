@@ -75,7 +75,7 @@ def _ended(here: Path, study: Mapping[str, Any]) -> dict[str, Any]:
     begin = time.perf_counter()
     try:
         done = run(load_study(dict(study)), here, resume=here.exists(), progress=False, figures=False)
-        ended = {"status": "complete", "units": done.built.units}
+        ended = {"status": "complete", "units": done.built.mechanics.units}
     except (Exception, SystemExit) as error:  # a laboratory may leave by an exit
         message = " ".join(str(error).split()) or type(error).__name__
         if not isinstance(error, UserError):

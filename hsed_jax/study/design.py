@@ -1,16 +1,71 @@
-"""The limits that a study sets to its experiments."""
+"""The design of a study's experiments: the sequential design, its sample sizes, and the limits that it keeps."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 
-from hsed_jax.config.schema import LimitsEntry
+from hsed_jax.config.schema import LimitsEntry, Study
+from hsed_jax.design.cost import Cost
 from hsed_jax.design.feasible import Limits
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
 from hsed_jax.physics.names import named, of_each, owner_of
 from hsed_jax.physics.outputs import QUANTITIES, further, is_quantity
 from hsed_jax.physics.simulator import AbstractModel, Conditions
+from hsed_jax.study.inference import Inference
+
+if TYPE_CHECKING:
+    # A check of a study samples nothing, and need not wait for what does.
+    from hsed_jax.design.sequential import SequentialDesign
+
+
+@dataclass(frozen=True)
+class Design:
+    """The design of a study's experiments.
+
+    Attributes:
+        study: what the user said.
+        inference: of the parameters.
+    """
+
+    study: Study
+    inference: Inference
+
+    @cached_property
+    def sequential(self) -> "SequentialDesign":
+        """The sequential design; each of its steps has a smaller sample than a calibration."""
+        from hsed_jax.design.sequential import SequentialDesign
+
+        entry, sizes, space = self.study.design, self.study.calibration, self.inference.experiments.space
+        return SequentialDesign(
+            posterior=self.inference.posterior,
+            space=space,
+            size=entry.initial + entry.iterations,
+            gaps=self.inference.observation.gaps(None),
+            settings=self.inference.settings._replace(warmup=sizes.step_warmup, draws=sizes.step_draws),
+            starts=sizes.starts,
+            candidates=entry.candidates,
+            acquisition=entry.acquisition,
+            kriging=entry.kriging.model_dump(),
+            variance_over_parameters=entry.variance == "inputs_and_parameters",
+            seed=self.study.seed,
+            exceeding=self.limits,
+            cost=None if entry.cost is None else Cost(entry.cost.fixed, entry.cost.per, space),
+            replicates=entry.replicates,
+        )
+
+    @cached_property
+    def limits(self) -> Limits | None:
+        """What specimen and actuator can bear; None where the study sets no limit."""
+        if (entry := self.study.design.limits) is None:
+            return None
+        free, _ = self.inference.mechanics.parameters
+        return limits_of(
+            entry, self.inference.simulation.planned_simulator, tuple(free), self.inference.experiments.space
+        )
 
 
 def limits_of(entry: LimitsEntry, model: AbstractModel, names: tuple[str, ...], space: InputSpace) -> Limits:

@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hsed_jax.drafting.floors import floor_count, floors_of
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, characteristics, parse_unit
+from hsed_jax.measurements.pairs import check_masses
 from hsed_jax.measurements.units import TIME, VELOCITY
 from hsed_jax.physics.outputs import is_driver
-from hsed_jax.study.floors import floor_count, floors_of
-from hsed_jax.study.pairs import check_masses
 
 # Words that YAML reads as something else than a text.
 _WORDS = ("y", "n", "yes", "no", "on", "off", "true", "false", "null", ".inf", ".nan")
@@ -40,7 +40,7 @@ class _Guess(NamedTuple):
     source: str
 
 
-def initial_study(
+def text_of_study(
     campaign: Campaign, folder: Path, output: Path, frame: Frame | None = None, taken: Sequence[str] = ()
 ) -> str:
     """The text of a study file.

@@ -1,6 +1,7 @@
-"""A study whose model is a function or a program, built: what differs from one of a spring law."""
+"""A study whose model is a function or a program: its mechanics and its simulation."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, cast
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from hsed_jax.backend import cores, limit_threads
 from hsed_jax.config.functions import FunctionEntry
+from hsed_jax.config.schema import Study
 from hsed_jax.config.sections import InputEntry
 from hsed_jax.errors import UserError
 from hsed_jax.inference.observation import Grid, conditions_of
@@ -17,39 +19,30 @@ from hsed_jax.inference.priors import Prior
 from hsed_jax.laboratories.command import check_template
 from hsed_jax.measurements import parse_unit
 from hsed_jax.models.differences import Differenced, Free, failure, unpadded
-from hsed_jax.models.function import FunctionModel, Respond, is_output, is_told, known_outputs, outputs_of
+from hsed_jax.models.function import FunctionModel, Respond, is_told, known_outputs, outputs_of
 from hsed_jax.models.program import Program
 from hsed_jax.physics.elements import Element
 from hsed_jax.physics.laws import AbstractSpringLaw
 from hsed_jax.physics.names import by_owner
-from hsed_jax.physics.outputs import CHANNELS, PER_MASS, is_driver
 from hsed_jax.physics.simulator import AbstractModel, Conditions
 from hsed_jax.physics.structures import Structure
 from hsed_jax.physics.timeline import Timeline
 from hsed_jax.plain import shown
 from hsed_jax.python_files import module_of
 from hsed_jax.study import parts
-from hsed_jax.study.build import Built
 from hsed_jax.study.elements import elements_of
+from hsed_jax.study.mechanics import AbstractMechanics
+from hsed_jax.study.simulation import AbstractSimulation
 from hsed_jax.study.specimens import Naming
-from hsed_jax.study.timelines import TOLD, duration_of, measured_records
+from hsed_jax.study.timelines import TOLD
 
 
-class BuiltOfFunction(Built):
-    """Everything a study needs to run whose model is a function or a program.
+@dataclass(frozen=True)
+class FunctionMechanics(AbstractMechanics):
+    """A model that is a function or a program: its parameters are its own.
 
-    Nothing is integrated here, so that steps are the samples of the records; structure, specimens and laws are those of a virtual
-    laboratory.
+    Structure, specimens and laws are those of a virtual laboratory, if there is one.
     """
-
-    @property
-    def _entry(self) -> FunctionEntry:
-        assert isinstance(self.study.model, FunctionEntry)
-        return self.study.model
-
-    @property
-    def _where(self) -> str:
-        return f"model.{self._entry.described[0]}"
 
     @cached_property
     def naming(self) -> Naming:
@@ -58,8 +51,9 @@ class BuiltOfFunction(Built):
         Raises:
             UserError: always; what asks for it cannot be had.
         """
+        where = f"model.{_entry_of(self.study).described[0]}"
         raise UserError(
-            f"{self._where}: to look for missing effects and to add them (diagnose, improve) the model must be a spring law "
+            f"{where}: to look for missing effects and to add them (diagnose, improve) the model must be a spring law "
             "(model.spring), and this one is a function of its own; calibrate, design, compare and locate work with any model"
         )
 
@@ -67,20 +61,20 @@ class BuiltOfFunction(Built):
     def structure(self) -> Structure | None:
         """The structure of a specimen that this package simulates; a function has its own."""
         simulated = self.study.experiments.virtual or self.study.experiments.opensees
-        return super().structure if self.study.structure is not None or simulated else None
+        return self._described_structure() if self.study.structure is not None or simulated else None
 
     @cached_property
     def parameters(self) -> tuple[dict[str, Prior], dict[str, float]]:
         """Free parameters with their priors, and the fixed ones with their values."""
-        if self._of_structure:
+        if self.structure_priors:
             raise UserError(
-                f"structure: {next(iter(self._of_structure))} has a prior, but the model is a function, which has its own "
+                f"structure: {next(iter(self.structure_priors))} has a prior, but the model is a function, which has its own "
                 "structure; give a number here and the prior in model.parameters"
             )
         if own := [key for key in self.study.models if key != "model"]:
             raise UserError(f"{own[0]}: the model is a function, which has its own specimens; leave this model out")
         free, fixed = {}, {}
-        for name, entry in self._entry.parameters.items():
+        for name, entry in _entry_of(self.study).parameters.items():
             if isinstance(entry, InputEntry):
                 free[name] = parts.prior(f"model.parameters.{name}", entry.prior)
             else:
@@ -94,7 +88,7 @@ class BuiltOfFunction(Built):
         """SI unit of every free parameter."""
         units = {}
         for name in self.parameters[0]:
-            entry, where = self._entry.parameters[name], f"model.parameters.{name}.unit"
+            entry, where = _entry_of(self.study).parameters[name], f"model.parameters.{name}.unit"
             assert isinstance(entry, InputEntry)
             unit = parts.at(where, parse_unit, entry.unit)
             if unit.factor != 1:
@@ -106,7 +100,7 @@ class BuiltOfFunction(Built):
 
     @cached_property
     def elements(self) -> tuple[Element, ...]:
-        """The specimens that are measured; of virtual ones `true_elements` have the laws, and of others nothing asks for one."""
+        """The specimens that are measured; of virtual ones `virtual` has the laws, and of others nothing asks for one."""
         virtual = self.study.experiments.virtual
         if virtual is not None and virtual.spring is None:
             raise UserError("experiments.virtual.spring: this key is required, as the model has no spring law")
@@ -117,52 +111,22 @@ class BuiltOfFunction(Built):
         """The laws of the virtual specimens, whose scales and steps are asked for here; none where there are none."""
         if self.study.experiments.virtual is None:
             return ()
-        owners = by_owner(self.specimen)
-        return tuple(element.law(**element.parameters(owners)) for element in self.true_elements)
+        elements, parameters = self.virtual
+        owners = by_owner(parameters)
+        return tuple(element.law(**element.parameters(owners)) for element in elements)
 
     @property
     def steepest(self) -> tuple[AbstractSpringLaw, ...]:
         """The same: they are known."""
         return self.laws
 
-    @cached_property
-    def longest_step(self) -> float:
-        """That of the integration of virtual specimens, else the interval of the record or a share of the duration [s]."""
-        if self.laws:
-            return super().longest_step
-        assert self.excitation is not None
-        if "time" in self.excitation.arrays:
-            return float(np.min(np.diff(self.excitation.arrays["time"])))
-        return duration_of(self) / TOLD
+    @property
+    def has_specimens(self) -> bool:
+        """Whether specimens in a structure are measured; else what the function gives is told by its first call."""
+        return self.structure is not None or bool(self.laws)
 
-    @cached_property
-    def grid(self) -> Grid | None:
-        """Samples of the measured records, a step for each; None where there are none."""
-        records = measured_records(self)
-        return Grid(max(len(record) for record in records), 1) if records else None
-
-    @cached_property
-    def planned(self) -> Timeline:
-        """The times of an experiment without a record: all that there are, as a function sees the motion at no others."""
-        return super().planned._replace(every=1)
-
-    @cached_property
-    def timeline(self) -> Timeline | None:
-        """The times of an experiment; None where there are none, and a function is told the inputs alone."""
-        quantities = self.study.observe == "quantities"
-        return None if quantities and self.grid is None and self.excitation is None else super().timeline
-
-    def check_outputs(self, names: tuple[str, ...]) -> None:
-        """Refuse what the specimens in a structure do not have, if there is one; what the function gives its first call tells."""
-        if self.structure is not None or self.laws:
-            super().check_outputs(names)
-        elif unknown := [name for name in names if not is_output(name)]:
-            known = [*(name for name in CHANNELS if not is_driver(name)), *(f"{kind}_1" for kind in PER_MASS)]
-            raise UserError(
-                f"channels: there is no channel {shown(unknown[0])}; there are {', '.join(known)} and so on"
-            )
-
-    def _check_effects(self) -> None:
+    def check(self) -> None:
+        """Refuse steps that need effects."""
         design = self.study.design
         if {"diagnose", "improve"} & set(self.study.steps) or self.study.improve.add:
             _ = self.naming
@@ -175,8 +139,51 @@ class BuiltOfFunction(Built):
                     f"design.{key}: this needs a diagnosis, and the model has no spring law to look for effects in"
                 )
 
-    def _needed(self, performs: bool) -> list[str]:
-        return [*super()._needed(performs), "units", "simulator", "limits"]
+
+@dataclass(frozen=True)
+class FunctionSimulation(AbstractSimulation):
+    """The calls of a function or a program: nothing is integrated here, so that steps are the samples of the records."""
+
+    @cached_property
+    def longest_step(self) -> float:
+        """That of the integration of virtual specimens, else the interval of the record or a share of the duration [s]."""
+        if self.mechanics.laws:
+            return super().longest_step
+        excitation = self.experiments.excitation
+        assert excitation is not None
+        if "time" in excitation.arrays:
+            return float(np.min(np.diff(excitation.arrays["time"])))
+        return self.experiments.duration / TOLD
+
+    @cached_property
+    def grid(self) -> Grid | None:
+        """Samples of the measured records, a step for each; None where there are none."""
+        records = self.experiments.records
+        return Grid(max(len(record) for record in records), 1) if records else None
+
+    @cached_property
+    def planned(self) -> Timeline:
+        """The times of an experiment without a record: all that there are, as a function sees the motion at no others."""
+        return super().planned._replace(every=1)
+
+    @cached_property
+    def timeline(self) -> Timeline | None:
+        """The times of an experiment; None where there are none, and a function is told the inputs alone."""
+        quantities = self.study.observe == "quantities"
+        return None if quantities and self.grid is None and self.experiments.excitation is None else super().timeline
+
+    @property
+    def planned_simulator(self) -> AbstractModel:
+        """The function for experiments to come; where nothing is planned, as it is."""
+        return self.simulator if self.experiments.excitation is None else super().planned_simulator
+
+    @property
+    def _entry(self) -> FunctionEntry:
+        return _entry_of(self.study)
+
+    @property
+    def _where(self) -> str:
+        return f"model.{self._entry.described[0]}"
 
     @cached_property
     def simulator(self) -> AbstractModel:
@@ -191,19 +198,19 @@ class BuiltOfFunction(Built):
         self._check_names()
         function, name = self._program if self._entry.command is not None else self._function
         where = f"{self._where}: {name}"
-        free, fixed = self.parameters
+        free, fixed = self.mechanics.parameters
         middle = {name: float(prior.quantile(0.5)) for name, prior in free.items()}
 
         def model(function: Respond, given: tuple[str, ...]) -> FunctionModel:
             return FunctionModel(
                 function=function,
                 given=given,
-                excitation=self.excitation,
+                excitation=self.experiments.excitation,
                 timeline=self.timeline,
                 constants=tuple(fixed.items()),
             )
 
-        told, wanted = model(function, ()).told(self._first), self.outputs
+        told, wanted = model(function, ()).told(self._first), self.observed.outputs
         kind = self._entry.derivatives if self._entry.command is None else "differences"
         if kind != "differences":
 
@@ -239,11 +246,6 @@ class BuiltOfFunction(Built):
         return found
 
     @property
-    def planned_simulator(self) -> AbstractModel:
-        """The function for experiments to come; where nothing is planned, as it is."""
-        return self.simulator if self.excitation is None else super().planned_simulator
-
-    @property
     def _function(self) -> tuple[Respond, str]:
         """The function, and its name for messages."""
         file, name = self._entry.file_and_name
@@ -260,10 +262,11 @@ class BuiltOfFunction(Built):
         template = entry.words(self.study.folder)
         known = (*self._entry.parameters, *self.study.inputs)
         parts.at("model.command.run", check_template, template, known, ("folder", "python"))
-        return Program(template, self.outputs, entry.timeout), entry.run
+        return Program(template, self.observed.outputs, entry.timeout), entry.run
 
     def _check_names(self) -> None:
-        inputs = [*self.study.inputs, *(() if self.measured is None else self.measured.inputs)]
+        measured = self.experiments.measured
+        inputs = [*self.study.inputs, *(() if measured is None else measured.inputs)]
         if taken := [name for name in inputs if is_told(name)]:
             raise UserError(
                 f"inputs.{taken[0]}: a function is told a history of this name; give the input another name"
@@ -272,10 +275,17 @@ class BuiltOfFunction(Built):
     @property
     def _first(self) -> Conditions:
         """The first experiment that was measured, or else one in the middle of the inputs."""
-        if self.measured is not None:
-            experiment = self.taken(self.measured.completed.experiments[:1])[0]
-            return conditions_of(experiment, self.measured, self.grid, self.excitation)
-        return Conditions(self.space.middle())
+        measured = self.experiments.measured
+        if measured is not None:
+            experiment = self.experiments.taken(measured.completed.experiments[:1])[0]
+            return conditions_of(experiment, measured, self.grid, self.experiments.excitation)
+        return Conditions(self.experiments.space.middle())
+
+
+def _entry_of(study: Study) -> FunctionEntry:
+    """What a study says of a model that is a function."""
+    assert isinstance(study.model, FunctionEntry)
+    return study.model
 
 
 def _free(name: str, prior: Prior) -> Free:
