@@ -227,8 +227,8 @@ def scored(cases: Sequence[tuple[str, Case]]) -> Iterator[dict[str, Any]]:
 def diagnosed(folder: Path) -> Diagnosis:
     """What the package finds in a campaign folder."""
     built = Built(load_study(folder / "study.yaml"))
-    assert built.measured is not None
-    return diagnose(problem_of(built, built.measured))
+    assert built.experiments.measured is not None
+    return diagnose(problem_of(built, built.experiments.measured))
 
 
 def behaviour(found: Diagnosis, visited: Range, case: Case, truth: dict[str, Any]) -> dict[str, Any] | None:
@@ -271,8 +271,8 @@ def behaviour(found: Diagnosis, visited: Range, case: Case, truth: dict[str, Any
 def folder_range(folder: Path) -> Range:
     """What the tests of a campaign folder visited, as the diagnosis sees it."""
     built = Built(load_study(folder / "study.yaml"))
-    assert built.measured is not None
-    visited = problem_of(built, built.measured, effects=[]).visited
+    assert built.experiments.measured is not None
+    visited = problem_of(built, built.experiments.measured, effects=[]).visited
     assert visited is not None
     return visited
 

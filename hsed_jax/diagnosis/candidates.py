@@ -182,8 +182,12 @@ def problem_of(
         candidates=inputs,
         seed=built.study.seed,
         start=start,
-        notes=(*built.naming.left_out(), *thinning_notes(built, campaign.train), *_without_time(built, campaign)),
-        pair=large.pair,
+        notes=(
+            *built.mechanics.naming.left_out(),
+            *built.experiments.thinning_notes(campaign.train),
+            *_without_time(built, campaign),
+        ),
+        pair=large.mechanics.pair,
         held_out=test,
         opened=tuple(opened),
         simulator=large.simulation.simulator if isinstance(large.simulation.simulator, Simulator) else None,
@@ -193,7 +197,7 @@ def problem_of(
 
 def _without_time(built: Built, campaign: Campaign) -> list[str]:
     """What seconds are where there are none."""
-    if campaign.has_time or not built.component_test:
+    if campaign.has_time or not built.experiments.component_test:
         return []
     return ["the record has no time: in delays and drifts of the test rig, a second stands for a row"]
 
