@@ -49,6 +49,8 @@ _EXPERIMENTS = {"shaken": (6, 4), "component": (6, 4), "quantities": (20, 6)}
 _MIXTURES = 4
 # Quantities whose curves are judged: those that every specimen has.
 _JUDGED = ("initial_stiffness", "unloading_stiffness+", "unloading_stiffness-", "strength+", "strength-", "rate_force")
+# A curve is right that is off by less, over its largest value.
+_CURVE = 0.1
 # What is left with this probability is noise.
 _NOISE = 0.05
 
@@ -313,9 +315,9 @@ def table(rows: Sequence[dict[str, Any]], by: str | None = None) -> str:
     """The results as a Markdown table, a row for each group, or for each part of it where it is split by one of SPLITS."""
     head = (
         "| group | cases | noise explains it | named first | family first | exact set | false alarms | ambiguous | "
-        "unexplained | error before → after (noise) | error raised | interval covers | s |"
+        "unexplained | error before → after (noise) | error raised | interval covers | curves within 10 % | bands hold | s |"
     )
-    lines = [head, "|" + " --- |" * 13]
+    lines = [head, "|" + " --- |" * 15]
     parts: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
         if "skipped" not in row:
@@ -332,9 +334,16 @@ def table(rows: Sequence[dict[str, Any]], by: str | None = None) -> str:
         lines.append(
             f"| {label} | {len(own)} | {len(own) - len(seen)} | {' | '.join(shares)} | {alarms} | "
             f"{counts[0]} | {counts[1]} | {errors[0]:.3f} → {errors[1]:.3f} ({errors[2]:.3f}) | {raised} | "
-            f"{_share([c for row in own for c in row['covered']])} | {np.median([row['seconds'] for row in own]):.0f} |"
+            f"{_share([c for row in own for c in row['covered']])} | {' | '.join(_of_curves(own))} | {np.median([row['seconds'] for row in own]):.0f} |"
         )
     return "\n".join(lines)
+
+
+def _of_curves(rows: Sequence[dict[str, Any]]) -> tuple[str, str]:
+    """How many probed curves are within a tenth of those of the hidden specimen, and how often their bands hold these."""
+    judged = [one for row in rows for one in (row.get("behaviour") or {}).values()]
+    held = [k < one["inside"] for one in judged for k in range(one["of"])]
+    return _share([one["off"] <= _CURVE for one in judged]), _share(held)
 
 
 def _hidden(case: dict[str, Any]) -> str:

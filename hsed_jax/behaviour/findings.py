@@ -113,7 +113,7 @@ class Behaviours:
     """What a specimen does, and how that was seen.
 
     Attributes:
-        changes: the largest first.
+        changes: in the order of `QUANTITIES`.
         steady: quantities that stay, with the largest relative change.
         curves: by quantity (with its side) and, where there are several, specimen; along `places`.
         places: shares of the path of the longest test.
@@ -131,8 +131,7 @@ class Behaviours:
         """The main changes in one sentence; empty where nothing changes."""
         changed = {one.quantity for one in self.changes}
         main = [one for one in self.changes if not (one.quantity in _FURTHER and changed & {"initial_stiffness"})]
-        ordered = sorted(main, key=lambda one: [*QUANTITIES].index(one.quantity))
-        said = [one.sentence for one in ordered[:_SAID]]
+        said = [one.sentence for one in main[:_SAID]]
         if not said:
             return ""
         said += [

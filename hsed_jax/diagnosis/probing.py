@@ -97,7 +97,7 @@ class Probe(NamedTuple):
             changes += [replace(one, sentence=told(one, self.problem.pair)) for one in own]
             said = {one.quantity for one in own}
             steady |= {named(element.name, q): _moved(after, q) for q in _STEADY if q not in said}
-        return Behaviours(sorted(changes, key=_size, reverse=True), steady, curves, PLACES, self.problem.pair)
+        return Behaviours(sorted(changes, key=_place), steady, curves, PLACES, self.problem.pair)
 
     def _along(self, model: Model, element: Element, draws: Drawn) -> dict[str, Float[np.ndarray, "S places"]] | None:
         """Quantities along the test, by draw; None where too few can be simulated."""
@@ -266,10 +266,9 @@ def _both_sides(found: Sequence[Behaviour | None]) -> list[Behaviour]:
     ]
 
 
-def _size(one: Behaviour) -> float:
-    """How large a change is beside the larger of its ends."""
-    ends = abs(one.before.mean), abs(one.after.mean)
-    return abs(one.after.mean - one.before.mean) / max(*ends, 1e-300)
+def _place(one: Behaviour) -> int:
+    """Changes are told in the order of the quantities."""
+    return [*QUANTITIES].index(one.quantity)
 
 
 def _moved(values: Mapping[str, np.ndarray], quantity: str) -> float:
