@@ -7,7 +7,7 @@ import pytest
 
 from hsed_jax.behaviour.contributions import contribution, dependence
 from hsed_jax.behaviour.histories import PLACES, Histories, Range, along_the_test, over_the_range, range_of
-from hsed_jax.behaviour.names import trait
+from hsed_jax.behaviour.names import Trait, called, trait
 from hsed_jax.behaviour.probes import Probed, probed
 
 STIFFNESS, YIELD, RATE = 2.0e6, 3.0e4, 0.4
@@ -122,6 +122,22 @@ def test_a_force_beside_the_law_is_named_for_what_it_is(histories, name):
     found = named(histories, law + ADDED[name](histories), law)
     assert found is not None
     assert found.names[0] == name.strip()
+
+
+@pytest.mark.parametrize(
+    ("effect", "names", "name"),
+    [
+        ("pinching", ("stiffness_degradation",), "stiffness_degradation"),
+        ("stribeck_friction", ("coulomb_friction",), "coulomb_friction"),
+        ("slip", ("pinching", "slip", "gap"), "slip"),
+        # What changes loops looks like a force of the elongation where hardly anything yields.
+        ("loop_shape", ("cubic_stiffness", "hardening"), "loop_shape"),
+        ("pinching", ("hardening",), "pinching"),
+    ],
+)
+def test_a_name_is_exchanged_for_one_of_its_own_kind(effect, names, name):
+    assert called(effect, Trait("quantity", "falls", "path", names)) == name
+    assert called(effect, None) == effect
 
 
 def test_what_is_of_no_practical_size_has_no_name(histories):

@@ -21,7 +21,8 @@ it acts over the whole loop is a stiffness that falls), the table says which nam
 | | either | rate | `rate_dependence` |
 | | one side's differs from the other's | sign | `asymmetry` |
 
-What the table does not tell apart keeps the name of its formula.
+What the table does not tell apart keeps the name of its formula.  A name is exchanged for one of its own kind only: in a specimen
+that hardly yields, what changes its loops looks like a force of the elongation.
 """
 
 from typing import NamedTuple
@@ -48,6 +49,14 @@ _DELAYED = ("rate_dependence", "relaxation", "viscous_damping", "power_damping",
 _HISTORY = ("absorbed_energy", "path", "largest_elongation", "reversals")
 
 
+_KINDS = (
+    {"hardening", "cubic_stiffness", "quadratic_stiffness", "contact_stiffening"},
+    {"coulomb_friction", "stribeck_friction", "viscous_damping", "power_damping", "quadratic_damping"},
+    {"stiffness_degradation", "pinching", "slip", "gap", "strength_degradation", "isotropic_hardening", "asymmetry"},
+)
+"""Effects whose names may stand for one another: forces of the elongation, of the rate, and what changes the hysteresis."""
+
+
 class Trait(NamedTuple):
     """The behaviour that an effect is named for.
 
@@ -61,6 +70,13 @@ class Trait(NamedTuple):
     change: str
     driver: str
     names: tuple[str, ...]
+
+
+def called(effect: str, found: Trait | None) -> str:
+    """The name of what an effect does: its own, unless the table has another one of its kind for it."""
+    if found is None or not found.names or effect in found.names:
+        return effect
+    return found.names[0] if any({effect, found.names[0]} <= kind for kind in _KINDS) else effect
 
 
 def trait(found: Contribution) -> Trait | None:

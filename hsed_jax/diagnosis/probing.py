@@ -11,7 +11,7 @@ from jaxtyping import Float
 from hsed_jax.behaviour.contributions import Contribution, contribution, dependence
 from hsed_jax.behaviour.findings import QUANTITIES, Behaviour, Behaviours, ProbedCurve, Value, told
 from hsed_jax.behaviour.histories import PLACES, Histories, Range, along_the_test, over_the_range
-from hsed_jax.behaviour.names import PRACTICAL, Trait, trait
+from hsed_jax.behaviour.names import PRACTICAL, Trait, called, trait
 from hsed_jax.behaviour.probes import probed
 from hsed_jax.behaviour.specimens import Answers, alone, answers, longest_step, spring_effects
 from hsed_jax.diagnosis.evidence import Sampled
@@ -56,10 +56,7 @@ class Probe(NamedTuple):
 
     def name(self, effect: str, traits: Mapping[str, Trait]) -> str:
         """The name of what an effect does, where another one stands for it that the problem has, else its own."""
-        told = traits.get(effect)
-        if told is None or not told.names or own_name(effect) in told.names:
-            return effect
-        instead = named(owner_of(effect), told.names[0])
+        instead = named(owner_of(effect), called(own_name(effect), traits.get(effect)))
         return instead if instead in self.problem.effects else effect
 
     def traits(self, model: Model) -> dict[str, Trait]:
