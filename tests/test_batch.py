@@ -8,6 +8,7 @@ import pytest
 from hsed_jax.config.load import load_study
 from hsed_jax.diagnosis import batch as module
 from hsed_jax.diagnosis.batch import Batch, Part
+from hsed_jax.measurements import Campaign
 from hsed_jax.physics.effects import EFFECTS as CATALOGUE
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.simulator import Conditions
@@ -102,3 +103,42 @@ def test_what_is_simulated_again_and_again_gets_a_program_of_its_own(sized):
     # Each saves two parameters, and the program costs a thousand.
     assert [served(sized, ({0}, 100)) for _ in range(8)] == [[(3, 100)]] * 5 + [[(1, 100)]] * 3
     assert served(sized, ({0, 3}, 1), ({0}, 1)) == [(1, 1), (3, 1)]
+
+
+@pytest.mark.parametrize("is_short", [False, True])
+def test_a_history_is_simulated_as_far_as_it_is_asked_for(is_short):
+    """To the last sample that is used, or earlier where fewer are asked for: those are as in the whole simulation."""
+    phase = np.linspace(0, 6 * np.pi, 240)
+    elongation = 0.02 * phase / phase[-1] * np.sin(phase)
+    channels, records = {"elongation": "m", "force": "N"}, {"long": slice(0, 240), "short": slice(0, 100)}
+    frames = {name: {"elongation": elongation[own], "force": 1e5 * np.sin(phase[own])} for name, own in records.items()}
+    campaign = Campaign.from_frames(protocol="displacement", channels=channels, records=frames)
+    study = {
+        "study": "asked",
+        "model": {
+            "parameters": {"A": {"lognormal": [16.8, 0.3]}, "beta": {"lognormal": [5.3, 0.3]}, "gamma": 0.0, "n": 1.0}
+        },
+        "experiments": {"campaign": "nowhere"},
+        "observe": "histories",
+        "error": {"unknown": True},
+        "steps": ["calibrate"],
+    }
+    built = Built(load_study(study), campaign)
+    data = built.data(campaign, campaign.experiments)
+    names, used = ("A", "beta"), np.asarray(data.weights) > 0
+    if is_short:
+        used[0, 150:] = False
+    whole = Batch(built.simulator, built.observation, names, data.conditions)
+    batch = Batch(built.simulator, built.observation, names, data.conditions, used=used)
+    thetas, experiments = np.tile([2.0e7, 200.0], (9, 1)) * np.linspace(0.7, 1.3, 9)[:, None], np.arange(9) % 2
+    expected, _ = whole(thetas, experiments)
+    found, ok = batch(thetas, experiments)
+    assert ok.all()
+    np.testing.assert_array_equal(np.where(used[experiments], found, 0), np.where(used[experiments], expected, 0))
+    asked = np.where(experiments == 0, 60, 40)
+    found, _ = batch(thetas, experiments, asked)
+    known = np.arange(found.shape[1]) < asked[:, None]
+    np.testing.assert_array_equal(found[known], expected[known])
+    # Later ones were not made.
+    late = np.arange(found.shape[1]) > asked.max() + 40
+    assert np.ptp(found[:, late], axis=1).max() == 0 and np.ptp(expected[::2, late], axis=1).min() > 0

@@ -57,7 +57,7 @@ class Dictionary(Batch):
     def __init__(self, functions, fails=False):
         self.functions, self.fails = functions, fails
 
-    def __call__(self, thetas, experiments):
+    def __call__(self, thetas, experiments, samples=None):
         outputs = np.einsum("lk,klj->lj", thetas, self.functions[:, experiments])
         # Where asked for, beyond the experiments that are fitted nothing converges with an effect.
         failed = self.fails & (np.asarray(experiments) >= N) & np.any(thetas[:, 2:] != 0, axis=1)
@@ -156,7 +156,7 @@ def test_a_wrong_first_step_is_taken_back():
 class Two(Dictionary):
     """Two values of b are the same law, and beside one of them alone effect_5 does anything."""
 
-    def __call__(self, thetas, experiments):
+    def __call__(self, thetas, experiments, samples=None):
         thetas, b = thetas.copy(), thetas[:, 1]
         thetas[:, 1] = -0.7 + 0.3 * (b + 0.7) * (b - 3)
         thetas[:, 7] *= np.maximum(b - 2, 0)
@@ -170,7 +170,7 @@ class Impatient(Dictionary):
         super().__init__(FUNCTIONS * (1.0 + rounding))
         self.patience, self.asked = patience, 0
 
-    def __call__(self, thetas, experiments):
+    def __call__(self, thetas, experiments, samples=None):
         self.asked += 1
         if self.asked > self.patience:
             raise Interrupted

@@ -29,7 +29,7 @@ class Analytic(Batch):
     def __init__(self, formula):
         self.formula = formula
 
-    def __call__(self, thetas, experiments):
+    def __call__(self, thetas, experiments, samples=None):
         return self.formula(thetas.T), np.ones(len(thetas))
 
 
@@ -39,7 +39,7 @@ class Fragile(Analytic):
     def __init__(self, formula, diverges):
         self.formula, self.diverges = formula, diverges
 
-    def __call__(self, thetas, experiments):
+    def __call__(self, thetas, experiments, samples=None):
         ok = ~self.diverges(thetas.T)
         return np.where(ok[:, None], self.formula(thetas.T), 0.0), ok.astype(float)
 

@@ -140,7 +140,7 @@ class Analytic(Batch):
         self.formula, self.diverges = formula, diverges
         self.asked: list[tuple[np.ndarray, np.ndarray]] = []
 
-    def __call__(self, thetas, experiments):
+    def __call__(self, thetas, experiments, samples=None):
         self.asked.append((thetas, experiments))
         ok = np.array([not self.diverges(theta) for theta in thetas], dtype=float)
         rows = [self.formula(t, e) if good else None for t, e, good in zip(thetas, experiments, ok, strict=True)]

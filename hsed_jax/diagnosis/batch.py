@@ -11,31 +11,51 @@ Chunks of simulations go to threads: XLA runs a program of this kind on one core
 """
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from hsed_jax.backend import cores
-from hsed_jax.inference.observation import Observation, Outputs
+from hsed_jax.inference.observation import Histories, Observation, Outputs
 from hsed_jax.physics.batch import tiled_map
 from hsed_jax.physics.simulator import AbstractModel, Conditions, Simulator
 from hsed_jax.programs import program
 
 # Simulations of a chunk, and those that run together: most rounds ask for a few of each set.
 _CHUNK, _TILE = 64, 8
+# So many samples more than are asked for: a sensor may be early.
+_AHEAD = 16
 # Outputs beyond this are on their way to infinity, and their squares would be no numbers.
 _FAR = 1e100
 # A program is made once it would have saved so many evaluations of a parameter in a step: about two seconds of either.
 _PRICE = 300_000_000
 
-Predictions = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Of parameters (L, P) and numbers of experiments (L,): outputs (L, J), and whether each converged (L,); a `Batch`, say."""
+
+@runtime_checkable
+class Predictions(Protocol):
+    """What makes predictions of many models, a `Batch`, say."""
+
+    def __call__(
+        self,
+        thetas: Float[np.ndarray, "L P"],
+        experiments: Int[np.ndarray, " L"],
+        samples: Int[np.ndarray, " L"] | None = None,
+    ) -> tuple[Float[np.ndarray, "L J"], Float[np.ndarray, " L"]]:
+        """Outputs and whether each simulation converged.
+
+        Arguments:
+            thetas: parameters.
+            experiments: their numbers.
+            samples: of a history so many are asked for, by default all that are used; later ones may be anything.
+        """
+        ...
+
 
 Columns = frozenset[int]
 """Parameters of effects that a program has, by their place in a parameter vector; all others are neutral in it."""
@@ -86,11 +106,14 @@ class BatchApart(NamedTuple):
     apart: Apart
 
     def __call__(
-        self, thetas: Float[np.ndarray, "L P"], experiments: Int[np.ndarray, " L"]
+        self,
+        thetas: Float[np.ndarray, "L P"],
+        experiments: Int[np.ndarray, " L"],
+        samples: Int[np.ndarray, " L"] | None = None,
     ) -> tuple[Float[np.ndarray, "L J"], Float[np.ndarray, " L"]]:
         """As those of `Batch`."""
         own = thetas * self.apart.factor[experiments] + self.apart.shift[experiments]
-        return self.batch(own, experiments)
+        return self.batch(own, experiments, samples)
 
 
 class Selected(NamedTuple):
@@ -105,10 +128,13 @@ class Selected(NamedTuple):
     rows: Int[np.ndarray, " r"]
 
     def __call__(
-        self, thetas: Float[np.ndarray, "L P"], experiments: Int[np.ndarray, " L"]
+        self,
+        thetas: Float[np.ndarray, "L P"],
+        experiments: Int[np.ndarray, " L"],
+        samples: Int[np.ndarray, " L"] | None = None,
     ) -> tuple[Float[np.ndarray, "L J"], Float[np.ndarray, " L"]]:
         """As that of `Batch`."""
-        return self.batch(thetas, self.rows[experiments])
+        return self.batch(thetas, self.rows[experiments], samples)
 
 
 class Batch:
@@ -120,6 +146,7 @@ class Batch:
         names: of the parameters, in the order of a parameter vector.
         conditions: of the experiments, leading axis n.
         parts: the effects of a `Simulator` that a simulation may lack.
+        used: which outputs are asked for at all, where that is known: a history is simulated to its last sample among them.
 
     Attributes:
         simulations: how many were made so far.
@@ -132,12 +159,14 @@ class Batch:
         names: tuple[str, ...],
         conditions: Conditions,
         parts: Sequence[Part] = (),
+        used: Bool[np.ndarray, "n J"] | None = None,
     ):
         self._model, self._observation, self._names, self._conditions = model, observation, names, conditions
         self._of_effect = {part.effect: frozenset(part.columns.tolist()) for part in parts}
         self._columns = np.concatenate([np.zeros(0, dtype=int), *(part.columns for part in parts)]).astype(int)
         self._neutral = np.concatenate([np.zeros(0), *(part.neutral for part in parts)])
         self._steps = 1 if model.timeline is None else model.timeline.steps
+        self._ends = None if used is None else _steps_to(used, conditions, observation, model)
         self._simplest = frozenset[int]().union(*(part.simplest for part in parts))
         self._programs = {has: self._program(has) for has in (frozenset[int](), self._simplest)}
         self._spent: Counter[Columns] = Counter()
@@ -145,11 +174,27 @@ class Batch:
         self.simulations = 0
 
     def __call__(
-        self, thetas: Float[np.ndarray, "L P"], experiments: Int[np.ndarray, " L"]
+        self,
+        thetas: Float[np.ndarray, "L P"],
+        experiments: Int[np.ndarray, " L"],
+        samples: Int[np.ndarray, " L"] | None = None,
     ) -> tuple[Float[np.ndarray, "L J"], Float[np.ndarray, " L"]]:
-        """Outputs (L, J) and whether each simulation converged (L,); outputs of one that diverged are zero."""
+        """Outputs (L, J) and whether each simulation converged (L,); outputs of one that diverged are zero.
+
+        Arguments:
+            thetas: parameters.
+            experiments: their numbers.
+            samples: of a history so many are asked for, by default all that are used; later ones are as the last.
+        """
         self.simulations += len(thetas)
+        stops = None
+        if self._ends is not None:
+            most = self._ends.shape[1] - 1
+            stops = self._ends[experiments, most if samples is None else np.clip(samples + _AHEAD, 0, most)]
         served = [(*self._programs[has], places) for has, places in self._by_program(thetas).items()]
+        if stops is not None:
+            # What runs together stops together.
+            served = [(*which, places[np.argsort(stops[places], kind="stable")]) for *which, places in served]
         # Tiles are shared among the cores.  The first chunk of each program comes before all others, so that programs are made
         # side by side.
         size = min(max(-(-len(thetas) // (cores() * _TILE)), 1) * _TILE, _CHUNK)
@@ -169,6 +214,7 @@ class Batch:
                 jnp.asarray(np.pad(thetas[places][:, columns], (*padding, (0, 0)), mode="edge")),
                 jnp.asarray(np.pad(experiments[places], padding, mode="edge")),
                 jnp.asarray(len(places)),
+                None if stops is None else jnp.asarray(np.pad(stops[places], padding, mode="edge")),
             )
             return np.asarray(found)[: len(places)], np.asarray(ok)[: len(places)]
 
@@ -228,15 +274,41 @@ class Batch:
         return outputs, np.asarray(columns)
 
 
-@program
-def _outputs(respond, conditions, thetas, experiments, count):
-    def one(lane):
-        theta, experiment = lane
-        at_it = jax.tree.map(lambda leaf: leaf[experiment], conditions)
-        outputs, ok = respond(theta, at_it)
-        # On its way to infinity a diverging simulation passes numbers whose squares are no numbers any more.
-        ok = ok & jnp.all(jnp.abs(outputs) < _FAR)
-        return jnp.where(ok, outputs, 0.0), ok
+def _steps_to(
+    used: Bool[np.ndarray, "n J"], conditions: Conditions, observation: Observation, model: AbstractModel
+) -> Int[np.ndarray, "n s1"] | None:
+    """Steps to the first 0, 1, 2, … samples of each experiment, at most to the last that is used; None where a simulation is not
+    one of histories over a record."""
+    recorded = conditions.recorded
+    if not isinstance(observation, Histories) or recorded is None or model.timeline is None:
+        return None
+    count, steps, every = observation.samples, model.timeline.steps, model.timeline.every
+    ends = every * np.arange(count) if recorded.ends is None else np.asarray(recorded.ends)
+    ends = np.broadcast_to(ends, (len(used), count))
+    is_used = used.reshape(len(used), -1, count).any(axis=1)
+    # One that is not measured is asked for as a whole.
+    last = np.where(is_used.any(axis=1), np.minimum(count - np.argmax(is_used[:, ::-1], axis=1) + _AHEAD, count), count)
+    whole = np.minimum(ends, ends[np.arange(len(used)), last - 1][:, None])
+    return np.minimum(np.concatenate([whole[:, :1], whole], axis=1), steps)
 
-    outputs, ok = tiled_map(jax.vmap(one), (thetas, experiments), count=count, tile=_TILE)
+
+@program
+def _outputs(respond, conditions, thetas, experiments, count, stops):
+    def tile(lanes):
+        thetas, experiments, stops = lanes
+        # One number for all, or the loop would ask every lane at every step.
+        stop = None if stops is None else jnp.max(stops)
+
+        def one(theta, experiment):
+            at_it = jax.tree.map(lambda leaf: leaf[experiment], conditions)
+            if stop is not None:
+                at_it = at_it._replace(recorded=at_it.recorded._replace(stop=stop))
+            outputs, ok = respond(theta, at_it)
+            # On its way to infinity a diverging simulation passes numbers whose squares are no numbers any more.
+            ok = ok & jnp.all(jnp.abs(outputs) < _FAR)
+            return jnp.where(ok, outputs, 0.0), ok
+
+        return jax.vmap(one)(thetas, experiments)
+
+    outputs, ok = tiled_map(tile, (thetas, experiments, stops), count=count, tile=_TILE)
     return outputs, ok.astype(float)

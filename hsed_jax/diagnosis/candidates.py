@@ -152,8 +152,10 @@ def problem_of(
     own = {name: _forms(large, name, order, (forms or {}).get(name)) for name in names}
     columns = {n: np.asarray([k for k, one in enumerate(order) if owner_of(one) == n], dtype=int) for n in names}
     parts = [Part(name, k, neutral[k], _simplest(own[name])) for name, k in columns.items()]
-    batch = Batch(large.simulation.simulator, large.inference.observation, order, conditions, parts)
     size = jax.tree.leaves(conditions)[0].shape[0]
+    weights = np.asarray(data.weights)
+    used = np.concatenate([weights > 0, np.zeros((size - len(weights), weights.shape[1]), dtype=bool)])
+    batch = Batch(large.simulation.simulator, large.inference.observation, order, conditions, parts, used)
     predictions = batch if apart is None else BatchApart(batch, apart.across(order, size))
     # A prior may reach beyond what is possible, and another effect is what lies there.
     priors = free | {name: without_bounds(free[name]) for name in opened}

@@ -17,12 +17,18 @@ class Target(NamedTuple):
         values, sigma: (n, J).
         weights: (M, n, J); a task says which of the M it fits.
         memory: correlation of the noise with that of the sample before, (n, J).
+        samples: how many samples of its histories each use has to know of each experiment, (M, n); None for all.
     """
 
     values: Float[np.ndarray, "n J"]
     sigma: Float[np.ndarray, "n J"]
     weights: Float[np.ndarray, "M n J"]
     memory: Float[np.ndarray, "n J"]
+    samples: Int[np.ndarray, "M n"] | None = None
+
+    def samples_of(self, use: int, rows: Int[np.ndarray, " r"]) -> Int[np.ndarray, " r"] | None:
+        """So many samples a use has to know of these experiments; None for all."""
+        return None if self.samples is None else self.samples[use][rows]
 
     def rows(self, use: int) -> Int[np.ndarray, " r"]:
         """The experiments that a use has weights for."""

@@ -103,8 +103,18 @@ class Measured(NamedTuple):
         """What several uses of the measurements are judged by, from what predictions leave of them."""
         judged = self.judged(predicted)
         errors = np.fmax(self.declared, self.left(predicted))
-        target = Target(self.values, self.sigma(errors, predicted), fitted * judged.worth[self.groups], judged.memory)
+        weights, samples = fitted * judged.worth[self.groups], self.samples(fitted)
+        target = Target(self.values, self.sigma(errors, predicted), weights, judged.memory, samples)
         return Standard(errors, judged.worth, target)
+
+    def samples(self, fitted: Bool[np.ndarray, "M n J"]) -> Int[np.ndarray, "M n"]:
+        """How many samples of the longest output there are up to the last that is fitted, by use and experiment."""
+        found = np.zeros(fitted.shape[:2], dtype=int)
+        for group in np.unique(self.groups):
+            own = fitted[:, :, self.groups == group]
+            last = own.shape[2] - np.argmax(own[:, :, ::-1], axis=2)
+            found = np.maximum(found, np.where(own.any(axis=2), last, 0))
+        return found
 
 
 class Standard(NamedTuple):

@@ -73,7 +73,7 @@ class NestedModels:
         self, points: Sequence[tuple[np.ndarray, Member]], rows: Int[np.ndarray, " r"]
     ) -> tuple[Float[np.ndarray, "B r J"], Float[np.ndarray, "B r"]]:
         """Outputs of models at several points for the experiments in `rows`, and whether they converged."""
-        outputs, ok = self._run([(x, member, rows) for x, member in points])
+        outputs, ok = self._run([(x, member, rows, None) for x, member in points])
         return np.stack(outputs), np.stack(ok)
 
     def point(self, known: Mapping[str, float]) -> Float[np.ndarray, " P"]:
@@ -240,7 +240,7 @@ class NestedModels:
         self, target: Target, trials: Sequence[tuple[Descent, np.ndarray]]
     ) -> tuple[list[float], list[np.ndarray]]:
         """φ and predictions at trial points."""
-        outputs, ok = self._run([(x, f.member, target.rows(f.use)) for f, x in trials])
+        outputs, ok = self._run([(x, f.member, *_asked(target, f.use)) for f, x in trials])
         costs, tables = [], []
         for (one, x), rows_outputs, rows_ok in zip(trials, outputs, ok, strict=True):
             predicted = np.zeros_like(target.values)
@@ -269,7 +269,7 @@ class NestedModels:
             for k, size in zip(one.free, signs, strict=True):
                 x = one.x.copy()
                 x[k] += size
-                requests.append((x, one.member, target.rows(one.use)))
+                requests.append((x, one.member, *_asked(target, one.use)))
         outputs, ok = self._run(requests)
         place = 0
         for one, steps in zip(fits, sizes, strict=True):
@@ -284,14 +284,23 @@ class NestedModels:
             if one.slopes.size > _KEPT:
                 one.slopes = np.zeros((0, 0, 0))
 
-    def _run(self, requests: Sequence[tuple[np.ndarray, Member, np.ndarray]]) -> tuple[list, list]:
-        """Outputs (r, J) and flags (r,) of each request: a point, its model, and rows."""
+    def _run(self, requests: Sequence[tuple[np.ndarray, Member, np.ndarray, np.ndarray | None]]) -> tuple[list, list]:
+        """Outputs (r, J) and flags (r,) of each request: a point, its model, experiments, and how many samples of each."""
         if not requests:
             return [], []
-        thetas = [np.repeat(self.theta(x, member)[None], len(rows), axis=0) for x, member, rows in requests]
-        outputs, ok = self.batch(np.concatenate(thetas), np.concatenate([rows for _, _, rows in requests]))
-        ends = np.cumsum([len(rows) for _, _, rows in requests])[:-1]
+        thetas = [np.repeat(self.theta(x, member)[None], len(rows), axis=0) for x, member, rows, _ in requests]
+        rows = [rows for *_, rows, _ in requests]
+        samples = [samples for *_, samples in requests if samples is not None]
+        asked = np.concatenate(samples) if len(samples) == len(requests) else None
+        outputs, ok = self.batch(np.concatenate(thetas), np.concatenate(rows), asked)
+        ends = np.cumsum([len(own) for own in rows])[:-1]
         return np.split(outputs, ends), np.split(ok, ends)
+
+
+def _asked(target: Target, use: int) -> tuple[np.ndarray, np.ndarray | None]:
+    """The experiments that a use has weights for, and how many samples of each."""
+    rows = target.rows(use)
+    return rows, target.samples_of(use, rows)
 
 
 def _lead(fits: Sequence[Descent]) -> dict[int, float]:

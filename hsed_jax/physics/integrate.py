@@ -11,7 +11,7 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float, Int, PyTree
 
 from hsed_jax.physics.excitations import AbstractForcing
 from hsed_jax.physics.laws.base import Turn
@@ -172,6 +172,7 @@ def integrate(
     quantities: tuple[str, ...] = (),
     every: int = 1,
     adjoint: diffrax.AbstractAdjoint | None = None,
+    stop: Int[Array, ""] | None = None,
 ) -> Response:
     """Integrate one experiment.
 
@@ -184,6 +185,7 @@ def integrate(
         quantities: names of those to keep beside the ones of Eq. 18.
         every: keep the histories at every so many steps (and at t = 0); divides `steps`.
         adjoint: how derivatives pass through; by default forward mode, which suits few parameters.
+        stop: steps to make, at most `steps`; samples of histories after them are the last one.
 
     Returns:
         The response, with histories of shape (steps // every + 1,); not ok where numbers overflow, or where the steps are too
@@ -199,7 +201,7 @@ def integrate(
         diffrax.ODETerm(_vector_field),
         RungeKutta4(forcing, step_length, channels),
         t0=0.0,
-        t1=float(steps),
+        t1=float(steps) if stop is None else stop.astype(float),
         dt0=1.0,
         y0=Progress(still, begin, system.channels(still, sample, channels)),
         args=(system, sample, 0.0),
@@ -212,6 +214,9 @@ def integrate(
     )
     assert solution.ys is not None
     histories = solution.ys.get("histories", {})
+    if stop is not None:
+        last = jnp.minimum(jnp.arange(steps // every + 1), stop // every)
+        histories = {name: values[last] for name, values in histories.items()}
     values = {name: kept[-1] for name, kept in solution.ys["end"].items()}
     finite = jnp.isfinite(sum(jnp.abs(value) for value in values.values()))
     return Response(values, histories, finite & (system.steepness(forcing, step_length) < RESOLVED))

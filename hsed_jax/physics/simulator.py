@@ -42,11 +42,14 @@ class Recorded(NamedTuple):
         forcing: on the half-step grid.
         step_length: [s], zero where the record has ended.
         ends: after how many steps each sample of the record is, where `every` is 1 and histories are kept at these only.
+        stop: steps after which nothing is asked for, the same for all that run together: later samples are the last one; None for
+            the whole grid.
     """
 
     forcing: AbstractForcing
     step_length: Float[Array, " steps"]
     ends: Any = None
+    stop: Any = None
 
 
 class Conditions(NamedTuple):
@@ -221,8 +224,9 @@ class Simulator(AbstractModel):
         from hsed_jax.physics.integrate import integrate
 
         steps, every = self.timeline.steps, self.timeline.every
+        stop = None
         if conditions.recorded is not None:
-            forcing, length, _ = conditions.recorded
+            forcing, length, _, stop = conditions.recorded
         else:
             assert self.excitation is not None
             excitation = self.excitation(conditions.inputs)
@@ -236,7 +240,9 @@ class Simulator(AbstractModel):
             assert isinstance(forcing, Tabulated)
             forcing = felt(forcing, slots, jax.numpy.asarray(length))
         system = self._system(given, slots)
-        response = integrate(system, forcing, length, steps, channels=channels, quantities=quantities, every=every)
+        response = integrate(
+            system, forcing, length, steps, channels=channels, quantities=quantities, every=every, stop=stop
+        )
         if slots is not None:
             response = measured(response, slots, length, every, is_imposed=self.structure is None)
         if every > 1 or conditions.recorded is None or conditions.recorded.ends is None:
