@@ -124,12 +124,12 @@ def test_a_history_is_simulated_as_far_as_it_is_asked_for(is_short):
         "steps": ["calibrate"],
     }
     built = Built(load_study(study), campaign)
-    data = built.data(campaign, campaign.experiments)
+    data = built.inference.data(campaign, campaign.experiments)
     names, used = ("A", "beta"), np.asarray(data.weights) > 0
     if is_short:
         used[0, 150:] = False
-    whole = Batch(built.simulator, built.observation, names, data.conditions)
-    batch = Batch(built.simulator, built.observation, names, data.conditions, used=used)
+    whole = Batch(built.simulation.simulator, built.inference.observation, names, data.conditions)
+    batch = Batch(built.simulation.simulator, built.inference.observation, names, data.conditions, used=used)
     thetas, experiments = np.tile([2.0e7, 200.0], (9, 1)) * np.linspace(0.7, 1.3, 9)[:, None], np.arange(9) % 2
     expected, _ = whole(thetas, experiments)
     found, ok = batch(thetas, experiments)
