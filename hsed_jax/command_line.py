@@ -66,11 +66,13 @@ def command_line() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     text = "run the steps of a study, or of the study that hsed init writes for files"
     _add_run(commands.add_parser("run", help=text, description=_RUN), takes_files=True)
-    text = "validate a study and its data, run nothing"
+    text = "validate a study and its data, or the files of a laboratory; run and write nothing"
     check = commands.add_parser("check", help=text, description=text.capitalize() + ".")
-    check.add_argument("study", metavar="STUDY.yaml")
+    check.add_argument("study", metavar="STUDY.yaml|FILE")
     check.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="override a key by its dotted path")
     check.add_argument("--trust", action="store_true", help="execute Python files that the study names, to check them")
+    check.add_argument("--force", dest="force_column", metavar="COLUMN", help="of files: the column of the force")
+    beginning.add_options(check)
     check.set_defaults(command=_check)
     beginning.add_command(commands)
     for name, text, steps in _PARTS:
@@ -173,6 +175,11 @@ def _effects(options: Any) -> int:
 
 
 def _check(options: Any) -> int:
+    from hsed_jax.runs.beginning import check_files, files_of
+
+    if files := files_of([options.study, *options.overrides]):
+        check_files(files, options)
+        return 0
     from hsed_jax.config.load import load_trusted
 
     study = load_trusted(options.study, options.overrides, trust=options.trust)

@@ -50,6 +50,18 @@ def test_a_file_becomes_a_campaign_a_study_and_a_picture(wall, capsys):
     Built(load_study("wall/study.yaml")).check()
 
 
+def test_a_file_is_checked_and_nothing_is_written(wall, capsys):
+    before = sorted(wall.parent.iterdir())
+    assert main(["check", "wall.csv"]) == 0
+    checked = capsys.readouterr().out
+    assert sorted(wall.parent.iterdir()) == before
+    assert main(["init", "wall.csv"]) == 0
+    # What it says is what is said when the study is made.
+    assert checked.strip() and checked.strip() in capsys.readouterr().out
+    assert main(["check", "wall.csv", "--force", "nowhere"]) == 2
+    assert "nowhere" in capsys.readouterr().err
+
+
 def test_what_is_there_is_replaced_only_by_force_and_the_column_of_the_force_is_said_by_it(wall, capsys):
     assert main(["init", "wall.csv", "--split", "0"]) == 0
     assert main(["init", "wall.csv"]) == 2

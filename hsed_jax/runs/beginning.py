@@ -11,7 +11,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.plain import is_file, is_folder, stem_of
 
 if TYPE_CHECKING:
-    from hsed_jax.intake.beginning import Said
+    from hsed_jax.intake.beginning import Begun, Said
     from hsed_jax.measurements import Campaign
 
 _STUDIES = (".yaml", ".yml")
@@ -102,6 +102,28 @@ def _is_other(word: str) -> bool:
     return not is_file(path) and path.suffix.lower().lstrip(".") not in FORMATS
 
 
+def check_files(files: Sequence[Path], options: Any) -> "Begun":
+    """Read files, tell what was taken for what and what is doubtful, and write nothing.
+
+    Arguments:
+        files: of one specimen.
+        options: of the command line.
+
+    Raises:
+        UserError: the files do not tell what is needed, or the data have errors.
+    """
+    from hsed_jax.intake.beginning import begun
+    from hsed_jax.reporting.loops import sketch
+
+    made = begun(files, _said(options))
+    for line in (*made.taken, *(f"note: {note}" for note in made.notes)):
+        print(line)
+    _tell_findings(made.campaign, ", ".join(map(str, files[:3])))
+    if sys.stdout.isatty():
+        print(sketch(made.campaign))
+    return made
+
+
 def study_of_files(files: Sequence[Path], options: Any, output: str | None, *, resume: bool = False) -> Path:
     """Make the campaign and the study of files, and tell what was taken for what.
 
@@ -127,16 +149,10 @@ def study_of_files(files: Sequence[Path], options: Any, output: str | None, *, r
             "another --output of hsed init"
         )
     from hsed_jax.drafting.initial import text_of_study
-    from hsed_jax.intake.beginning import begun
     from hsed_jax.measurements import read_campaign, write_campaign
-    from hsed_jax.reporting.loops import loops_picture, sketch
+    from hsed_jax.reporting.loops import loops_picture
 
-    made = begun(files, _said(options))
-    for line in (*made.taken, *(f"note: {note}" for note in made.notes)):
-        print(line)
-    _tell_findings(made.campaign, ", ".join(map(str, files[:3])))
-    if sys.stdout.isatty():
-        print(sketch(made.campaign))
+    made = check_files(files, options)
     try:
         write_campaign(made.campaign, folder)
         campaign = read_campaign(folder)
@@ -230,7 +246,7 @@ def _frame(options: Any) -> Any:
 
 def _said(options: Any) -> "Said":
     """What the flags say of the files."""
-    from hsed_jax.intake.beginning import Said
+    from hsed_jax.intake.beginning import Begun, Said
     from hsed_jax.intake.choice import HELD_OUT
 
     given = {"elongation": options.elongation, "force": options.force_column, "time": options.time}
