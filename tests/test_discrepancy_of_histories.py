@@ -11,9 +11,9 @@ from hsed_jax.config.load import load_study
 from hsed_jax.criticism.compare import compare
 from hsed_jax.criticism.prediction import learned_misfit, predict
 from hsed_jax.errors import UserError
-from hsed_jax.inference.discrepancy_over_cycles import OverCycles, Products
+from hsed_jax.inference.discrepancy.cycles import OverCycles, Products
+from hsed_jax.inference.discrepancy.learning import course
 from hsed_jax.inference.fit import fit
-from hsed_jax.inference.learning_over_cycles import course
 from hsed_jax.inference.likelihood import Error, data_of
 from hsed_jax.inference.nuts import Settings
 from hsed_jax.inference.observation import stacked

@@ -13,7 +13,7 @@ from hsed_jax.config.load import load_study
 from hsed_jax.criticism.compare import compare
 from hsed_jax.criticism.prediction import Band, Prediction, learned_misfit, predict
 from hsed_jax.errors import UserError
-from hsed_jax.inference.discrepancy import Process, Support
+from hsed_jax.inference.discrepancy.inputs import Process, Support
 from hsed_jax.inference.fit import fit
 from hsed_jax.inference.likelihood import Error, data_of
 from hsed_jax.inference.nuts import Settings

@@ -299,11 +299,13 @@ class ShortfallOfHistories(NamedTuple):
 def _shortfall(fit: "Fit", data: Data) -> Shortfall | ShortfallOfHistories | None:
     if fit.discrepancy is None:
         return None
-    if fit.support is not None:
+    from hsed_jax.inference.discrepancy.inputs import Process
+    from hsed_jax.inference.discrepancy.predicting import OverCycles, shortfall
+
+    if isinstance(fit.discrepancy, Process):
+        assert fit.support is not None
         points = jnp.asarray(fit.support.cube(data.conditions.inputs))
         return Shortfall(fit.data, *map(np.asarray, fit.discrepancy.conditional(points)))
-    from hsed_jax.inference.predicting_over_cycles import OverCycles, shortfall
-
     assert isinstance(fit.discrepancy, OverCycles)
     return ShortfallOfHistories(*shortfall(fit.discrepancy, fit.posterior, fit.data, fit.maximum.u, data))
 

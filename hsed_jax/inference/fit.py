@@ -26,8 +26,8 @@ from hsed_jax.tables import Table, Tabular, cell
 
 if TYPE_CHECKING:
     # A calibration without a discrepancy loads no Gaussian process.
-    from hsed_jax.inference.discrepancies import Discrepancy
-    from hsed_jax.inference.discrepancy import Support
+    from hsed_jax.inference.discrepancy.base import AbstractDiscrepancy
+    from hsed_jax.inference.discrepancy.inputs import Support
 
 # Memory and worth of the samples are told from a residual, which depends on them a little.
 _ROUNDS, _SETTLED = 3, 0.02
@@ -63,7 +63,7 @@ class Fit(Tabular):
     p_value: float | None = None
     is_inflated: bool = False
     inflation: np.ndarray | None = None
-    discrepancy: "Discrepancy | None" = None
+    discrepancy: "AbstractDiscrepancy | None" = None
     support: "Support | None" = None
     possible: Mapping[str, Range] = field(default_factory=dict)
 
@@ -121,8 +121,8 @@ class Fit(Tabular):
         return f"the model does not explain the data {left}: {worth}"
 
     def discrepancy_summary(self) -> dict[str, dict[str, float]]:
-        """The discrepancy in numbers (`hsed_jax.inference.discrepancies.summary`)."""
-        from hsed_jax.inference.discrepancies import summary
+        """The discrepancy in numbers (`hsed_jax.inference.discrepancy.kinds.summary`)."""
+        from hsed_jax.inference.discrepancy.kinds import summary
 
         assert self.discrepancy is not None
         return summary(self.discrepancy, self.posterior, self.support)
@@ -264,7 +264,7 @@ def fit(
 
 def _read_back(
     posterior: Posterior, data: Data, kept: Sequence[np.ndarray], errors: Sequence[Error]
-) -> tuple[Posterior, Data, Maximum, "Discrepancy | None"]:
+) -> tuple[Posterior, Data, Maximum, "AbstractDiscrepancy | None"]:
     """What `_most_probable` found, from the arrays that were kept of it."""
     size = len(arrays_of(posterior.population))
     declared, rest = kept[0], kept[1 + size :]
@@ -273,7 +273,7 @@ def _read_back(
     weights, memory, *rest = map(jnp.asarray, rest)
     data, process = data._replace(weights=weights, memory=memory), None
     if any(error.discrepancy for error in errors):
-        from hsed_jax.inference.discrepancies import read_back
+        from hsed_jax.inference.discrepancy.kinds import read_back
 
         process, rest = read_back(posterior, rest)
         data = data._replace(decorrelation=process.whitening)
@@ -284,10 +284,10 @@ def _read_back(
 
 def _most_probable(
     posterior: Posterior, data: Data, points: Float[Array, "s p"], errors: Sequence[Error], support: "Support | None"
-) -> tuple[Posterior, Data, Maximum, "Discrepancy | None"]:
+) -> tuple[Posterior, Data, Maximum, "AbstractDiscrepancy | None"]:
     """The MAP, with what the samples are worth, the errors and the discrepancy that it was found with."""
     if any(error.discrepancy for error in errors):
-        from hsed_jax.inference.discrepancies import none_yet
+        from hsed_jax.inference.discrepancy.kinds import none_yet
 
         data = none_yet(posterior, data)
     maximum = maximise(posterior, data, points)
@@ -325,12 +325,12 @@ def _learned(
     maximum: Maximum,
     errors: Sequence[Error],
     support: "Support | None",
-    process: "Discrepancy | None",
-) -> "Discrepancy | None":
+    process: "AbstractDiscrepancy | None",
+) -> "AbstractDiscrepancy | None":
     """The discrepancy of the model with the most probable parameters, where the study asks for it."""
     if not any(error.discrepancy for error in errors):
         return None
-    from hsed_jax.inference.discrepancies import learned
+    from hsed_jax.inference.discrepancy.kinds import learned
 
     return learned(posterior, data, maximum.u, errors, support, process)
 

@@ -31,7 +31,7 @@ from hsed_jax.study.simulation import AbstractSimulation
 
 if TYPE_CHECKING:
     # A check of a study samples nothing, and need not wait for what does.
-    from hsed_jax.inference.discrepancy import Support
+    from hsed_jax.inference.discrepancy.inputs import Support
     from hsed_jax.inference.nuts import Settings
 
 # Inputs that represent their distribution: a simulation each.
@@ -162,7 +162,7 @@ class Inference:
         """
         if self.study.observe == "histories" or not self._has_discrepancy:
             return None
-        from hsed_jax.inference.discrepancy import Support
+        from hsed_jax.inference.discrepancy.inputs import Support
 
         space = self.experiments.space
 

@@ -26,6 +26,7 @@ its place $\kappa^2$ times the square of the part across J, κ² the least weigh
 with a power of its own in each direction (Chandler & Bate 2007), whose maximum is where squares are least wherever that is.
 """
 
+import math
 from typing import final
 
 import equinox as eqx
@@ -36,6 +37,7 @@ from jaxtyping import Array, Float
 from tinygp.kernels.quasisep import SHO
 from tinygp.solvers.quasisep.core import DiagQSM, LowerTriQSM, StrictLowerTriQSM, SymmQSM
 
+from hsed_jax.inference.discrepancy.base import AbstractDiscrepancy
 from hsed_jax.inference.likelihood import Data, whitened
 from hsed_jax.programs import program
 
@@ -77,7 +79,7 @@ class Splitting(eqx.Module):
 
 
 @final
-class OverCycles(eqx.Module):
+class OverCycles(AbstractDiscrepancy):
     """A discrepancy of histories, in units of the error.
 
     Attributes:
@@ -127,6 +129,11 @@ class OverCycles(eqx.Module):
     def whitening(self) -> Splitting:
         """What makes the residuals of the experiments independent, as far as parameters go."""
         return _splitting(self)
+
+    def reach(self, names: tuple[str, ...]) -> dict[str, dict[str, float]]:
+        """How long a `swing` takes and how long its `memory` is, in `cycles` of the response."""
+        swings, quality = float(self.swings), float(self.quality)
+        return {"cycles": {"swing": 1 / swings, "memory": quality / (math.pi * swings)}}
 
     def conditional(self, z: Float[Array, "n J"]) -> tuple[Float[Array, "n J"], Float[Array, "n J"]]:
         """By how much predictions of the same experiments at the MAP fall short, given their residuals z, and the variance of

@@ -28,6 +28,7 @@ from jax.scipy.linalg import cho_solve, solve_triangular
 from jaxtyping import Array, Bool, Float, PyTree
 
 from hsed_jax.inference.correlation_functions import LENGTH, LENGTH_SPREAD, correlation, log_prior_of_lengths
+from hsed_jax.inference.discrepancy.base import AbstractDiscrepancy
 from hsed_jax.inference.likelihood import Data, data_of
 from hsed_jax.inference.marginal import (
     LEAST_AMPLITUDE,
@@ -85,7 +86,7 @@ def none_of(data: Data) -> Whitening:
 
 
 @final
-class Process(eqx.Module):
+class Process(AbstractDiscrepancy):
     """A discrepancy over the inputs, in units of the error.
 
     Attributes:
@@ -113,6 +114,10 @@ class Process(eqx.Module):
     def whitening(self) -> Whitening:
         """What makes the residuals of the experiments independent."""
         return _whitening(self)
+
+    def reach(self, names: tuple[str, ...]) -> dict[str, dict[str, float]]:
+        """Its correlation `length` by input, in shares of the distribution of the input."""
+        return {"length": dict(zip(names, np.asarray(self.lengths).tolist(), strict=True))}
 
     def conditional(self, points: Float[Array, "m d"]) -> tuple[Float[Array, "mJ nJ"], Float[Array, "m J"]]:
         """What the residuals z of the experiments are multiplied with to give the mean of δ at other points, and its variance."""

@@ -1,4 +1,4 @@
-"""The discrepancy of calibrated histories: what `hsed_jax.inference.discrepancy_over_cycles` is made of, the most probable."""
+"""The discrepancy of calibrated histories: what `hsed_jax.inference.discrepancy.cycles` is made of, the most probable."""
 
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from hsed_jax.inference.discrepancy_over_cycles import OverCycles, Products
+from hsed_jax.inference.discrepancy.cycles import OverCycles, Products
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.marginal import (
     LEAST_AMPLITUDE,

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hsed_jax.inference.discrepancy_over_cycles import OverCycles
-from hsed_jax.inference.learning_over_cycles import course, sensitivities
+from hsed_jax.inference.discrepancy.cycles import OverCycles
+from hsed_jax.inference.discrepancy.learning import course, sensitivities
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.programs import program
