@@ -334,7 +334,8 @@ def table(rows: Sequence[dict[str, Any]], by: str | None = None) -> str:
         lines.append(
             f"| {label} | {len(own)} | {len(own) - len(seen)} | {' | '.join(shares)} | {alarms} | "
             f"{counts[0]} | {counts[1]} | {errors[0]:.3f} → {errors[1]:.3f} ({errors[2]:.3f}) | {raised} | "
-            f"{_share([c for row in own for c in row['covered']])} | {' | '.join(_of_curves(own))} | {np.median([row['seconds'] for row in own]):.0f} |"
+            f"{_share([c for row in own for c in row['covered']])} | {' | '.join(_of_curves(own))} | "
+            f"{np.median([row['seconds'] for row in own]):.0f} |"
         )
     return "\n".join(lines)
 

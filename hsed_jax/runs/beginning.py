@@ -246,7 +246,7 @@ def _frame(options: Any) -> Any:
 
 def _said(options: Any) -> "Said":
     """What the flags say of the files."""
-    from hsed_jax.intake.beginning import Begun, Said
+    from hsed_jax.intake.beginning import Said
     from hsed_jax.intake.choice import HELD_OUT
 
     given = {"elongation": options.elongation, "force": options.force_column, "time": options.time}
