@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr, create_model, field_validator, model_validator
+from pydantic import AfterValidator, Field, PrivateAttr, create_model, field_validator, model_validator
 
 from hsed_jax.config.excitation_entry import ExcitationEntry
 from hsed_jax.config.experiments import ExperimentsEntry
@@ -11,6 +11,7 @@ from hsed_jax.config.functions import FunctionEntry
 from hsed_jax.config.mechanics import AnyModelEntry, ModelEntry, SpecimenModelEntry, StructureEntry
 from hsed_jax.config.sections import ErrorsEntry, InputEntry, OwnLawEntry, Positive, Section
 from hsed_jax.errors import UserError
+from hsed_jax.inference.samplers import known_sampler
 from hsed_jax.measurements import Campaign
 from hsed_jax.measurements.findings import DoubtKind
 from hsed_jax.physics.names import of_each
@@ -93,7 +94,7 @@ class DesignEntry(Section):
 class CalibrationEntry(Section):
     """Sizes of the calibration: starts of the MAP; chains, adaptation and kept draws per chain of NUTS."""
 
-    sampler: Literal["auto", "nuts", "importance", "laplace"] = "auto"
+    sampler: Annotated[str, AfterValidator(known_sampler)] = "auto"
     """Importance sampling is as exact as NUTS and many times faster where it works, which it can tell; `auto` tries it first and
     leaves to NUTS what it cannot vouch for (of a model just improved it says so instead).  `laplace` is the Gaussian around the
     MAP, without sampling."""

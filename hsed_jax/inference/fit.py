@@ -19,6 +19,7 @@ from hsed_jax.inference.maximum import Maximum, maximise
 from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence
 from hsed_jax.inference.population import Varying
 from hsed_jax.inference.posterior import Posterior
+from hsed_jax.inference.samplers import SAMPLERS
 from hsed_jax.inference.sampling import draw
 from hsed_jax.inference.watch import Watch, arrays_of, fingerprint, tree_like
 from hsed_jax.programs import program
@@ -186,11 +187,7 @@ class Fit(Tabular):
             )
             for name, s in self.summary().items()
         ]
-        found = {
-            "nuts": "converged, no divergences",
-            "importance": "draws by importance sampling",
-            "laplace": "draws of the Gaussian around the MAP, not of the posterior",
-        }[self.chains.sampler]
+        found = SAMPLERS[self.chains.sampler].state
         state = f"warning: {self.warning}" if self.warning else found
         for level, parameters in self.levels().items():
             for name, about in parameters.items():

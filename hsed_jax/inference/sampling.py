@@ -17,6 +17,8 @@ from hsed_jax.inference.likelihood import LOG_2PI, Data
 from hsed_jax.inference.maximum import Maximum
 from hsed_jax.inference.nuts import Chains, Settings, convergence
 from hsed_jax.inference.posterior import Posterior
+from hsed_jax.inference.requested import Requested
+from hsed_jax.inference.samplers import SAMPLERS
 from hsed_jax.inference.watch import Watch
 
 # Fields of `Chains` that are arrays.
@@ -47,11 +49,13 @@ def draw(
         watch: follows NUTS.
         seconds: budget of NUTS; `doubt` says what it left undone.
     """
+    asked = Requested(posterior, data, maximum, step_size, key, settings, watch or Watch(), seconds)
     if not maximum.others:
-        return _of_one_mode(posterior, data, maximum, step_size, key, settings, watch, seconds)
+        return _of_one_mode(asked)
     of_order, *keys = jax.random.split(key, 1 + len(maximum.modes))
+    asked = asked._replace(seconds=seconds and seconds / len(keys))
     found = [
-        _of_one_mode(posterior, data, mode, step_size, of_mode, settings, watch, seconds and seconds / len(keys))
+        _of_one_mode(asked._replace(maximum=mode, key=of_mode))
         for mode, of_mode in zip(maximum.modes, keys, strict=True)
     ]
     return _mixed(found, maximum.shares, of_order)
@@ -92,41 +96,50 @@ def _mixed(found: list[Chains], shares: Float[np.ndarray, " modes"], key: PRNGKe
     )
 
 
-def _of_one_mode(
-    posterior: Posterior,
-    data: Data,
-    maximum: Maximum,
-    step_size: Float[Array, ""],
-    key: PRNGKeyArray,
-    settings: Settings,
-    watch: Watch | None,
-    seconds: float | None,
-) -> Chains:
-    first, second = jax.random.split(key)
-    number = settings.chains * settings.draws
-    if settings.sampler == "laplace":
-        u, height = _gaussian(maximum, first, number)
-        return _independent(posterior, u, height, step_size, settings, number)
-    watch = watch or Watch()
-    if settings.sampler in ("auto", "importance"):
-        random = _generator(first)
-        weights = weigh_around(posterior, data, maximum, number, random, watch)
-        if weights.reliable or settings.sampler == "importance":
-            u, height = resampled(weights, number, random)
-            by_weight = settings._replace(sampler="importance")
-            return _independent(posterior, u, height, step_size, by_weight, weights.worth)._replace(doubt=weights.doubt)
+def _of_one_mode(asked: Requested) -> Chains:
+    if asked.settings.sampler != "auto":
+        return SAMPLERS[asked.settings.sampler].draw(asked)
+    weights, random = _weighed(asked)
+    return _by_weights(asked, weights, random) if weights.reliable else by_nuts_or_gaussian(asked)
+
+
+def of_gaussian(asked: Requested) -> Chains:
+    """Draws of the Gaussian around the mode."""
+    u, height = _gaussian(asked.maximum, jax.random.split(asked.key)[0], asked.number)
+    settings = asked.settings._replace(sampler="laplace")
+    return _independent(asked.posterior, u, height, asked.step_size, settings, asked.number)
+
+
+def by_importance(asked: Requested) -> Chains:
+    """Draws by importance sampling, with a doubt where it cannot be relied on."""
+    return _by_weights(asked, *_weighed(asked))
+
+
+def by_nuts_or_gaussian(asked: Requested) -> Chains:
+    """Draws by NUTS; where the budget ends before there are enough to tell anything, those of the Gaussian around the mode."""
     # Whoever asked for them, they are the same programs.
-    of_nuts = settings._replace(sampler="nuts")
-    found = by_nuts(posterior, data, maximum, step_size, second, of_nuts, watch, seconds)
+    settings = asked.settings._replace(sampler="nuts")
+    key, seconds, planned = jax.random.split(asked.key)[1], asked.seconds, settings.draws
+    found = by_nuts(asked.posterior, asked.data, asked.maximum, asked.step_size, key, settings, asked.watch, seconds)
     made, budget = found.theta.shape[1], f"stopped by the budget of {seconds} s (calibration.seconds)"
-    if made == settings.draws:
+    if made == planned:
         return found
-    if made >= min(_TELLING, settings.draws):
-        return found._replace(doubt=f"{budget} after {made} of {settings.draws} draws")
-    u, height = _gaussian(maximum, first, number)
-    gaussian = _independent(posterior, u, height, step_size, settings._replace(sampler="laplace"), number)
+    if made >= min(_TELLING, planned):
+        return found._replace(doubt=f"{budget} after {made} of {planned} draws")
     instead = f"{budget} before there were draws of the posterior: these are of the Gaussian around the MAP"
-    return gaussian._replace(doubt=instead)
+    return of_gaussian(asked)._replace(doubt=instead)
+
+
+def _weighed(asked: Requested) -> tuple[Weighted, np.random.Generator]:
+    random = _generator(jax.random.split(asked.key)[0])
+    return weigh_around(asked.posterior, asked.data, asked.maximum, asked.number, random, asked.watch), random
+
+
+def _by_weights(asked: Requested, weights: Weighted, random: np.random.Generator) -> Chains:
+    u, height = resampled(weights, asked.number, random)
+    settings = asked.settings._replace(sampler="importance")
+    found = _independent(asked.posterior, u, height, asked.step_size, settings, weights.worth)
+    return found._replace(doubt=weights.doubt)
 
 
 def weigh_around(
