@@ -8,6 +8,7 @@ import pytest
 from hsed_jax.config.load import load_study
 from hsed_jax.diagnosis import batch as module
 from hsed_jax.diagnosis.batch import Batch, Part
+from hsed_jax.inference.observation import Outputs
 from hsed_jax.measurements import Campaign
 from hsed_jax.physics.effects import EFFECTS as CATALOGUE
 from hsed_jax.physics.parameters import parameters_of
@@ -142,3 +143,7 @@ def test_a_history_is_simulated_as_far_as_it_is_asked_for(is_short):
     # Later ones were not made.
     late = np.arange(found.shape[1]) > asked.max() + 40
     assert np.ptp(found[:, late], axis=1).max() == 0 and np.ptp(expected[::2, late], axis=1).min() > 0
+    # A program that calls back into Python could not be kept for the next process.
+    model, lanes = Outputs(built.simulation.simulator, built.inference.observation, names), jnp.asarray(experiments)
+    lowered = module._outputs.lower(model, data.conditions, jnp.asarray(thetas), lanes, jnp.asarray(9), jnp.full(9, 40))
+    assert "callback" not in lowered.as_text()

@@ -202,10 +202,10 @@ def integrate(
         RungeKutta4(forcing, step_length, channels),
         t0=0.0,
         t1=float(steps) if stop is None else stop.astype(float),
-        dt0=1.0,
+        dt0=None,
         y0=Progress(still, begin, system.channels(still, sample, channels)),
         args=(system, sample, 0.0),
-        stepsize_controller=diffrax.ConstantStepSize(),
+        stepsize_controller=_StepsOfOne(),
         saveat=diffrax.SaveAt(subs=_saves({name: _place(system, name) for name in names}, channels, every)),
         adjoint=diffrax.ForwardMode() if adjoint is None else adjoint,
         max_steps=steps,
@@ -220,6 +220,20 @@ def integrate(
     values = {name: kept[-1] for name, kept in solution.ys["end"].items()}
     finite = jnp.isfinite(sum(jnp.abs(value) for value in values.values()))
     return Response(values, histories, finite & (system.steepness(forcing, step_length) < RESOLVED))
+
+
+class _StepsOfOne(diffrax.ConstantStepSize):
+    """Steps of one.
+
+    A first step that is given to diffrax itself is compared with the end of the integration by a call back into Python where
+    that end is an operand, and such a program cannot be kept.
+    """
+
+    def init(
+        self, terms: PyTree, t0: Any, t1: Any, y0: PyTree, dt0: Any, args: Any, func: Any, error_order: Any
+    ) -> Any:
+        """The end of the first step, and the state of the controller."""
+        return super().init(terms, t0, t1, y0, jnp.ones_like(t1), args, func, error_order)
 
 
 def _vector_field(number: Any, progress: Progress, args: Any) -> Progress:
