@@ -71,6 +71,7 @@ def test_what_a_specimen_does_is_drawn_where_it_differs_and_said():
     assert found.sentence == (
         "initial stiffness falls from 3 to 1 MN/m with the absorbed energy (90 %: 0.9 to 1.1); strength stays within 1 %"
     )
+    assert "initial stiffness [MN/m]" in str(found) and "the absorbed energy (0.97)" in str(found)
     picture = behaviour_figures.behaviour(found)
     assert picture is not None
     drawn = [axis for axis in picture.figure.axes if axis.get_lines()]

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from hsed_jax.physics import display
 from hsed_jax.physics.names import own_name
 from hsed_jax.physics.pairs import ELONGATION_AND_FORCE, Pair
+from hsed_jax.tables import Table, Tabular, cell
 
 QUANTITIES = {
     "initial_stiffness": ("initial stiffness", "N/m"),
@@ -108,8 +109,8 @@ class ProbedCurve(NamedTuple):
     q95: Float[np.ndarray, " places"]
 
 
-@dataclass(frozen=True)
-class Behaviours:
+@dataclass(frozen=True, repr=False)
+class Behaviours(Tabular):
     """What a specimen does, and how that was seen.
 
     Attributes:
@@ -140,6 +141,22 @@ class Behaviours:
         ]
         return "; ".join(said)
 
+    def _table(self) -> Table:
+        rows = []
+        for one in self.changes:
+            divisor, unit = _shown(one, self.pair)
+            first, last, low, high = (
+                cell(value / divisor, ".3g")
+                for value in (one.before.mean, one.after.mean, one.after.q05, one.after.q95)
+            )
+            side = "" if one.sides == "both" else f" in {one.sides}"
+            owner = f"{one.specimen}: " if one.specimen else ""
+            by = ", ".join(f"{DRIVERS[driver]} ({share:.2f})" for driver, share in one.drivers.items())
+            words = QUANTITIES[one.quantity][0] + side + (f" [{unit}]" if unit else "")
+            rows.append((f"{owner}{words}", one.change, first, last, f"{low} to {high}", by or "–"))
+        heads = ("quantity", "change", "virgin", "after the test", "90 %", "with")
+        return Table(self.sentence or "no quantity changes", heads, rows, [])
+
 
 # Changes of a sentence.
 _SAID = 3
@@ -149,10 +166,10 @@ _FURTHER = ("unloading_stiffness", "reloading_stiffness", "post_yield_stiffness"
 
 def told(one: Behaviour, pair: Pair) -> str:
     """A behaviour in words, in the units in which the specimen is shown."""
-    words, unit = QUANTITIES[one.quantity]
+    words = QUANTITIES[one.quantity][0]
     side = "" if one.sides == "both" else f" in {one.sides}"
     owner = f"{one.specimen}: " if one.specimen else ""
-    divisor, shown = display.shown_in(pair, unit, np.asarray([*one.before, *one.after])) if unit != "1" else (1.0, "")
+    divisor, shown = _shown(one, pair)
     number = lambda value: f"{value / divisor:.3g}"  # noqa: E731
     interval = f"(90 %: {number(one.after.q05)} to {number(one.after.q95)})"
     by = f" with {DRIVERS[next(iter(one.drivers))]}" if one.drivers else ""
@@ -163,3 +180,9 @@ def told(one: Behaviour, pair: Pair) -> str:
         return f"{owner}friction of {number(one.after.mean)}{unit_text}, the same at every speed, is added {interval}"
     ends = f"from {number(one.before.mean)} to {number(one.after.mean)}{unit_text}"
     return f"{owner}{words}{side} {one.change} {ends}{by} {interval}"
+
+
+def _shown(one: Behaviour, pair: Pair) -> tuple[float, str]:
+    """Divisor and unit in which a behaviour is shown; no unit of a ratio."""
+    unit = QUANTITIES[one.quantity][1]
+    return (1.0, "") if unit == "1" else display.shown_in(pair, unit, np.asarray([*one.before, *one.after]))
