@@ -49,6 +49,8 @@ _EXPERIMENTS = {"shaken": (6, 4), "component": (6, 4), "quantities": (20, 6)}
 _MIXTURES = 4
 # Quantities whose curves are judged: those that every specimen has.
 _JUDGED = ("initial_stiffness", "unloading_stiffness+", "unloading_stiffness-", "strength+", "strength-", "rate_force")
+# No specimen has so many times the strength of the law.
+_FAR = 100.0
 # A curve is right that is off by less, over its largest value.
 _CURVE = 0.1
 # What is left with this probability is noise.
@@ -254,7 +256,11 @@ def behaviour(found: Diagnosis, visited: Range, case: Case, truth: dict[str, Any
         histories.rate,
         histories.lengths,
     )
-    hidden = probed(histories, force, np.isfinite(force).all(axis=1)).quantities
+    # Its own steps may be too long for a hidden formula, which then goes to infinity.
+    is_fine = np.all(np.abs(force) < _FAR * plan.A / plan.beta, axis=1)
+    if not is_fine.all():
+        return None
+    hidden = probed(histories, force, is_fine).quantities
     strength = np.nanmax(hidden["strength+"])
     judged = {}
     for name in _JUDGED:
