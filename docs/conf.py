@@ -1,10 +1,8 @@
 """The documentation site: `python -m sphinx -W --keep-going -b html docs site`.
 
-The lessons in `notebooks/` are executed while the site is built.  `HSED_LESSONS=off` leaves that out, for a quick look at the
-pages; any other value is an execution mode of MyST-NB (`force`, the default, or `cache`).
+The notebooks are pages with the outputs that they hold; `.ci/notebooks.py` executes them and compares.
 """
 
-import os
 import sys
 from importlib.metadata import version as version_of
 from pathlib import Path
@@ -13,7 +11,7 @@ HERE = Path(__file__).parent
 # Beside this file live the two extensions of the site's own.
 sys.path.insert(0, str(HERE))
 
-# The lessons are pages as they are.  Through the link they also run where they are, so that their relative paths hold.
+# The notebooks are pages as they are.
 lessons = HERE / "lessons"
 if not lessons.is_symlink() and (HERE.parent / "notebooks").is_dir():
     lessons.symlink_to(Path("..") / "notebooks", target_is_directory=True)
@@ -32,21 +30,16 @@ extensions = [
     "docstrings",
     "commands",
 ]
-# Python files are pages among the lessons alone, which begin with a number; what a lesson writes beside them is none.
-exclude_patterns = ["*.py", "paper", "lessons/[!0-9]*", "lessons/*.ipynb"]
+# What a notebook writes beside the notebooks is no page.
+exclude_patterns = ["*.py", "paper", "lessons/[!0-9]*"]
 templates_path = ["_templates"]
 highlight_language = "none"
 
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 
-nb_custom_formats = {".py": ["jupytext.reads", {"fmt": "py:percent"}]}
-nb_execution_mode = os.environ.get("HSED_LESSONS", "force")
-nb_execution_timeout = 1800
-nb_execution_raise_on_error = True
+nb_execution_mode = "off"
 nb_merge_streams = True
-# Without execution nobody says in which language a lesson is.
-suppress_warnings = ["myst-nb.lexer"]
 
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"

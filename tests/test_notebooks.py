@@ -1,9 +1,11 @@
-"""The lessons are sound scripts: title, cells, no outputs, and every file and name that they use exists.
+"""The notebooks are sound: title, cells, every file and name that they use; the text form of each is the notebook.
 
-They are executed, with errors raised, when the documentation is built.
+`.ci/notebooks.py` executes them and compares what comes out with what they show.
 """
 
 import ast
+import importlib.util
+import json
 import re
 from pathlib import Path
 
@@ -12,7 +14,7 @@ import pytest
 import hsed_jax as hx
 
 FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
-LESSONS = sorted(FOLDER.glob("*.py"))
+LESSONS = sorted((FOLDER / "text").glob("*.py"))
 
 
 def cells(text):
@@ -59,10 +61,61 @@ def test_a_lesson_is_sound(path):
     assert faults(text) == []
 
 
-def test_there_are_lessons_and_no_outputs_beside_them():
-    assert len(LESSONS) >= 4
-    assert not list(FOLDER.glob("*.ipynb"))
+def notebook(path):
+    return json.loads((FOLDER / f"{path.stem}.ipynb").read_text(encoding="utf-8"))
+
+
+def plain(is_text, lines):
+    """The lines of a cell of a percent script as a notebook holds them."""
+    return [line.removeprefix("#").removeprefix(" ") for line in lines] if is_text else lines
+
+
+@pytest.mark.parametrize("path", LESSONS, ids=lambda path: path.stem)
+def test_a_notebook_has_the_cells_of_its_text_form_and_their_outputs(path):
+    kept = notebook(path)["cells"]
+    shown = [(c["cell_type"] == "markdown", "".join(c["source"]).strip().splitlines()) for c in kept]
+    assert shown == [(is_text, plain(is_text, lines)) for is_text, lines in cells(path.read_text(encoding="utf-8"))]
+    code = [c for c in kept if c["cell_type"] == "code"]
+    # It was executed from its first cell to its last, and no cell failed.
+    assert [c["execution_count"] for c in code] == list(range(1, len(code) + 1))
+    outputs = [output for c in code for output in c["outputs"]]
+    assert outputs and all(output["output_type"] != "error" for output in outputs)
+
+
+def test_every_notebook_has_a_text_form_and_is_small():
+    assert [path.stem for path in sorted(FOLDER.glob("*.ipynb"))] == [path.stem for path in LESSONS]
     assert all(re.fullmatch(r"\d\d_[a-z_]+", path.stem) for path in LESSONS)
+    assert max(path.stat().st_size for path in FOLDER.glob("*.ipynb")) < 600_000
+
+
+def test_the_first_notebook_goes_from_a_file_to_a_named_effect_in_ten_cells():
+    kept = notebook(LESSONS[0])["cells"]
+    assert len(kept) <= 10
+    said = json.dumps([c.get("outputs", []) for c in kept])
+    assert "missing_effects: missing is strength_degradation" in said
+
+
+def difference(printed, shown):
+    spec = importlib.util.spec_from_file_location("same", FOLDER.parent / ".ci" / "same.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.difference(printed, shown)
+
+
+@pytest.mark.parametrize(
+    ("printed", "shown", "differs"),
+    [
+        ("error 0.263 to 0.050", "error 0.262 to 0.0501", False),
+        ("p = 1.0e-05", "p = 9e-06", False),  # below what is told apart
+        ("error 0.263", "error 0.30", True),
+        ("A 4.998e+05", "A 3.9e+05", True),
+        ("missing is slip", "missing is pinching", True),
+        ("missing is slip", "missing is slip and pinching", True),
+        ("A   1.0   2.0", "A 1.0 2.0", False),
+    ],
+)
+def test_outputs_are_compared_by_words_and_rounded_numbers(printed, shown, differs):
+    assert (difference(printed, shown) is not None) == differs
 
 
 @pytest.mark.parametrize(
@@ -79,6 +132,6 @@ def test_there_are_lessons_and_no_outputs_beside_them():
     ],
 )
 def test_the_check_can_fail(old, new, fault):
-    text = (FOLDER / "01_paper.py").read_text(encoding="utf-8")
+    text = (FOLDER / "text" / "01_paper.py").read_text(encoding="utf-8")
     assert old in text
     assert any(fault in found for found in faults(text.replace(old, new, 1)))
