@@ -13,6 +13,7 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.stats import gennorm
 
+from hsed_jax.analysis import form_curves
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
@@ -27,7 +28,6 @@ from hsed_jax.physics.sensors import measured
 from hsed_jax.physics.simulator import Conditions, Recorded, Timeline
 from hsed_jax.reporting.catalogue import entry
 from hsed_jax.reporting.formulas import in_text
-from hsed_jax.study import form_curves
 from hsed_jax.study.build import Built
 
 F, U, V, E = SCALES = Scales(force=1.2e5, elongation=0.25, rate=1.5, energy=2e4)

@@ -16,8 +16,8 @@ from hsed_jax.runs.reading import read_run
 ROWS, SAMPLES = 50_000, 100
 STIFFNESS, STRENGTH, CUBIC = 2e7, 1e5, 5e7  # N/m, N, N/m³
 FIGURES = {
-    "band_parts", "before_after", "cycles", "error_fall", "error_table", "overlay_W1", "overlay_W2", "parameters_before_after",
-    "posterior", "ranking", "residual_coordinates",
+    "band_parts", "before_after", "behaviour", "cycles", "error_fall", "error_table", "overlay_W1", "overlay_W2",
+    "parameters_before_after", "posterior", "ranking", "residual_coordinates",
 }  # fmt: skip
 
 

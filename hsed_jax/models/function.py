@@ -83,7 +83,7 @@ class FunctionModel(AbstractModel):
         """
         known: dict[str, Any] = dict(conditions.inputs)
         if conditions.recorded is not None:
-            forcing, lengths, _ = conditions.recorded
+            forcing, lengths, *_ = conditions.recorded
             assert isinstance(forcing, Tabulated)
             known["time"] = jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.asarray(lengths))])
             # Its samples are on half steps.
