@@ -106,12 +106,15 @@ class ByPolynomials:
         self._columns = [names.index(f"learned.{name}") for name in POWERS]
 
     def __call__(
-        self, thetas: Float[np.ndarray, "L P"], experiments: Int[np.ndarray, " L"]
+        self,
+        thetas: Float[np.ndarray, "L P"],
+        experiments: Int[np.ndarray, " L"],
+        samples: Int[np.ndarray, " L"] | None = None,
     ) -> tuple[Float[np.ndarray, "L J"], Float[np.ndarray, " L"]]:
-        """Outputs, and whether each lane converged."""
+        """As those of `hsed_jax.diagnosis.batch.Batch`."""
         thetas = thetas.copy()
         thetas[:, self._columns] = powers_of(thetas[:, self._columns])
-        return self._lanes(thetas, experiments)
+        return self._lanes(thetas, experiments, samples)
 
 
 def learned(strength: Float[np.ndarray, "m m"], along: Float[np.ndarray, " m"], place: Place) -> Learned:
