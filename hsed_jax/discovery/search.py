@@ -82,7 +82,7 @@ class Fitted:
         hessian[own, own] -= _SPREAD**2
         across, inner = hessian[np.ix_(own, law)], hessian[np.ix_(law, law)] + 1e-9 * np.eye(len(law))
         strength = hessian[np.ix_(own, own)] - across @ np.linalg.solve(inner, across.T)
-        strength = 0.5 * (strength + strength.T) / np.outer(self._scale, self._scale)
+        strength = _without_negative(0.5 * (strength + strength.T) / np.outer(self._scale, self._scale))
         # At the optimum the pull of the data is that of the prior.
         return strength, strength @ self.coefficients + self.coefficients / self.deviations**2
 
@@ -227,6 +227,12 @@ class PlaceSearch:
 
     def _judged_by(self, predicted: np.ndarray) -> Target:
         return self._problem.train.standard(predicted, self._folds.fitted).target
+
+
+def _without_negative(strength: np.ndarray) -> np.ndarray:
+    """A matrix of information: differences at a fit that has not ended leave directions of less than none, which count as none."""
+    values, vectors = np.linalg.eigh(strength)
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
 
 def flat(problem: Problem, priors: Mapping[str, Prior]) -> Box:
