@@ -230,7 +230,7 @@ class PlaceSearch:
 
 
 def _without_negative(strength: np.ndarray) -> np.ndarray:
-    """A matrix of information: differences at a fit that has not ended leave directions of less than none, which count as none."""
+    """A matrix of information: differences at a fit that has not ended leave directions of less than none, which are none."""
     values, vectors = np.linalg.eigh(strength)
     return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
