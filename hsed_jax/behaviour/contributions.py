@@ -9,7 +9,6 @@ What is neither changes the hysteresis.  Then quantities of the loops differ, an
 history is predicted from its neighbours along one driver (predictivity, one less the relative squared error).
 """
 
-import itertools
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -82,7 +81,8 @@ def contribution(
     is_read = np.isfinite(probed[0].quantities["strength+"]) & np.isfinite(probed[1].quantities["strength+"])
     weight *= is_read[:, None]
     # Where a leg comes to its speed, the rate is of no class.
-    weight *= np.abs(v) >= 0.999 * _speed_of_leg(v)
+    is_steady = np.pad(np.abs(np.diff(v, axis=1)) < 1e-3 * np.abs(v[:, 1:]), ((0, 0), (1, 1)))
+    weight *= is_steady[:, :-1] | is_steady[:, 1:]
     used = weight > 0
     x, rates, w = u[used] / np.abs(u).max(), v[used], weight[used]
     apart = (force[0] - force[1])[used]
@@ -116,13 +116,13 @@ def _predictivity(values: np.ndarray, driver: np.ndarray) -> float:
 
 
 def _changes(own: Probed, without: Probed, amplitude: float) -> dict[str, np.ndarray]:
-    found = {}
     strength = np.nanmean(np.abs(without.quantities["strength+"]))
+    scales = {"strength": strength, "force": strength, "play": amplitude}
+    found = {}
     for name, values in own.quantities.items():
-        before = without.quantities[name]
-        kind = name.rstrip("+-").rsplit("_", 1)[-1]
-        scale = {"stiffness": np.nanmean(np.abs(before)), "strength": strength, "force": strength, "play": amplitude}
-        found[name] = (values - before) / max(scale.get(kind, 1.0), 1e-300)
+        before, kind = without.quantities[name], name.rstrip("+-").rsplit("_", 1)[-1]
+        scale = np.nanmean(np.abs(before)) if kind == "stiffness" else scales.get(kind, 1.0)
+        found[name] = (values - before) / max(scale, 1e-300)
     return found
 
 
@@ -140,15 +140,3 @@ def _edges(rates: np.ndarray) -> np.ndarray:
     """Between different rates: legs have few."""
     values = np.unique(np.round(rates, 6))
     return np.concatenate([values - 5e-7, values[-1:] + 5e-7])
-
-
-def _speed_of_leg(v: np.ndarray) -> np.ndarray:
-    """The largest speed around each sample until it is at rest."""
-    speed = np.abs(v)
-    found = np.empty_like(speed)
-    for row, out in zip(speed, found, strict=True):
-        starts = np.flatnonzero(row == 0)
-        bounds = np.concatenate([[0], starts, [len(row)]])
-        for first, last in itertools.pairwise(bounds):
-            out[first:last] = row[first:last].max() if last > first else 0.0
-    return np.where(found > 0, found, 1.0)

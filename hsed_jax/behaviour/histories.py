@@ -13,10 +13,13 @@ is smooth, and a force that depends on the rate shows as a jump.
 import itertools
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+
+from hsed_jax.measurements.turns import half_cycles
 
 # Shares of the time of a leg: it comes to its speed, and its force is followed closely; each has an eighth of the steps.
 _RAMP, _CLOSE = 0.01, 0.04
@@ -28,8 +31,6 @@ _AMPLITUDES, _SPEEDS = (0.1, 1.0), (0.1, 1.0)
 _MOST = 200
 # Steps of a leg at least, and of a rest at most; one of a rest is this share of the time that the largest elongation takes.
 _LEAST, _RESTING, _REST_STEP = 32, 240, 0.1
-# An elongation turns where it goes back by this share of its largest.
-_TURN = 0.03
 # Places along the path of a test.
 PLACES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
@@ -85,17 +86,9 @@ class _Leg(NamedTuple):
 
 
 def range_of(elongation: Float[np.ndarray, " n"], rate: float, has_time: bool = True) -> Range:
-    """What a record of the elongation visited [m]; it turns where it goes back by more than its noise may."""
-    u = elongation[np.isfinite(elongation)]
-    back = _TURN * float(np.abs(u).max(initial=0.0))
-    turns, extreme, way = [0.0], 0.0, 0.0
-    for value in u.tolist():
-        if way * (value - extreme) > 0 or (way == 0 and abs(value) > back):
-            way, extreme = np.sign(value - turns[-1]), value
-        elif way * (extreme - value) > back:
-            turns.append(extreme)
-            way, extreme = -way, value
-    return Range(np.asarray([*turns, extreme]), rate, has_time)
+    """What a record of the elongation visited, from zero on [m]."""
+    u = np.concatenate([[0.0], elongation[np.isfinite(elongation)]])
+    return Range(u[half_cycles(u)], rate, has_time)
 
 
 def over_the_range(visited: Range, step: float, count: int = 32) -> Histories:
@@ -188,13 +181,19 @@ def _course(leg: _Leg) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     if leg.start == leg.end:
         still = np.full(2 * leg.steps, leg.start)
         return still, np.zeros(2 * leg.steps), np.full(leg.steps, leg.duration / leg.steps)
-    shares = [0.0, _RAMP, _CLOSE, 1 - _CLOSE, 1 - _RAMP, 1.0]
-    nodes = np.interp(np.arange(leg.steps + 1), leg.steps * np.asarray([0, 1, 2, 6, 7, 8]) / 8, shares)
-    at = np.sort(np.concatenate([nodes, 0.5 * (nodes[1:] + nodes[:-1])]))[1:]
-    speed = np.clip(np.minimum(at, 1 - at) / _RAMP, 0.0, 1.0)
-    passed = np.where(at < 0.5, _ramped(at), (1 - _RAMP) - _ramped(1 - at)) / (1 - _RAMP)
+    nodes, passed, speed = _unit_leg(leg.steps)
     size = leg.end - leg.start
     return leg.start + size * passed, size / (leg.duration * (1 - _RAMP)) * speed, leg.duration * np.diff(nodes)
+
+
+@lru_cache(256)
+def _unit_leg(steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A leg from 0 to 1 in a time of 1: the ends of its steps; the way and the share of the speed at their middles and ends."""
+    shares = [0.0, _RAMP, _CLOSE, 1 - _CLOSE, 1 - _RAMP, 1.0]
+    nodes = np.interp(np.arange(steps + 1), steps * np.asarray([0, 1, 2, 6, 7, 8]) / 8, shares)
+    at = np.sort(np.concatenate([nodes, 0.5 * (nodes[1:] + nodes[:-1])]))[1:]
+    speed = np.clip(np.minimum(at, 1 - at) / _RAMP, 0.0, 1.0)
+    return nodes, np.where(at < 0.5, _ramped(at), (1 - _RAMP) - _ramped(1 - at)) / (1 - _RAMP), speed
 
 
 def _ramped(share: np.ndarray) -> np.ndarray:

@@ -140,9 +140,7 @@ def _hysteretic(found: Contribution) -> Trait | None:
     whole = ("unloading_stiffness+", "unloading_stiffness-")
     sides = ("strength+", "strength-")
     stiffness, strength, middle = found.mean(*whole), found.mean(*sides), found.mean("initial_stiffness")
-    apart = max(
-        (0.5 * abs(found.mean(plus) - found.mean(minus)) for plus, minus in (whole, sides)),
-    )
+    apart = max(0.5 * abs(found.mean(plus) - found.mean(minus)) for plus, minus in (whole, sides))
     if apart > max(abs(stiffness), abs(strength)):
         return Trait("strength", "differs", "sign", ("asymmetry",))
     if abs(strength) >= max(abs(stiffness), PRACTICAL) and strength > 0:

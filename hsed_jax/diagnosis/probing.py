@@ -10,10 +10,10 @@ from jaxtyping import Float
 
 from hsed_jax.behaviour.contributions import Contribution, contribution, dependence
 from hsed_jax.behaviour.findings import QUANTITIES, Behaviour, Behaviours, ProbedCurve, Value, told
-from hsed_jax.behaviour.histories import PLACES, Histories, Range, along_the_test, over_the_range
+from hsed_jax.behaviour.histories import PLACES, Range, along_the_test, over_the_range
 from hsed_jax.behaviour.names import PRACTICAL, Trait, called, trait
 from hsed_jax.behaviour.probes import probed
-from hsed_jax.behaviour.specimens import Answers, alone, answers, longest_step, spring_effects
+from hsed_jax.behaviour.specimens import alone, answers, longest_step, spring_effects
 from hsed_jax.diagnosis.evidence import Sampled
 from hsed_jax.diagnosis.fits import Model, Set
 from hsed_jax.diagnosis.problem import Problem
@@ -183,21 +183,17 @@ class Probe(NamedTuple):
         histories = over_the_range(self.visited, self._step(draws[0], element))
         models = [{**draw, **absent} for draw in draws for absent in ({}, *map(self._absent, own))]
         answered = answers(self._specimen(model, element), models, histories)
+        each = enumerate(zip(answered.force, answered.ok, strict=True))
+        read = {number: probed(histories, force, ok) for number, (force, ok) in each if ok.any()}
         found: dict[str, list[Contribution]] = {}
         for first in range(0, len(models), 1 + len(own)):
-            for number, effect in enumerate(own, start=1):
-                rows = [first, first + number]
-                if (one := self._difference(histories, Answers(*(part[rows] for part in answered)))) is not None:
+            for number, effect in enumerate(own, start=first + 1):
+                pair = [first, number]
+                if answered.ok[pair].all(axis=0).sum() >= _ENOUGH:
+                    both = read[first], read[number]
+                    one = contribution(histories, answered.force[pair], both, self.visited.rate)
                     found.setdefault(effect, []).append(one)
         return found
-
-    def _difference(self, histories: Histories, both: Answers) -> Contribution | None:
-        ok = both.ok.all(axis=0)
-        if ok.sum() < _ENOUGH:
-            return None
-        force = np.where(ok[:, None], both.force, 0.0)
-        read = (probed(histories, force[0], ok), probed(histories, force[1], ok))
-        return contribution(histories, force, read, self.visited.rate)
 
     # Models as specimens.
 
