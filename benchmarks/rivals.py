@@ -130,8 +130,8 @@ def large(test: str, seed: int) -> Large:
     )
     forms = {effect: next(iter(problem.effects[effect].values())) for effect in effects}
 
-    def lanes(thetas, candidates):
-        return problem.models.batch(thetas, candidates + problem.rows)
+    def lanes(thetas, candidates, samples=None):
+        return problem.models.batch(thetas, candidates + problem.rows, samples)
 
     columns, held = ({e: getattr(form, what) for e, form in forms.items()} for what in ("columns", "held"))
     found = Large(lanes, problem.models.within(problem.models.box, lanes), problem.law, columns, held, cube, kind.noise)
