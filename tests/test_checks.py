@@ -307,7 +307,7 @@ def test_a_force_that_is_not_simultaneous_is_doubted_without_a_time(samples, wor
 def test_a_lag_is_told_in_seconds_where_there_is_a_time_and_a_viscous_lead_is_no_fault():
     (found,) = [f for f in check_campaign(in_mm(shifted(loop(ELASTIC, noise=0.1), 4), 100.0)) if f.kind != "offset"]
     assert found.kind == "timing" and " s would explain it" in found.message
-    assert check_campaign(in_mm(shifted(loop(ELASTIC, noise=0.1), -4), 100.0)) == []
+    assert [f for f in check_campaign(in_mm(shifted(loop(ELASTIC, noise=0.1), -4), 100.0)) if f.kind != "offset"] == []
 
 
 def test_negative_work_that_a_lag_explains_is_told_so():
@@ -361,7 +361,9 @@ def test_one_loading_branch_has_no_hysteresis(path):
         "through zero": np.linspace(-0.02, 0.02, 40),
         "back to zero": np.concatenate([-way[::-1], way]),
     }[path]
-    (found,) = check_campaign(in_mm({"elongation": u, "force": 1e4 * np.tanh(200 * u)}))
+    *others, found = check_campaign(in_mm({"elongation": u, "force": 1e4 * np.tanh(200 * u)}))
+    # Two of them begin loaded.
+    assert [f.kind for f in others] == ["offset"] * int(u[0] < 0)
     assert found.kind == "monotonic" and "no hysteresis to identify" in found.message
 
 

@@ -59,7 +59,7 @@ def points(count: int = 200) -> SpringPoint:
         "fatigue": np.abs(du) * travel,
         "reversals": np.floor(travel) + 0.37,  # between numbers: an onset at one has no derivative
     }
-    bristled = ("coulomb_friction", "stribeck_friction", "hardening")
+    bristled = ("coulomb_friction", "stribeck_friction", "kinematic_hardening")
     for state in ("relaxing", "plastic", *(f"{name}_{own}" for name in bristled for own in ("bristle", "foot"))):
         memory |= {state: draw.normal(scale=1e5 if state == "relaxing" else 0.5, size=count)}
     return SpringPoint(

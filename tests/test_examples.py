@@ -24,7 +24,8 @@ FOUND = {
 def laboratory(tmp_path, monkeypatch):
     """The files that examples read: a test in one file, the same as a campaign, a ground motion, a study."""
     monkeypatch.chdir(tmp_path)
-    drift = np.concatenate([a * np.sin(np.linspace(0, 2 * np.pi, 81)[1:]) for a in (2.0, 4.0, 6.0, 8.0, 10.0, 12.0)])
+    cycles = [a * np.sin(np.linspace(0, 2 * np.pi, 81)[1:]) for a in (2.0, 4.0, 6.0, 8.0, 10.0, 12.0)]
+    drift = np.concatenate([[0.0], *cycles])
     force = 10 * np.clip(drift, -3 + drift / 10, 3 + drift / 10)
     pd.DataFrame({"drift (mm)": drift, "force (kN)": force}).to_csv("wall.csv", index=False)
     header = (

@@ -53,7 +53,7 @@ def state(count: int = 60) -> dict:
     found |= {"largest_elongation": np.abs(u) * draw.uniform(1, 3, count)}
     found |= {f"largest_{side}": np.abs(draw.normal(scale=U, size=count)) for side in ("tension", "compression")}
     found |= {"plastic": draw.normal(scale=0.5 * U, size=count)}
-    for name in ("coulomb_friction", "stribeck_friction", "hardening"):
+    for name in ("coulomb_friction", "stribeck_friction", "kinematic_hardening"):
         found |= {f"{name}_bristle": draw.uniform(-1, 1, count), f"{name}_foot": draw.normal(scale=0.6 * U, size=count)}
     found |= {"relaxing": draw.normal(scale=F, size=count)}
     found |= {"fatigue": draw.exponential(U * E / F, count)}
@@ -134,11 +134,6 @@ def dragged(p, s):
 def dragged_less(p, s):
     fallen = p.remaining + (1 - p.remaining) * np.exp(-np.abs(s.v) / (p.falling * V))
     return bent(s.stribeck_friction_bristle, (s.u - s.stribeck_friction_foot) / (p.bristle * U), fallen)
-
-
-def pulled_back(p, s):
-    plastic = s.u - s.z / STIFFNESS
-    return p.bristle * bent(s.hardening_bristle, (plastic - s.hardening_foot) / (p.bristle * U))
 
 
 def dented(p, s):
@@ -344,7 +339,6 @@ EQUATIONS = {
         "compression only": spring["negative"],
         "power": ("force", lambda p, x, s: p.delta * F * np.abs(s.u / U) ** p.power * np.sign(s.u)),
         "saturating": ("force", lambda p, x, s: p.delta * F * (s.u / U) / (1 + p.bend * np.abs(s.u / U))),
-        "back-stress": ("force", lambda p, x, s: p.delta * F * pulled_back(p, s)),
         "wearing of energy": ("force", lambda p, x, s: p.delta * F / U * s.u * lasting(p, s.energy / E)),
         "free": ("force", lambda p, x, s: p.delta * F * bending(p, s) * np.sign(s.u) * share(p, s.u)),
     },
@@ -655,15 +649,15 @@ def test_an_offset_settles_as_its_form_says():
 
 
 @pytest.mark.parametrize(("name", "label"), [("coulomb_friction", "bristle"), ("stribeck_friction", "bristle"),
-                                             ("hardening", "back-stress")])  # fmt: skip
+                                             ("kinematic_hardening", "")])  # fmt: skip
 def test_a_bristle_follows_its_equation_along_a_path(name, label):
     values = drawn(name, label, 0.5)
-    effect = EFFECTS[name](of_bristle=1.0, **values)
+    effect = EFFECTS[name](**forms_of(EFFECTS[name])[label].held, **values)
     # At the characteristic rate, and of an element without force, whose elongation is plastic.
     slides = 1.0
     if name == "stribeck_friction":
         slides = values["remaining"] + (1 - values["remaining"]) * np.exp(-1 / values["falling"])
-    largest = values["delta"] * F * (values["bristle"] if name == "hardening" else 1.0)
+    largest = values["delta"] * F * (values["bristle"] if name == "kinematic_hardening" else 1.0)
     turns, memory, expected = U * np.array([0.0, 0.1, -0.05, -0.02, -0.3]), dict.fromkeys(effect.states, 0.0), 0.0
     for start, end in pairwise(turns):
         sign = np.sign(end - start)

@@ -15,7 +15,7 @@ from scipy.linalg import eigh
 import hsed_jax as hx
 from hsed_jax.errors import UserError
 from hsed_jax.inference.observation import Quantities, assemble, conditions_of
-from hsed_jax.measurements import Campaign, Channel, Experiment, Noise, Record, read_at2
+from hsed_jax.measurements import Campaign, Channel, Experiment, Noise, Record, check_campaign, read_at2
 from hsed_jax.physics.simulator import Conditions
 from hsed_jax.study.build import Built
 
@@ -203,6 +203,42 @@ def test_the_simulation_starts_with_the_record_and_not_with_the_window():
     exact = along_the_path(built, campaign, 1)
     window = campaign["E02"].in_window
     np.testing.assert_allclose(found[window], exact[window], atol=1e-3 * np.abs(exact).max())
+
+
+def cut(record: Record, first: int, elongation: float = 0.0) -> Record:
+    """A record without its first samples, its elongation measured from somewhere else."""
+    channels = {name: values[first:] for name, values in record.channels.items()}
+    return Record(record.time[first:], {**channels, "elongation": channels["elongation"] + elongation})
+
+
+def in_one_record(record: Record) -> Campaign:
+    channels = {"elongation": Channel("elongation", "mm"), "force": Channel("force", "kN")}
+    channels = {"time": Channel("time", "s"), **channels}
+    return Campaign("spring", "displacement", {}, channels, {}, (Experiment("E01", record=record),))
+
+
+def test_a_record_whose_first_rows_were_not_written_begins_loaded():
+    time, elongation = motion(1, 400)
+    whole = Record(time, {"elongation": elongation, "force": path_force(time, elongation)})
+    # Still on the first loading, as loggers and recorders of programs begin.
+    loaded = in_one_record(cut(whole, 4))
+    assert abs(loaded["E01"].record["force"][0]) > 0.1 * np.abs(whole["force"]).max()
+    found = predict(Built(study_of(), loaded), loaded, (A, BETA))[0]["force"]
+    # A step later lies elsewhere at a reversal, where the force has a kink.
+    largest = np.abs(whole["force"]).max()
+    np.testing.assert_allclose(found, whole["force"][4:], atol=1e-2 * largest)
+    np.testing.assert_allclose(found[:100], whole["force"][4:104], atol=2e-3 * largest)
+    said = [finding for finding in check_campaign(loaded) if finding.kind == "offset"]
+    assert len(said) == 1 and "loads a new specimen from zero" in said[0].message
+
+
+def test_an_elongation_that_was_not_zeroed_is_no_load():
+    time, elongation = motion(1, 400)
+    # A small force of the same sign, such as noise.
+    whole = Record(time, {"elongation": elongation, "force": path_force(time, elongation) + 3e3})
+    campaigns = [in_one_record(cut(whole, 0, shift * np.abs(elongation).max())) for shift in (0.0, 0.3)]
+    found = [predict(Built(study_of(), c), c, (A, BETA))[0]["force"] for c in campaigns]
+    np.testing.assert_allclose(found[1], found[0], atol=1e-3)
 
 
 def test_test_experiments_are_never_fitted(calibration):

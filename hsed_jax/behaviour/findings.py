@@ -130,9 +130,7 @@ class Behaviours(Tabular):
     @property
     def sentence(self) -> str:
         """The main changes in one sentence; empty where nothing changes."""
-        changed = {one.quantity for one in self.changes}
-        main = [one for one in self.changes if not (one.quantity in _FURTHER and changed & {"initial_stiffness"})]
-        said = [one.sentence for one in main[:_SAID]]
+        said = [one.sentence for one in sorted(self.changes, key=lambda one: one.quantity in _FURTHER)[:_SAID]]
         if not said:
             return ""
         said += [
@@ -160,7 +158,7 @@ class Behaviours(Tabular):
 
 # Changes of a sentence.
 _SAID = 3
-# What says no more than the initial stiffness does.
+# What says less than the initial stiffness and the strength do, and is said after them.
 _FURTHER = ("unloading_stiffness", "reloading_stiffness", "post_yield_stiffness", "sharpness")
 
 

@@ -184,9 +184,9 @@ class Search:
     def obstacle(self, larger: Set, here: Set) -> str | None:
         """Why a set with more effects than another one is not to be named in its place; None where nothing is against it."""
         if self.held_out.test is not None:
-            plain, unseen = self.unseen([frozenset(), larger])
-            if not unseen <= plain:
-                return f"it takes the error on experiments that were not used from {plain:.3f} to {unseen:.3g}"
+            before, unseen = self.unseen([here, larger])
+            if not unseen <= before:
+                return f"it takes the error on experiments that were not used from {before:.3f} to {unseen:.3g}"
         odds = self.odds(larger, here)
         if odds < ODDS:
             return f"its odds of {odds:.2g} by what it predicts are less than {ODDS:.0f}"

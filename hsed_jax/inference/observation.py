@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import Data, data_of
 from hsed_jax.measurements import Campaign, Experiment, Record
+from hsed_jax.measurements.characteristics import from_unloaded
 from hsed_jax.physics.excitations import AbstractExcitation, Applied, Imposed, Tabulated
 from hsed_jax.physics.outputs import driven_mass, is_driver
 from hsed_jax.physics.simulator import AbstractModel, Conditions, Recorded
@@ -254,17 +255,19 @@ def conditions_of(experiment: Experiment, campaign: Campaign, grid: Grid | None,
             f"experiment {experiment.id!r}: its record has {len(record)} samples, more than the {grid.samples} that the "
             "model was built for; calibrate on a campaign that holds it (as a test experiment)"
         )
-    divisions = grid.divisions(record)
+    is_imposed = campaign.protocol == "displacement" and (record.channels or excitation is None)
+    moved = from_unloaded(record) if is_imposed else record
+    divisions = grid.divisions(moved)
     if (steps := int(divisions.sum())) > grid.steps:
         raise UserError(
             f"experiment {experiment.id!r}: its record takes {steps} steps, more than the {grid.steps} that the model was "
             "built for; calibrate on a campaign that holds it (as a test experiment)"
         )
-    lengths, half_steps, ends = _grid_of(record.time, divisions, grid)
+    lengths, half_steps, ends = _grid_of(moved.time, divisions, grid, len(record))
     measured = [name for name in record.channels if is_driver(name)]
     # An experiment that could be made has times, and nothing that was measured.
-    if campaign.protocol == "displacement" and (record.channels or excitation is None):
-        samples: Any = _imposed(record, half_steps, experiment.id)
+    if is_imposed:
+        samples: Any = _imposed(moved, half_steps, experiment.id)
     elif measured:
         samples = _driven(record, half_steps, measured)
     elif excitation is not None:
@@ -290,15 +293,17 @@ def _record(experiment: Experiment) -> Record:
     return experiment.record
 
 
-def _grid_of(time: np.ndarray, divisions: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _grid_of(
+    time: np.ndarray, divisions: np.ndarray, grid: Grid, count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Step lengths (steps,), the times of the half-step grid (2·steps+1,), and after how many steps each sample is (samples,).
 
-    Padded steps have length zero, and padded samples are at the end.
+    Samples are the last `count` of the times.  Padded steps have length zero, and padded samples are at the end.
     """
     lengths = np.zeros(grid.steps)
     lengths[: divisions.sum()] = np.repeat(np.diff(time) / divisions, divisions)
     ends = np.full(grid.samples, grid.steps)
-    ends[: len(time)] = np.concatenate([[0], np.cumsum(divisions)])
+    ends[:count] = np.concatenate([[0], np.cumsum(divisions)])[-count:]
     return lengths, time[0] + np.concatenate([[0.0], np.cumsum(np.repeat(lengths / 2, 2))]), ends
 
 

@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from hsed_jax.measurements.campaign import Campaign
+from hsed_jax.measurements.characteristics import START, from_unloaded
 from hsed_jax.measurements.experiment import Experiment, Record
 from hsed_jax.measurements.findings import Finding
 from hsed_jax.measurements.noise import difference_noise, noise_estimate
@@ -36,7 +37,6 @@ AROUND = 10  # steps on either side of a jump that it is compared with
 NOISE_FACTOR = 3  # estimated against declared
 QUIET = 10  # samples before the motion that a base line needs
 THOUSANDFOLD = 300.0  # steps that grow or shrink by more, from one sample to the next, are in another unit
-START = 0.02  # share of the largest magnitude at which a record may begin
 
 
 def quantity_doubts(campaign: Campaign, experiment: Experiment) -> Iterator[Finding]:
@@ -205,16 +205,16 @@ def _base_lines(campaign: Campaign, id: str, record: Record) -> Iterator[Finding
 
 
 def _starts(campaign: Campaign, id: str, record: Record) -> Iterator[Finding]:
-    """An elongation that begins elsewhere while the force begins at zero."""
+    """An elongation that begins elsewhere while the force begins at zero, or a record that begins loaded."""
     if not {"force", "elongation"} <= record.channels.keys():
         return
     elongation, force = record["elongation"], record["force"]
+    at, under = (amount(campaign.pair, name, float(record[name][0])) for name in ("elongation", "force"))
     begins = np.abs(elongation[0]) > START * np.abs(elongation).max()
     scatter = 5 * noise_estimate(np.arange(len(record)), elongation)
     if begins and abs(elongation[0]) > scatter and np.abs(force[0]) < START * np.abs(force).max():
-        size, none = (
-            amount(campaign.pair, "elongation", float(elongation[0])),
-            amount(campaign.pair, "force", float(force[0])),
-        )
-        message = f"it begins at {size} while the {campaign.pair.force} begins at {none}: an offset?"
+        message = f"it begins at {at} while the {campaign.pair.force} begins at {under}: an offset?"
         yield Finding("doubt", id, "elongation", float(record.time[0]), message, "offset")
+    elif len(from_unloaded(record)) > len(record):
+        message = f"it begins at {under} and {at}; the simulation loads a new specimen from zero to there before the first sample"
+        yield Finding("doubt", id, "force", float(record.time[0]), message, "offset")

@@ -28,6 +28,13 @@ class Characteristics(NamedTuple):
     stiffness: float
 
 
+START = 0.02
+"""Share of the largest magnitude at which a record may begin."""
+
+# A specimen that is loaded has at least this share of the secant stiffness to its peak.
+_SECANT = 0.5
+
+
 def characteristics(campaign: Campaign) -> Characteristics:
     """Characteristic values of the completed training experiments, from records or else from quantities."""
     rows = np.asarray([_of(e) for e in campaign.train.experiments]).reshape(-1, 5)
@@ -40,6 +47,7 @@ def initial_stiffness(record: Record, specimen: str = "") -> float:
     """Slope [N/m] of force against elongation while the elongation first grows to a tenth of its peak; NaN without both."""
     if specimen not in loops(record.channels):
         return float("nan")
+    record = from_unloaded(record)
     force, elongation = record[named(specimen, "force")], record[named(specimen, "elongation")]
     size = np.abs(elongation - elongation[0])
     beyond = np.flatnonzero(size > 0.1 * size.max())
@@ -48,6 +56,29 @@ def initial_stiffness(record: Record, specimen: str = "") -> float:
     work = float(du @ du)
     slope = float(du @ dr) / work if work > 0 else float("nan")
     return slope if slope > 0 else float("nan")
+
+
+def from_unloaded(record: Record) -> Record:
+    """A record that begins loaded, with one sample more before it, at which the specimen was neither moved nor loaded.
+
+    Loggers often write no row of the virgin specimen: force and elongation of the first row are then of one sign.  It comes there
+    from zero, as fast as the record moves on.  Where a force is much smaller than the elongation would need, that begins with an
+    offset, and the record is returned as it is; so is one in which the force was not measured.
+    """
+    if not {"elongation", "force"} <= record.channels.keys():
+        return record
+    elongation, force = record["elongation"], record["force"]
+    moved, loaded = elongation[0], force[0]
+    with np.errstate(all="ignore"):
+        share = loaded / np.nanmax(np.abs(force)) * np.sign(moved)
+        if not share >= max(START, _SECANT * abs(moved) / np.nanmax(np.abs(elongation))):
+            return record
+        speed = np.nanmean(np.abs(np.diff(elongation))) / np.nanmean(np.diff(record.time))
+        before = record.time[0] - abs(moved) / speed
+    if not before < record.time[0]:
+        return record
+    zero = {name: np.concatenate([[0.0], values]) for name, values in record.channels.items()}
+    return Record(np.concatenate([[before], record.time]), zero)
 
 
 def _of(experiment: Experiment) -> np.ndarray:

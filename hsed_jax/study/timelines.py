@@ -10,6 +10,7 @@ from hsed_jax.config.excitation_entry import ExcitationEntry
 from hsed_jax.errors import UserError
 from hsed_jax.inference.observation import Grid
 from hsed_jax.measurements import Characteristics, Record
+from hsed_jax.measurements.characteristics import from_unloaded
 from hsed_jax.physics.excitations.base import AbstractExcitation, AbstractImposedElongation
 from hsed_jax.physics.laws import AbstractSpringLaw
 from hsed_jax.physics.outputs import driven_mass
@@ -151,7 +152,7 @@ def imposed_grid(
         middle, steepest: the law in the middle of its priors, and where they make it yield soonest.
     """
     samples = padded(max(len(record) for record in records))
-    records = [record for record in records if "elongation" in record.channels]
+    records = [from_unloaded(record) for record in records if "elongation" in record.channels]
     path = max((float(np.sum(np.abs(np.diff(r["elongation"])))) for r in records), default=0.0)
     if not path > 0:
         return Grid(samples, 1)

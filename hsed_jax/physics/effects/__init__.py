@@ -9,6 +9,7 @@ from hsed_jax.physics.effects import (
     elastic,
     history,
     loop,
+    reloading,
     rig,
     structure,
     yielding,
@@ -20,7 +21,7 @@ from hsed_jax.physics.effects.base import Catalogue, registered
 from hsed_jax.physics.names import own_name
 from hsed_jax.physics.parameters import parameters_of
 
-_FAMILIES = (connection, degradation, dissipation, elastic, history, loop, rig, structure, yielding)
+_FAMILIES = (connection, degradation, dissipation, elastic, history, loop, reloading, rig, structure, yielding)
 
 EFFECTS = Catalogue.of(effect for family in _FAMILIES for effect in registered(family))
 """The effects that come with the package; a study may have its own besides."""

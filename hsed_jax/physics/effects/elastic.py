@@ -5,10 +5,9 @@ from typing import ClassVar, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Form, Scalar, SpringPoint, register
-from hsed_jax.physics.effects.bristles import AbstractBristledEffect
 from hsed_jax.physics.effects.driven import AbstractWornEffect, heating
 from hsed_jax.physics.effects.forms import FREE, bend_parameter, one_side, passing_parameter, raised, saturated, sided
-from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
+from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
 from hsed_jax.physics.scales import is_number, is_zero
 from hsed_jax.physics.states import LARGEST_COMPRESSION, LARGEST_TENSION, SharedState
 
@@ -26,11 +25,8 @@ _BLUNTEST = 2.5
 
 @register
 @final
-class Hardening(AbstractBristledEffect, AbstractWornEffect):
-    r"""A linear spring in parallel: $\delta\,\frac{F_c}{u_c}\,\Delta u$; negative is P-Δ.
-
-    As a back-stress it follows the plastic elongation $u_p = \Delta u - z/k_0$, and is a bristle that recovers from it.
-    """
+class Hardening(AbstractWornEffect):
+    r"""A linear spring in parallel: $\delta\,\frac{F_c}{u_c}\,\Delta u$; negative is P-Δ."""
 
     name: ClassVar[str] = "hardening"
     family: ClassVar[str] = "post-yield"
@@ -48,13 +44,6 @@ class Hardening(AbstractBristledEffect, AbstractWornEffect):
             in_units=False,
         ),
         Form("saturating", r"\delta\,\frac{F_c}{u_c}\frac{\Delta u}{1 + b|\Delta u|/u_c}", free=("bend",)),
-        Form(
-            "back-stress",
-            r"\delta F_c\alpha,\ u_c\,d\alpha/du_p = 1 - \frac{\alpha}{\ell}\,\mathrm{sign}\,\dot u_p",
-            "Armstrong & Frederick 1966; Chaboche 1986",
-            held={"of_bristle": 1.0},
-            free=("bristle",),
-        ),
         heating(r"\delta\,\frac{F_c}{u_c}\,\Delta u\,", "Mullins 1969 (rubber that softens)", "wearing of energy"),
         _BENT,
     )
@@ -74,27 +63,12 @@ class Hardening(AbstractBristledEffect, AbstractWornEffect):
     )
     bend: Scalar = bend_parameter()
     passing: Scalar = passing_parameter()
-    bristle: Scalar = shape_parameter(
-        r"\ell",
-        "plastic elongation that it recovers from, over characteristic elongation",
-        neutral=0.5,
-        lower=0.02,
-        upper=5.0,
-        prior={"lognormal": [-0.7, 0.8]},
-    )
-    of_bristle: Scalar = share_parameter(r"w_\alpha", "whether it is a back-stress")
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
         ratio = raised(point.elongation / point.scales.elongation, self.power)
         pulled = sided(saturated(ratio, self.bend, self.passing), self.side)
-        if not is_zero(self.of_bristle):
-            pulled = pulled + self.of_bristle * (self.bristle * self.bent(point) - pulled)
         return {"force": self.delta * point.scales.force * pulled * self.lasting(point)}
-
-    def foot(self, point: SpringPoint) -> Scalar:
-        """The plastic elongation [m]."""
-        return point.elongation - point.hysteretic / point.stiffness
 
 
 @register

@@ -10,6 +10,7 @@ from hsed_jax.physics.effects.driven import AbstractDrivenEffect, index_share, p
 from hsed_jax.physics.effects.forms import FREE, near_no_force, raised
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_zero
+from hsed_jax.physics.states import LARGEST_ELONGATION, SharedState
 
 # Creep is activated between these, as arguments of its hyperbolic sine.
 _LINEAR, _FASTEST = 1e-4, 6.0
@@ -80,6 +81,45 @@ class Slip(AbstractDrivenEffect):
         shape = near_no_force(point.hysteretic, self.width * point.strength, self.abruptness)
         length = raised(jnp.maximum(self.driven(point) - self.onset, 0.0), self.power) * point.scales.elongation
         return {"compliance": self.delta * length * shape}
+
+
+@register
+@final
+class Scragging(AbstractSpringEffect):
+    r"""A spring in parallel that is stiff up to the largest elongation only once: $\delta F_c x\,|x/x_m|^p$, $x = \Delta u/u_c$.
+
+    $x_m$ is the largest elongation reached to either side.  A cycle that goes no farther than those before meets a softer spring.
+    """
+
+    name: ClassVar[str] = "scragging"
+    family: ClassVar[str] = "stiffness"
+    reference: ClassVar[str] = "Mullins 1969; Grant, Fenves & Whittaker 2004"
+
+    delta: Scalar = parameter(
+        r"\delta_s",
+        "1",
+        "stiffness on the first way over characteristic stiffness",
+        neutral=0.0,
+        lower=0.0,
+        prior={"half_normal": 0.5},
+        physical=PhysicalForm("k", "N/m", lambda scales: scales.force / scales.elongation),
+    )
+    power: Scalar = parameter(
+        "p", "1", "how much softer it is within what was reached", neutral=1.0, lower=0.1, upper=8.0,
+        prior={"lognormal": [0.0, 0.7]},
+    )  # fmt: skip
+
+    @property
+    def needs(self) -> tuple[SharedState, ...]:
+        """The largest elongation."""
+        return (LARGEST_ELONGATION,)
+
+    def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
+        """An addend to `force`."""
+        size = jnp.abs(point.elongation)
+        reached = jnp.maximum(jnp.maximum(point.memory["largest_elongation"], size), 1e-9 * point.scales.elongation)
+        softened = raised(size / reached, self.power)
+        return {"force": self.delta * point.scales.force * (point.elongation / point.scales.elongation) * softened}
 
 
 @register

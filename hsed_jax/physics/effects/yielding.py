@@ -1,10 +1,11 @@
-"""A spring that was taken for linear yields."""
+"""Plasticity: a spring that was taken for linear yields; a back-stress beside the law."""
 
 from typing import ClassVar, final
 
 import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Form, Scalar, SpringPoint, register
+from hsed_jax.physics.effects.bristles import AbstractBristledEffect
 from hsed_jax.physics.effects.forms import FREE, raised
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter, share_parameter
 from hsed_jax.physics.scales import is_zero
@@ -68,3 +69,49 @@ class Yielding(AbstractSpringEffect):
         share = 1 - self.phi - self.turned + self.phi * jnp.sign(point.rate * elastic)
         size = jnp.abs(elastic) / point.scales.elongation
         return {"plastic": share * raised(size, self.sharpness) * point.rate}
+
+
+@register
+@final
+class KinematicHardening(AbstractBristledEffect):
+    r"""A back-stress in parallel, which follows the plastic elongation $u_p = \Delta u - z/k_0$ and recovers from it.
+
+    $$\delta F_c\alpha,\qquad u_c\,\frac{d\alpha}{du_p} = 1 - \frac{\alpha}{\ell}\,\mathrm{sign}\,\dot u_p$$
+
+    It begins with the modulus $\delta F_c/u_c$ and comes to its bound $\delta\ell F_c$.
+    """
+
+    name: ClassVar[str] = "kinematic_hardening"
+    family: ClassVar[str] = "hardening"
+    reference: ClassVar[str] = "Armstrong & Frederick 1966; Chaboche 1986"
+    delta: Scalar = parameter(
+        r"\delta_\alpha",
+        "1",
+        "modulus of the back-stress over characteristic stiffness",
+        neutral=0.0,
+        lower=0.0,
+        prior={"half_normal": 1.0},
+        physical=PhysicalForm("k", "N/m", lambda scales: scales.force / scales.elongation),
+    )
+    bristle: Scalar = parameter(
+        r"\ell",
+        "1",
+        "plastic elongation that it recovers from, over characteristic elongation",
+        neutral=0.5,
+        lower=0.02,
+        upper=5.0,
+        prior={"lognormal": [-0.7, 0.8]},
+    )
+
+    @property
+    def of_bristle(self) -> Scalar:
+        """It always is one."""
+        return 1.0
+
+    def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
+        """An addend to `force`."""
+        return {"force": self.delta * point.scales.force * self.bristle * self.bent(point)}
+
+    def foot(self, point: SpringPoint) -> Scalar:
+        """The plastic elongation [m]."""
+        return point.elongation - point.hysteretic / point.stiffness

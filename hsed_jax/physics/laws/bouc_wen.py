@@ -55,7 +55,8 @@ class BoucWen(AbstractSpringLaw):
 
         Where it is elastic on loading, a large number stands for neither, so that derivatives are numbers.
         """
-        force = self.A / jnp.maximum(jnp.abs(self.beta + self.gamma), 1e-12)
+        # β is as small as a force to the power of −n.
+        force = self.A / jnp.maximum(jnp.abs(self.beta + self.gamma), 1e-12 * self.beta + 1e-300)
         return force if is_number(self.n, 1) else force ** (1 / self.n)
 
     @property

@@ -1,0 +1,148 @@
+"""How a specimen comes back: self-centring, reloading that aims at a former peak, buckling."""
+
+from typing import ClassVar, final
+
+import jax
+import jax.numpy as jnp
+
+from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
+from hsed_jax.physics.parameters import parameter
+from hsed_jax.physics.scales import is_zero
+from hsed_jax.physics.states import LARGEST_COMPRESSION, LARGEST_TENSION, SharedState
+
+# Over the strength, within which unloading goes over into sliding back; over the characteristic elongation, within which what has
+# opened is closed again.
+_ROUNDED, _CLOSED = 0.03, 0.02
+# What slides back at a tenth of the strength does so as a whole.
+_WHOLE = 10.0
+# A brace that has lost a quarter of its strength has its whole elongation to straighten.
+_AT_ONCE = 4.0
+
+
+def _towards_peak(point: SpringPoint) -> Scalar:
+    """Slope of the line from no force to the strength at the largest elongation ahead, over the stiffness; one beyond that."""
+    tension, compression = point.memory["largest_tension"], point.memory["largest_compression"]
+    way = jnp.where(point.rate > 0, tension, compression) - jnp.sign(point.rate) * point.elongation
+    yielding = point.strength / point.stiffness
+    return yielding / jnp.maximum(way, yielding)
+
+
+@register
+@final
+class SelfCentering(AbstractSpringEffect):
+    r"""A flag: what has opened slides back and closes before the force is gone.
+
+    $$h = 1 - \min(10\delta, 1)\,\frac{\mathrm{clip}(w\,\mathrm{sign}\,z/0.02u_c,\, 0,\, 1)}{1 + e^{(|z| - \delta z_u)/0.03 z_u}}
+      \quad\text{on unloading},\qquad w = \Delta u - z/k_0$$
+
+    with $z_u$ the strength of the element: it unloads to δ of that, slides back at this force until the opening w is closed, and
+    unloads to the origin.  1 − δ is the β of a flag.
+    """
+
+    name: ClassVar[str] = "self_centering"
+    family: ClassVar[str] = "recentring"
+    reference: ClassVar[str] = "Christopoulos, Filiatrault & Folz 2002"
+
+    delta: Scalar = parameter(
+        r"\delta_o",
+        "1",
+        "force at which it slides back over strength",
+        neutral=0.0,
+        lower=0.0,
+        upper=1.0,
+        prior={"uniform": [0.0, 1.0]},
+    )
+
+    def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
+        """A factor on `h`."""
+        z = point.hysteretic
+        opened = (point.elongation - z / point.stiffness) * jnp.sign(z) / (_CLOSED * point.scales.elongation)
+        slides = jax.nn.sigmoid((self.delta - jnp.abs(z) / point.strength) / _ROUNDED)
+        back = jnp.where(point.rate * z < 0, slides * jnp.clip(opened, 0.0, 1.0), 0.0)
+        return {"h": 1 - jnp.minimum(_WHOLE * self.delta, 1.0) * back}
+
+
+@register
+@final
+class PeakOriented(AbstractSpringEffect):
+    r"""Reloading aims at the strength at the largest elongation that was reached on that side.
+
+    $$h = 1 - \delta(1 - s)\quad\text{on loading},\qquad
+      s = \min\Big(\frac{u_y}{\max(\pm\Delta u) \mp \Delta u}, 1\Big),\quad u_y = z_u/k_0$$
+
+    with the signs of $\Delta\dot u$.  With δ = 1 and n = 1 it is a straight line to $z_u$ at the largest elongation.
+    """
+
+    name: ClassVar[str] = "peak_oriented"
+    family: ClassVar[str] = "stiffness"
+    reference: ClassVar[str] = "Clough & Johnston 1966; Ibarra, Medina & Krawinkler 2005"
+
+    delta: Scalar = parameter(
+        r"\delta_p",
+        "1",
+        "how far reloading aims at the former peak",
+        neutral=0.0,
+        lower=0.0,
+        upper=1.0,
+        prior={"uniform": [0.0, 1.0]},
+    )
+
+    @property
+    def needs(self) -> tuple[SharedState, ...]:
+        """The largest elongation to each side."""
+        return (LARGEST_TENSION, LARGEST_COMPRESSION)
+
+    def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
+        """A factor on `h`."""
+        return {"h": 1 - self.delta * jnp.where(point.rate * point.hysteretic > 0, 1 - _towards_peak(point), 0.0)}
+
+
+@register
+@final
+class Buckling(AbstractSpringEffect):
+    r"""The strength of one side falls at once and with the largest elongation there; the other side's stiffness comes later.
+
+    $$\nu = \frac{1 + \kappa|\delta|\max(\mp\Delta u)/u_c}{1 - |\delta|}\ \text{in compression},\qquad
+      h = 1 - \theta\min(4|\delta|, 1)(1 - s)\ \text{on loading in tension}$$
+
+    with s as for `peak_oriented`.  δ > 0 buckles at negative elongations, δ < 0 at positive ones.
+    """
+
+    name: ClassVar[str] = "buckling"
+    family: ClassVar[str] = "asymmetry"
+    reference: ClassVar[str] = "Black, Wenger & Popov 1980; Ikeda & Mahin 1986"
+    delta: Scalar = parameter(
+        r"\delta_x",
+        "1",
+        "share of the strength that is lost at once in compression",
+        neutral=0.0,
+        lower=-0.95,
+        upper=0.95,
+        prior={"truncated_normal": {"loc": 0.0, "scale": 0.5, "low": -0.95, "high": 0.95}},
+    )
+    growth: Scalar = parameter(
+        r"\kappa", "1", "how fast more of it is lost, per characteristic elongation", neutral=1.0, lower=0.0, upper=50.0,
+        prior={"lognormal": [0.0, 1.0]},
+    )  # fmt: skip
+    late: Scalar = parameter(
+        r"\theta", "1", "how far loading in tension aims at the former peak", neutral=0.5, lower=0.0, upper=1.0,
+        prior={"uniform": [0.0, 1.0]},
+    )  # fmt: skip
+
+    @property
+    def needs(self) -> tuple[SharedState, ...]:
+        """The largest elongation to each side."""
+        return (LARGEST_TENSION, LARGEST_COMPRESSION)
+
+    def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
+        """Factors on `nu` and `h`."""
+        lost, side = jnp.abs(self.delta), jnp.sign(self.delta)
+        tension, compression = point.memory["largest_tension"], point.memory["largest_compression"]
+        reached = jnp.where(side > 0, compression, tension) / point.scales.elongation
+        weaker = (1 + self.growth * lost * reached) / (1 - lost)
+        found = {"nu": jnp.where(point.hysteretic * side < 0, weaker, 1.0)}
+        if not is_zero(self.late):
+            loads = (point.hysteretic * side > 0) & (point.rate * side > 0)
+            later = self.late * jnp.minimum(_AT_ONCE * lost, 1.0)
+            found["h"] = 1 - later * jnp.where(loads, 1 - _towards_peak(point), 0.0)
+        return found
