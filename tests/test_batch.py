@@ -1,4 +1,4 @@
-"""Batch of a large model: each runs the program of the effects that it has, and gives what the whole model gives."""
+"""Batch of a large model: one program for all sets of effects, which computes what acts and gives what the whole model gives."""
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +10,9 @@ from hsed_jax.diagnosis import batch as module
 from hsed_jax.diagnosis.batch import Batch, Part
 from hsed_jax.inference.observation import Outputs
 from hsed_jax.measurements import Campaign
+from hsed_jax.physics import gates
 from hsed_jax.physics.effects import EFFECTS as CATALOGUE
+from hsed_jax.physics.effects.base import merged, neutral
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.simulator import Conditions
 from hsed_jax.study.build import Built
@@ -32,7 +34,7 @@ def case(request):
     space = built.experiments.space
     cube = space.initial_design(3)
     conditions = Conditions({n: jnp.asarray(x) for n, x in space.si(space.declared(cube)).items()})
-    parts = [Part(name, columns[name], neutral[columns[name]], frozenset(columns[name].tolist())) for name in EFFECTS]
+    parts = [Part(name, columns[name], neutral[columns[name]]) for name in EFFECTS]
     sets = [(), ("hardening",), ("viscous_damping", "hardening"), ("stiffness_degradation",), ("mass_error",),
             ("hardening", "stiffness_degradation"), tuple(EFFECTS)]  # fmt: skip
     thetas = np.tile(neutral, (3 * len(sets), 1))
@@ -44,18 +46,11 @@ def case(request):
     return built, names, conditions, parts, thetas[mixed], np.tile(np.arange(3), len(sets))[mixed]
 
 
-@pytest.mark.parametrize(
-    "price", [pytest.param(-1, marks=pytest.mark.whole), 10**12], ids=["programs of their own", "one program"]
-)
-def test_a_batch_gives_what_the_whole_model_gives(case, monkeypatch, price):
+def test_a_batch_gives_what_the_whole_model_gives(case):
     built, names, conditions, parts, thetas, experiments = case
-    monkeypatch.setattr(module, "_PRICE", price)
-    # Without parts everything is one program.
+    # Without parts everything is computed.
     whole, ok = Batch(built.simulation.simulator, built.inference.observation, names, conditions)(thetas, experiments)
     batch = Batch(built.simulation.simulator, built.inference.observation, names, conditions, parts)
-    kinds = batch._by_program(thetas)
-    # One of its own for each set, or one for all of them beside that of the law.
-    assert len(kinds) == (7 if price < 0 else 2)
     found, converged = batch(thetas, experiments)
     np.testing.assert_array_equal(converged, ok)
     assert ok.all() and batch.simulations == len(thetas)
@@ -67,43 +62,38 @@ def test_a_batch_gives_what_the_whole_model_gives(case, monkeypatch, price):
     np.testing.assert_allclose(found[4], exact, rtol=1e-9)
 
 
-@pytest.fixture
-def sized(case, monkeypatch):
-    """A batch with two effects of a shape each beside the simplest one, where a program costs a thousand steps of a parameter."""
-    built, names, conditions, *_ = case
-    parts = [
-        Part("one", np.arange(0, 3), np.zeros(3), frozenset({0})),
-        Part("other", np.arange(3, 5), np.zeros(2), frozenset({3})),
-        Part("third", np.arange(5, 6), np.zeros(1), frozenset({5})),
-    ]
-    monkeypatch.setattr(module, "_PRICE", 1000 * built.simulation.simulator.timeline.steps)
-    return Batch(built.simulation.simulator, built.inference.observation, names, conditions, parts)
+def test_what_is_absent_of_all_that_run_together_is_not_computed():
+    called = []
+
+    def part(name, value):
+        def say():
+            return {"force": jax.pure_callback(lambda v: called.append(name) or v, jnp.zeros(()), value)}
+
+        return gates.Part(("force",), say)
+
+    @jax.jit
+    def forces(values, acts):
+        acting = tuple(acts[k] for k in range(8))
+
+        def one(value):
+            parts = [part(k, value * k) for k in range(8)]
+            return gates.gathered(parts, acting, merged, neutral)["force"]
+
+        return jax.vmap(one, axis_name=gates.LANES)(values)
+
+    values = jnp.asarray([1.0, 2.0])
+    np.testing.assert_array_equal(forces(values, jnp.arange(8) == 8), [0.0, 0.0])
+    assert not called
+    np.testing.assert_array_equal(forces(values, (jnp.arange(8) == 3) | (jnp.arange(8) == 7)), [10.0, 20.0])
+    assert set(called) == {3, 7}
 
 
-def served(batch, *asked):
-    """Sizes of the programs that run, with how many simulations each runs, for sets of columns, each asked for so often."""
-    thetas = np.zeros((sum(count for _, count in asked), len(batch._names)))
-    place = 0
-    for columns, count in asked:
-        thetas[place : place + count, sorted(columns)] = 1.0
-        place += count
-    return sorted((len(has), len(rows)) for has, rows in batch._by_program(thetas).items())
-
-
-def test_effects_in_their_simplest_shapes_share_a_program_whatever_their_sets(sized):
-    assert served(sized, ({0}, 1), ({3, 5}, 2), ({0, 3, 5}, 1)) == [(3, 4)]
-
-
-def test_forms_that_are_asked_for_together_share_a_program(sized):
-    # Of one set: what its forms have. Beside several effects: with the simplest shapes of all.
-    assert served(sized, ({0, 1}, 1), ({0, 2}, 1)) == [(3, 2)]
-    assert served(sized, ({0, 3, 4}, 1), ({4, 5, 3}, 1)) == [(4, 2)]
-
-
-def test_what_is_simulated_again_and_again_gets_a_program_of_its_own(sized):
-    # Each saves two parameters, and the program costs a thousand.
-    assert [served(sized, ({0}, 100)) for _ in range(8)] == [[(3, 100)]] * 5 + [[(1, 100)]] * 3
-    assert served(sized, ({0, 3}, 1), ({0}, 1)) == [(1, 1), (3, 1)]
+def test_simulations_of_one_model_run_together(case):
+    built, names, conditions, parts, thetas, _ = case
+    batch = Batch(built.simulation.simulator, built.inference.observation, names, conditions, parts)
+    differs = thetas != thetas[np.argmin(np.abs(thetas).sum(axis=1))]
+    kinds = np.unique(differs, axis=0, return_inverse=True)[1].ravel()[batch._order(thetas, None)]
+    assert np.count_nonzero(np.diff(kinds)) == len(np.unique(kinds)) - 1
 
 
 @pytest.mark.parametrize("is_short", [False, True])
@@ -145,5 +135,7 @@ def test_a_history_is_simulated_as_far_as_it_is_asked_for(is_short):
     assert np.ptp(found[:, late], axis=1).max() == 0 and np.ptp(expected[::2, late], axis=1).min() > 0
     # A program that calls back into Python could not be kept for the next process.
     model, lanes = Outputs(built.simulation.simulator, built.inference.observation, names), jnp.asarray(experiments)
-    lowered = module._outputs.lower(model, data.conditions, jnp.asarray(thetas), lanes, jnp.asarray(9), jnp.full(9, 40))
+    lowered = module._outputs.lower(
+        model, data.conditions, None, jnp.asarray(thetas), lanes, jnp.asarray(9), jnp.full(9, 40)
+    )
     assert "callback" not in lowered.as_text()

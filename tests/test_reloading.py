@@ -1,6 +1,8 @@
 """How a specimen comes back, against closed forms along the path and a flag of OpenSees: self-centring, reloading towards a peak,
 buckling, scragging."""
 
+import itertools
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -21,7 +23,7 @@ STEPS = 2000
 
 def along(turns, law=None, **effects):
     """Elongations of a path between turning points, in equal parts each, and the force there."""
-    legs = [np.linspace(a, b, STEPS + 1) for a, b in zip(turns[:-1], turns[1:], strict=True)]
+    legs = [np.linspace(a, b, STEPS + 1) for a, b in itertools.pairwise(turns)]
     u = np.concatenate([legs[0][:1], *(leg[1:] for leg in legs)])
     middle = 0.5 * (u[1:] + u[:-1])
     half = np.empty(2 * len(u) - 1)
@@ -116,6 +118,4 @@ def test_a_back_stress_saturates_along_the_plastic_elongation():
     forth = bound * -np.expm1(-u[: STEPS + 1] / length)
     np.testing.assert_allclose(force[: STEPS + 1], forth, atol=0.01 * bound)
     way = 0.04 - u[STEPS:]
-    np.testing.assert_allclose(
-        force[STEPS:], -bound + (forth[-1] + bound) * np.exp(-way / length), atol=0.02 * bound
-    )
+    np.testing.assert_allclose(force[STEPS:], -bound + (forth[-1] + bound) * np.exp(-way / length), atol=0.02 * bound)

@@ -221,13 +221,15 @@ def improve(
     problem = problem_of(calibration.built, campaign, effects, watch=watch, known=known, forms=forms, apart=apart)
     before = compare(calibration, campaign)
     train = problem.train
-    # As the calibration fits it, by what that leaves.
-    target = train.standard(before.train_prediction.predicted, train.used[None]).target
     assert problem.start is not None
     models = problem.models
-    plain = _best(problem, target, models.member(problem.law), [], problem.start)
+    law = models.member(problem.law)
+    predicted = models.predict([(problem.start, law)], np.arange(len(train.values)))[0][0]
+    # As the calibration fits it, by what that leaves.
+    target = train.standard(predicted, train.used[None]).target
+    plain = _best(problem, target, law, [], problem.start)
     notes = []
-    if target.misfit(0, before.train_prediction.predicted) - target.misfit(0, plain.predicted) > _APART:
+    if target.misfit(0, predicted) - target.misfit(0, plain.predicted) > _APART:
         again = calibrate_built(
             calibration.built, campaign, start=_parameters(problem, plain, calibration.built), watch=watch
         )

@@ -1,6 +1,7 @@
 """A fitted model of the package under numerical experiments."""
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -9,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from hsed_jax.backend import cores
 from hsed_jax.behaviour.histories import Histories
 from hsed_jax.physics.effects.base import AbstractSpringEffect
 from hsed_jax.physics.elements import Element
@@ -76,7 +78,8 @@ def answers(specimen: Simulator, models: Sequence[Mapping[str, float]], historie
     lanes = np.arange(len(models) * count)
     force = np.zeros((len(lanes), steps + 1))
     ok = np.zeros(len(lanes), dtype=bool)
-    for start in range(0, len(lanes), _CHUNK):
+
+    def answer(start: int) -> None:
         own = lanes[start : start + _CHUNK]
         filled = np.pad(own, (0, _CHUNK - len(own)), mode="edge")
         of, row = np.divmod(filled, count)
@@ -84,6 +87,9 @@ def answers(specimen: Simulator, models: Sequence[Mapping[str, float]], historie
         imposed = Imposed(jnp.asarray(histories.elongation[row]), jnp.asarray(histories.rate[row]))
         found, is_fine = _forces(timed, parameters, imposed, jnp.asarray(histories.lengths[row]))
         force[own], ok[own] = np.asarray(found)[: len(own)], np.asarray(is_fine)[: len(own)]
+
+    with ThreadPoolExecutor(cores()) as threads:
+        list(threads.map(answer, range(0, len(lanes), _CHUNK)))
     ok &= np.isfinite(force).all(axis=1)
     shape = (len(models), count)
     return Answers(force.reshape(*shape, steps + 1), ok.reshape(shape))

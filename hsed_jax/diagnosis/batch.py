@@ -1,30 +1,26 @@
-r"""Simulations of many models in one batch: pairs of a parameter vector and an experiment.
+"""Simulations of many models in one batch: pairs of a parameter vector and an experiment.
 
-One program holds every candidate effect in its simplest shape with any driver.  It serves every set of effects, every campaign
-of its kind and every record of about its length: masses, scales, data and parameters are operands.  An effect that is neutral
-does exactly nothing in it, but costs as much as any other, and the shapes of all effects cost ten times that.  So other
-programs hold all forms of the few effects whose forms are compared.  A choice of forms that is simulated again and again gets a
-program of its own, in which all other parameters are numbers that the compiler knows, as soon as that would have paid for itself
-(the rule of ski rental: at most twice the cost of knowing the number of simulations beforehand; Karlin et al. 1988).
+One program holds every candidate effect in all its forms.  It serves every set of effects, every campaign of its kind and every
+record of about its length: masses, scales, data and parameters are operands.  An effect whose parameters are neutral in all
+simulations that run together is not computed (`hsed_jax.physics.gates`), so simulations of one model run together.
 
 Chunks of simulations go to threads: XLA runs a program of this kind on one core, and several at a time on several.
 """
 
-from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from hsed_jax.backend import cores
 from hsed_jax.inference.observation import Histories, Observation, Outputs
 from hsed_jax.physics.batch import tiled_map
-from hsed_jax.physics.simulator import AbstractModel, Conditions, Simulator
+from hsed_jax.physics.gates import LANES
+from hsed_jax.physics.simulator import AbstractModel, Conditions
 from hsed_jax.programs import program
 
 # Simulations of a chunk, and those that run together: most rounds ask for a few of each set.
@@ -33,8 +29,6 @@ _CHUNK, _TILE = 64, 8
 _AHEAD = 16
 # Outputs beyond this are on their way to infinity, and their squares would be no numbers.
 _FAR = 1e100
-# A program is made once it would have saved so many evaluations of a parameter in a step: about two seconds of either.
-_PRICE = 300_000_000
 
 
 @runtime_checkable
@@ -57,10 +51,6 @@ class Predictions(Protocol):
         ...
 
 
-Columns = frozenset[int]
-"""Parameters of effects that a program has, by their place in a parameter vector; all others are neutral in it."""
-
-
 class Part(NamedTuple):
     """A candidate in the large model.
 
@@ -68,13 +58,30 @@ class Part(NamedTuple):
         effect: its name.
         columns: of its parameters, (q,).
         neutral: what these are where it is absent, (q,).
-        simplest: columns of those that its simplest shape has, with any driver.
     """
 
     effect: str
     columns: Int[np.ndarray, " q"]
     neutral: Float[np.ndarray, " q"]
-    simplest: frozenset[int]
+
+
+class Present(NamedTuple):
+    """What tells from a parameter vector which effects it has.
+
+    Attributes:
+        effects: their names, E of them.
+        neutral: parameters where all are absent, (P,).
+        owned: whether a parameter belongs to an effect, (E, P).
+    """
+
+    effects: tuple[str, ...]
+    neutral: Float[Array, " P"]
+    owned: Bool[Array, "E P"]
+
+    def acting(self, thetas: Float[Array, "L P"]) -> dict[str, Bool[Array, ""]]:
+        """Whether each effect acts in any of several simulations."""
+        differs = jnp.any(thetas != self.neutral, axis=0)
+        return dict(zip(self.effects, jnp.any(self.owned & differs, axis=1), strict=True))
 
 
 class Apart(NamedTuple):
@@ -147,6 +154,7 @@ class Batch:
         conditions: of the experiments, leading axis n.
         parts: the effects of a `Simulator` that a simulation may lack.
         used: which outputs are asked for at all, where that is known: a history is simulated to its last sample among them.
+        kept: the outputs that are returned, K of them; by default all.
 
     Attributes:
         simulations: how many were made so far.
@@ -160,16 +168,12 @@ class Batch:
         conditions: Conditions,
         parts: Sequence[Part] = (),
         used: Bool[np.ndarray, "n J"] | None = None,
+        kept: Int[np.ndarray, " K"] | None = None,
     ):
-        self._model, self._observation, self._names, self._conditions = model, observation, names, conditions
-        self._of_effect = {part.effect: frozenset(part.columns.tolist()) for part in parts}
-        self._columns = np.concatenate([np.zeros(0, dtype=int), *(part.columns for part in parts)]).astype(int)
-        self._neutral = np.concatenate([np.zeros(0), *(part.neutral for part in parts)])
-        self._steps = 1 if model.timeline is None else model.timeline.steps
+        self._kept = slice(None) if kept is None else kept
+        self._outputs, self._conditions = Outputs(model, observation, names), conditions
+        self._present = _present(parts, len(names)) if parts else None
         self._ends = None if used is None else _steps_to(used, conditions, observation, model)
-        self._simplest = frozenset[int]().union(*(part.simplest for part in parts))
-        self._programs = {has: self._program(has) for has in (frozenset[int](), self._simplest)}
-        self._spent: Counter[Columns] = Counter()
         self._threads = ThreadPoolExecutor(cores())
         self.simulations = 0
 
@@ -178,8 +182,8 @@ class Batch:
         thetas: Float[np.ndarray, "L P"],
         experiments: Int[np.ndarray, " L"],
         samples: Int[np.ndarray, " L"] | None = None,
-    ) -> tuple[Float[np.ndarray, "L J"], Float[np.ndarray, " L"]]:
-        """Outputs (L, J) and whether each simulation converged (L,); outputs of one that diverged are zero.
+    ) -> tuple[Float[np.ndarray, "L K"], Float[np.ndarray, " L"]]:
+        """Outputs (L, K) and whether each simulation converged (L,); outputs of one that diverged are zero.
 
         Arguments:
             thetas: parameters.
@@ -191,87 +195,42 @@ class Batch:
         if self._ends is not None:
             most = self._ends.shape[1] - 1
             stops = self._ends[experiments, most if samples is None else np.clip(samples + _AHEAD, 0, most)]
-        served = [(*self._programs[has], places) for has, places in self._by_program(thetas).items()]
-        if stops is not None:
-            # What runs together stops together.
-            served = [(*which, places[np.argsort(stops[places], kind="stable")]) for *which, places in served]
-        # Tiles are shared among the cores.  The first chunk of each program comes before all others, so that programs are made
-        # side by side.
+        order = self._order(thetas, stops)
+        # Tiles are shared among the cores.
         size = min(max(-(-len(thetas) // (cores() * _TILE)), 1) * _TILE, _CHUNK)
-        chunks = [
-            (outputs, columns, places[start : start + size])
-            for start in range(0, len(thetas), size)
-            for outputs, columns, places in served
-            if start < len(places)
-        ]
 
-        def run(chunk: tuple[Outputs, np.ndarray, np.ndarray]):
-            outputs, columns, places = chunk
+        def run(places: np.ndarray):
             padding = ((0, _CHUNK - len(places)),)
             found, ok = _outputs(
-                outputs,
+                self._outputs,
                 self._conditions,
-                jnp.asarray(np.pad(thetas[places][:, columns], (*padding, (0, 0)), mode="edge")),
+                self._present,
+                jnp.asarray(np.pad(thetas[places], (*padding, (0, 0)), mode="edge")),
                 jnp.asarray(np.pad(experiments[places], padding, mode="edge")),
                 jnp.asarray(len(places)),
                 None if stops is None else jnp.asarray(np.pad(stops[places], padding, mode="edge")),
             )
-            return np.asarray(found)[: len(places)], np.asarray(ok)[: len(places)]
+            return np.asarray(found)[: len(places), self._kept], np.asarray(ok)[: len(places)]
 
-        found = list(self._threads.map(run, chunks))
-        order = np.argsort(np.concatenate([places for _, _, places in chunks]))
-        return np.concatenate([out for out, _ in found])[order], np.concatenate([ok for _, ok in found])[order]
+        found = list(self._threads.map(run, (order[start : start + size] for start in range(0, len(order), size))))
+        back = np.argsort(order)
+        return np.concatenate([out for out, _ in found])[back], np.concatenate([ok for _, ok in found])[back]
 
-    def _by_program(self, thetas: np.ndarray) -> dict[Columns, np.ndarray]:
-        """The places of simulations by the program that they run."""
-        is_needed = thetas[:, self._columns] != self._neutral
-        kinds, kind_of = np.unique(is_needed, axis=0, return_inverse=True)
-        needs = [frozenset(self._columns[kind].tolist()) for kind in kinds]
-        self._provide(needs)
-        by_program: dict[Columns, list[np.ndarray]] = {}
-        for number, needed in enumerate(needs):
-            places = np.flatnonzero(kind_of.ravel() == number)
-            by_program.setdefault(self._serving(needed, len(places)), []).append(places)
-        return {has: np.sort(np.concatenate(parts)) for has, parts in by_program.items()}
+    def _order(self, thetas: np.ndarray, stops: np.ndarray | None) -> np.ndarray:
+        """The order in which simulations run: those of one model together, and of these those of about one length."""
+        keys = [] if stops is None else [stops]
+        if self._present is not None:
+            differs = thetas != np.asarray(self._present.neutral)
+            acts = differs @ np.asarray(self._present.owned, dtype=float).T > 0
+            keys.append(np.unique(acts, axis=0, return_inverse=True)[1].ravel())
+        return np.lexsort(keys) if keys else np.arange(len(thetas))
 
-    def _provide(self, needs: Sequence[Columns]) -> None:
-        """Make programs for what none has: of each set of effects whose shapes are not the simplest, all that is asked of it,
-        with the simplest shapes of all others where it is asked beside several."""
-        asked: dict[frozenset[str], list[Columns]] = {}
-        for needed in needs:
-            asked.setdefault(self._effects_of(needed - self._simplest), []).append(needed)
-        # The largest first: that of a set serves its parts.
-        for _, own in sorted(asked.items(), key=lambda item: -len(item[0])):
-            missing = [needed for needed in own if not any(needed <= has for has in self._programs)]
-            if missing:
-                several = len({self._effects_of(needed) for needed in missing}) > 1
-                has = frozenset[int]().union(*missing, self._simplest if several else ())
-                self._programs[has] = self._program(has)
 
-    def _effects_of(self, needed: Columns) -> frozenset[str]:
-        """The effects that have these columns."""
-        return frozenset(effect for effect, own in self._of_effect.items() if own & needed)
-
-    def _serving(self, needed: Columns, simulations: int) -> Columns:
-        """The smallest program with these parameters, after one of their own was made if that has become worth it."""
-        there = min((has for has in self._programs if needed <= has), key=len)
-        self._spent[needed] += simulations * self._steps * (len(there) - len(needed))
-        if self._spent[needed] <= _PRICE:
-            return there
-        self._programs[needed] = self._program(needed)
-        return needed
-
-    def _program(self, has: Columns) -> tuple[Outputs, Int[np.ndarray, " p"]]:
-        """The model with these parameters of effects only, and the columns of all its parameters."""
-        lacking = set(self._columns.tolist()) - has
-        columns = [k for k in range(len(self._names)) if k not in lacking]
-        left_out = {effect for effect, own in self._of_effect.items() if not own & has}
-        model = self._model
-        if left_out:
-            assert isinstance(model, Simulator)
-            model = replace(model, effects=model.effects.only(e for e in model.effects if e not in left_out))
-        outputs = Outputs(model, self._observation, tuple(self._names[k] for k in columns))
-        return outputs, np.asarray(columns)
+def _present(parts: Sequence[Part], count: int) -> Present:
+    neutral, owned = np.zeros(count), np.zeros((len(parts), count), dtype=bool)
+    for own, part in zip(owned, parts, strict=True):
+        neutral[part.columns], own[part.columns] = part.neutral, True
+    return Present(tuple(part.effect for part in parts), jnp.asarray(neutral), jnp.asarray(owned))
 
 
 def _steps_to(
@@ -293,14 +252,15 @@ def _steps_to(
 
 
 @program
-def _outputs(respond, conditions, thetas, experiments, count, stops):
+def _outputs(respond, conditions, present, thetas, experiments, count, stops):
     def tile(lanes):
         thetas, experiments, stops = lanes
         # One number for all, or the loop would ask every lane at every step.
         stop = None if stops is None else jnp.max(stops)
+        acting = None if present is None else present.acting(thetas)
 
         def one(theta, experiment):
-            at_it = jax.tree.map(lambda leaf: leaf[experiment], conditions)
+            at_it = jax.tree.map(lambda leaf: leaf[experiment], conditions)._replace(acting=acting)
             if stop is not None:
                 at_it = at_it._replace(recorded=at_it.recorded._replace(stop=stop))
             outputs, ok = respond(theta, at_it)
@@ -308,7 +268,7 @@ def _outputs(respond, conditions, thetas, experiments, count, stops):
             ok = ok & jnp.all(jnp.abs(outputs) < _FAR)
             return jnp.where(ok, outputs, 0.0), ok
 
-        return jax.vmap(one)(thetas, experiments)
+        return jax.vmap(one, axis_name=LANES)(thetas, experiments)
 
     outputs, ok = tiled_map(tile, (thetas, experiments, stops), count=count, tile=_TILE)
     return outputs, ok.astype(float)

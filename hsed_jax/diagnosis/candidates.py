@@ -6,6 +6,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, Int
 
 from hsed_jax.behaviour.histories import Range, range_of
 from hsed_jax.config.mechanics import DRIVER, FORM
@@ -16,11 +17,11 @@ from hsed_jax.diagnosis.batch import Apart, Batch, BatchApart, Part
 from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
-from hsed_jax.diagnosis.problem import FormColumns, Problem, of_simplest_shape
+from hsed_jax.diagnosis.problem import FormColumns, Problem
 from hsed_jax.errors import UserError
 from hsed_jax.inference.leaning import opened as without_bounds
 from hsed_jax.inference.likelihood import Data
-from hsed_jax.inference.observation import conditions_of, stacked
+from hsed_jax.inference.observation import Histories, conditions_of, stacked
 from hsed_jax.inference.priors import Prior
 from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Campaign, Experiment, Record
@@ -151,11 +152,12 @@ def problem_of(
     neutral = _neutral(free, declared)
     own = {name: _forms(large, name, order, (forms or {}).get(name)) for name in names}
     columns = {n: np.asarray([k for k, one in enumerate(order) if owner_of(one) == n], dtype=int) for n in names}
-    parts = [Part(name, k, neutral[k], _simplest(own[name])) for name, k in columns.items()]
+    parts = [Part(name, k, neutral[k]) for name, k in columns.items()]
     size = jax.tree.leaves(conditions)[0].shape[0]
     weights = np.asarray(data.weights)
     used = np.concatenate([weights > 0, np.zeros((size - len(weights), weights.shape[1]), dtype=bool)])
-    batch = Batch(large.simulation.simulator, large.inference.observation, order, conditions, parts, used)
+    kept = _kept(large, used)
+    batch = Batch(large.simulation.simulator, large.inference.observation, order, conditions, parts, used, kept)
     predictions = batch if apart is None else BatchApart(batch, apart.across(order, size))
     # A prior may reach beyond what is possible, and another effect is what lies there.
     priors = free | {name: without_bounds(free[name]) for name in opened}
@@ -165,7 +167,7 @@ def problem_of(
     of_effects = {k for k, name in enumerate(order) if owner_of(name) in catalogue}
     size = len(train)
     measured = [
-        _measured(large, data, part, rows)
+        _measured(large, data, part, rows, kept)
         for part, rows in ((train, slice(0, size)), (test, slice(size, None)))
         if part
     ]
@@ -234,12 +236,6 @@ def _forms(large: Built, effect: str, order: tuple[str, ...], only: str | None) 
     return found
 
 
-def _simplest(forms: Mapping[str, FormColumns]) -> frozenset[int]:
-    """Columns of an effect in its simplest shape, with any driver."""
-    alike = [forms[label] for label in of_simplest_shape(forms)]
-    return frozenset(k for form in alike for k in (*form.columns.tolist(), *form.held))
-
-
 def _declared(free: Iterable[str], effects: Catalogue) -> dict[str, Parameter]:
     """The parameters of effects, by their names in the model."""
     return {
@@ -259,9 +255,20 @@ def _neutral(free: Mapping[str, Prior], declared: Mapping[str, Parameter]) -> np
     return np.asarray(values)
 
 
-def _measured(large: Built, data: Data, experiments: Sequence[Experiment], rows: slice) -> Measured:
-    values, used, gaps = (np.asarray(table)[rows] for table in (data.values, data.weights, data.gaps))
-    groups = np.asarray(large.inference.observation.groups)
+def _kept(large: Built, used: Bool[np.ndarray, "n J"]) -> Int[np.ndarray, " K"]:
+    """The outputs that any experiment has: of histories those to the end of the longest, and not what a program is padded to."""
+    observation = large.inference.observation
+    if not isinstance(observation, Histories):
+        return np.arange(used.shape[1])
+    samples = np.arange(used.shape[1]) % observation.samples
+    return np.flatnonzero(samples <= samples[used.any(axis=0)].max(initial=0))
+
+
+def _measured(
+    large: Built, data: Data, experiments: Sequence[Experiment], rows: slice, kept: Int[np.ndarray, " K"]
+) -> Measured:
+    values, used, gaps = (np.asarray(table)[rows][:, kept] for table in (data.values, data.weights, data.gaps))
+    groups = np.asarray(large.inference.observation.groups)[kept]
     measured = Measured(values, used > 0, gaps, groups, large.observed.errors, 0.0)
     # Where no noise is declared, that of a history is what its record shows, and a number alone shows none.
     declared = ~np.isnan(measured.declared)

@@ -81,6 +81,7 @@ class RungeKutta4(diffrax.AbstractSolver):
         def moved(rates: State, length: Scalar) -> State:
             return jax.tree.map(lambda y, k: y + length * k, start, rates)
 
+        @jax.jit
         def rates(state: State, sample: PyTree) -> State:
             return terms.vf(t0, y0._replace(state=state), (system, sample, h)).state
 

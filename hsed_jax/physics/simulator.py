@@ -3,11 +3,12 @@
 from abc import abstractmethod
 from collections import defaultdict
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, NamedTuple, final
 
 import equinox as eqx
 import jax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from hsed_jax.physics.effects.base import (
     AbstractEffect,
@@ -19,6 +20,7 @@ from hsed_jax.physics.effects.base import (
 )
 from hsed_jax.physics.elements import Element
 from hsed_jax.physics.excitations import AbstractExcitation, AbstractForcing, Shaken, Tabulated
+from hsed_jax.physics.gates import gated
 from hsed_jax.physics.laws import Elastic
 from hsed_jax.physics.names import OWNER, number_of_spring, own_name, owner_of
 from hsed_jax.physics.outputs import further
@@ -53,10 +55,18 @@ class Recorded(NamedTuple):
 
 
 class Conditions(NamedTuple):
-    """What distinguishes one experiment from another: its inputs by name (SI), and its record where it has one."""
+    """What distinguishes one experiment from another.
+
+    Attributes:
+        inputs: by name, SI.
+        recorded: its record, where it has one.
+        acting: whether each effect of the model acts, the same for all experiments that run together: those that do not are not
+            computed (`hsed_jax.physics.gates`).  None: all do.
+    """
 
     inputs: Mapping[str, Scalar]
     recorded: Recorded | None = None
+    acting: Mapping[str, Bool[Array, ""]] | None = None
 
 
 @final
@@ -181,7 +191,7 @@ class Simulator(AbstractModel):
 
     def _system(self, given: "_Given", slots: Callable[..., Any] | None) -> AbstractSystem:
         specimens = [
-            Specimen(element.law(**element.parameters(given.owners)), given.of_spring(element.has), self.scales)
+            Specimen(element.law(**element.parameters(given.owners)), *given.of_spring(element.has, self.scales))
             for element in self.elements
         ]
         if self.structure is None:
@@ -196,9 +206,9 @@ class Simulator(AbstractModel):
             damping = slots("damping") * structure.damping_matrix()
             altered = structure.altered(slots("mass"), slots("support"))
         yielding = {
-            i: Specimen(Elastic(spring.stiffness), of_spring, self.scales)
+            i: Specimen(Elastic(spring.stiffness), *of_spring)
             for i, spring in enumerate(altered.springs)
-            if (of_spring := given.of_spring(lambda owner, i=i: number_of_spring(owner) == i))
+            if (of_spring := given.of_spring(lambda owner, i=i: number_of_spring(owner) == i, self.scales))[0]
         }
         return ShakenStructure(altered, specimens, self.owners, damping, yielding)
 
@@ -232,25 +242,28 @@ class Simulator(AbstractModel):
             excitation = self.excitation(conditions.inputs)
             length = excitation.step_length(self.timeline)
             forcing = excitation.forcing(length, steps)
-        given = self._given(parameters)
+        given = self._given(parameters, conditions.acting)
         slots = self._setup(given)
         if slots is not None and self.structure is not None:
             forcing = Shaken(forcing, slots("ground_motion"))
         elif slots is not None:
             assert isinstance(forcing, Tabulated)
-            forcing = felt(forcing, slots, jax.numpy.asarray(length))
+            forcing = gated(
+                given.rig_acts, partial(felt, forcing, slots, jax.numpy.asarray(length)), lambda f=forcing: f
+            )
         system = self._system(given, slots)
         response = integrate(
             system, forcing, length, steps, channels=channels, quantities=quantities, every=every, stop=stop
         )
         if slots is not None:
-            response = measured(response, slots, length, every, is_imposed=self.structure is None)
+            sensed = partial(measured, response, slots, length, every, is_imposed=self.structure is None)
+            response = gated(given.rig_acts, sensed, lambda r=response: r)
         if every > 1 or conditions.recorded is None or conditions.recorded.ends is None:
             return response
         at = conditions.recorded.ends
         return response._replace(channels={name: values[at] for name, values in response.channels.items()})
 
-    def _given(self, parameters: Mapping[str, Scalar]) -> "_Given":
+    def _given(self, parameters: Mapping[str, Scalar], acting: Mapping[str, Bool[Array, ""]] | None = None) -> "_Given":
         owners: dict[str, dict[str, Scalar]] = defaultdict(dict)
         for name, value in {**dict(self.constants), **parameters}.items():
             owner, own = owner_of(name), own_name(name)
@@ -258,7 +271,7 @@ class Simulator(AbstractModel):
                 owners[owner].update(dimensionless(self.effects[owner], own, value, self.scales))
             else:
                 owners[owner][own] = value
-        return _Given(owners, {name: effect(**owners[name]) for name, effect in self.effects.items()})
+        return _Given(owners, {name: effect(**owners[name]) for name, effect in self.effects.items()}, acting)
 
     def _setup(self, given: "_Given") -> Callable[..., Any] | None:
         """The slots of structure and test rig, and of the sensors of a specimen by its name; None where no effect writes."""
@@ -278,15 +291,27 @@ class Simulator(AbstractModel):
 
 
 class _Given(NamedTuple):
-    """Parameters by what they belong to, and the effects by name."""
+    """Parameters by what they belong to, the effects by name, and whether each acts."""
 
     owners: dict[str, dict[str, Scalar]]
     effects: dict[str, AbstractEffect]
+    acting: Mapping[str, Bool[Array, ""]] | None
 
-    def of_spring(self, has: Callable[[str], bool]) -> tuple[AbstractSpringEffect, ...]:
-        """The effects in a spring, by whether it has those of a place."""
-        return tuple(
-            effect
+    def of_spring(
+        self, has: Callable[[str], bool], scales: Scales
+    ) -> tuple[tuple[AbstractSpringEffect, ...], Scales, tuple[Bool[Array, ""], ...] | None]:
+        """The effects in a spring, by whether it has those of a place, and what else a specimen is made of."""
+        own = {
+            name: effect
             for name, effect in self.effects.items()
             if isinstance(effect, AbstractSpringEffect) and has(owner_of(name))
-        )
+        }
+        return tuple(own.values()), scales, None if self.acting is None else tuple(self.acting[name] for name in own)
+
+    @property
+    def rig_acts(self) -> Bool[Array, ""] | None:
+        """Whether any effect outside the springs acts; None where all do."""
+        if self.acting is None:
+            return None
+        outside = [self.acting[name] for name, e in self.effects.items() if isinstance(e, AbstractSetupEffect)]
+        return jax.numpy.any(jax.numpy.stack(outside))

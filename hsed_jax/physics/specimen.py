@@ -7,15 +7,24 @@ is no force, and the element beyond it feels the elongation less the slack, $\De
 integration may cross a slack in a step: for it, force and flow of the element count with the share of the step that is outside.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from functools import partial
 from typing import final
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from hsed_jax.physics.effects.base import AbstractEffect, AbstractSpringEffect, SpringPoint, combine
-from hsed_jax.physics.effects.forms import slots_of
+from hsed_jax.physics.effects.base import (
+    AbstractEffect,
+    AbstractSpringEffect,
+    SpringPoint,
+    combine,
+    merged,
+    neutral,
+)
+from hsed_jax.physics.effects.forms import slots_of, slots_of_any
+from hsed_jax.physics.gates import Part, gated, gathered, in_any_lane
 from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, Turn
 from hsed_jax.physics.scales import Scales, is_zero
 from hsed_jax.physics.states import SharedState
@@ -32,6 +41,7 @@ class Specimen(eqx.Module):
         law: of its element.
         effects: their order does not matter.
         scales: characteristic values for the effects.
+        acting: whether each effect acts, the same for all specimens that run together; None: all do.
 
     Raises:
         ValueError: an effect writes to a slot that the law does not serve (when something is computed with it).
@@ -40,6 +50,7 @@ class Specimen(eqx.Module):
     law: AbstractSpringLaw
     effects: tuple[AbstractSpringEffect, ...] = ()
     scales: Scales = Scales()
+    acting: tuple[Bool[Array, ""], ...] | None = None
 
     def start(self) -> Memory:
         """The states of a virgin spring: those of the law, absorbed energy e [J], and those that effects need or have."""
@@ -67,8 +78,8 @@ class Specimen(eqx.Module):
         rates = {name: jnp.zeros_like(value) for name, value in memory.items()}
         rates |= {**flow, "energy": force * rate}
         rates |= {state.name: state.rate(elongation, rate) for state in self._shared if state.rate is not None}
-        for effect in self.effects:
-            rates |= effect.flow(point)
+        flows = [Part(effect.states, partial(effect.flow, point)) for effect in self.effects]
+        rates |= gathered(flows, self.acting, _joined, lambda state: 0.0)
         return force, rates
 
     def settle(self, elongation: Scalar, rate: Scalar, memory: Memory, turned: Bool[Array, ""]) -> Memory:
@@ -79,9 +90,8 @@ class Specimen(eqx.Module):
         kept = {s.name: s.settled(memory[s.name], elongation, turned) for s in self._shared if s.settled is not None}
         # Of a law of paths, what is committed is the force that the element has now.
         point = point._replace(hysteretic=committed.get("hysteretic", point.hysteretic))
-        for effect in self.effects:
-            kept |= effect.settle(point)
-        return {**memory, **committed, **kept}
+        settled = [Part(effect.states, partial(effect.settle, point)) for effect in self.effects]
+        return {**memory, **committed, **kept, **gathered(settled, self.acting, _joined, memory.__getitem__)}
 
     def turned(self, turn: Turn, before: Memory, flow: Memory, after: Memory) -> tuple[Memory, Scalar]:
         """The states after a step that may hold a reversal, and the force at the reversal (or else the end) [N].
@@ -91,7 +101,9 @@ class Specimen(eqx.Module):
             before, after: states at its ends, as integrated.
             flow: rates at its start.
         """
-        at_turn, at_end = self.law.mended(turn, before, flow, after, self.rates)
+        turns = None if self.acting is None else in_any_lane(turn.happens)
+        mended = partial(self.law.mended, turn, before, flow, after, self.rates)
+        at_turn, at_end = gated(turns, mended, lambda: (after, after))
         rate = jnp.where(turn.happens, 0.0, turn.after)
         return self.settle(turn.elongation, rate, at_end, turn.happens), self.force(turn.elongation, rate, at_turn)
 
@@ -105,11 +117,14 @@ class Specimen(eqx.Module):
         )
 
     def _slots(self, point: SpringPoint) -> Slots:
-        contributions = [effect.contribute(point) for effect in self.effects]
-        for effect, contribution in zip(self.effects, contributions, strict=True):
+        def written(effect: AbstractSpringEffect) -> Mapping[str, Scalar]:
+            contribution = effect.contribute(point)
             if missing := _missing(contribution, type(self.law)):
                 raise ValueError(f"{effect.name}: {missing}")
-        return combine(contributions)
+            return contribution
+
+        parts = [Part(slots_of_any(type(effect)), partial(written, effect)) for effect in self.effects]
+        return combine([gathered(parts, self.acting, merged, neutral)])
 
     def _force(self, point: SpringPoint, slots: Slots, step: Scalar = 0.0) -> tuple[Scalar, SpringPoint]:
         """Restoring force, and the point with the force that the element has now."""
@@ -119,6 +134,10 @@ class Specimen(eqx.Module):
             point = point._replace(hysteretic=element)
             slots = self._slots(point)
         return _outside(point, slots, element, step) + slots("force"), point
+
+
+def _joined(parts: Iterable[Mapping[str, Scalar]]) -> dict[str, Scalar]:
+    return {name: value for part in parts for name, value in part.items()}
 
 
 def unserved(effect: type[AbstractEffect], law: type[AbstractSpringLaw], form: str | None = None) -> str:

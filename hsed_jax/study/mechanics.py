@@ -95,6 +95,11 @@ class AbstractMechanics(ABC):
     def has_specimens(self) -> bool:
         """Whether structure and specimens tell what the model gives; a function tells it when it is called."""
 
+    @property
+    def is_shared(self) -> bool:
+        """Whether its program is one that campaigns share: it holds all forms of its effects."""
+        return False
+
     @abstractmethod
     def check(self) -> None:
         """Refuse effects that cannot be added to the model, and steps that need effects where it can have none."""
@@ -175,6 +180,11 @@ class SpringMechanics(AbstractMechanics):
     """
 
     open_forms: tuple[str, ...] = ()
+
+    @property
+    def is_shared(self) -> bool:
+        """Whether any effect is there in all its forms."""
+        return bool(self.open_forms)
 
     @cached_property
     def elements(self) -> tuple[Element, ...]:

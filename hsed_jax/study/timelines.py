@@ -36,6 +36,8 @@ _STEP_PER_YIELD = 0.2
 _DIVISIONS = 20
 # Sizes of a compiled program in an octave: records of similar length share one, and at most a fifth of it is padding.
 _SIZES_PER_OCTAVE = 4
+# The least size of a program that campaigns share.
+_SHARED = 512
 TOLD = 1000
 """Samples of what drives an experiment, as a model is told that integrates nothing here."""
 
@@ -127,11 +129,11 @@ def measured_grid(experiments: Experiments, mechanics: AbstractMechanics, needed
     if experiments.component_test:
         assert experiments.characteristics is not None
         (middle,), (steepest,) = mechanics.laws, mechanics.steepest
-        return imposed_grid(records, experiments.characteristics, middle, steepest)
+        return imposed_grid(records, experiments.characteristics, middle, steepest, mechanics.is_shared)
     for name in dict.fromkeys(name for record in records for name in record.channels):
         check_mass(f"channels.{name}", name, mechanics.structure)
     longest = max(float(np.max(np.diff(record.time), initial=0.0)) for record in records)
-    return _divided(records, longest / needed())
+    return _divided(records, longest / needed(), mechanics.is_shared)
 
 
 def check_mass(where: str, channel: str, structure: Structure | None) -> None:
@@ -142,7 +144,11 @@ def check_mass(where: str, channel: str, structure: Structure | None) -> None:
 
 
 def imposed_grid(
-    records: Sequence[Record], found: Characteristics, middle: AbstractSpringLaw, steepest: AbstractSpringLaw
+    records: Sequence[Record],
+    found: Characteristics,
+    middle: AbstractSpringLaw,
+    steepest: AbstractSpringLaw,
+    is_shared: bool = False,
 ) -> Grid:
     """The grid of measured elongations that were imposed: more steps where the elongation changes more.
 
@@ -150,8 +156,9 @@ def imposed_grid(
         records: each with its elongation.
         found: characteristic values of the campaign.
         middle, steepest: the law in the middle of its priors, and where they make it yield soonest.
+        is_shared: the program is one that campaigns share, as `padded` says.
     """
-    samples = padded(max(len(record) for record in records))
+    samples = padded(max(len(record) for record in records), is_shared)
     records = [from_unloaded(record) for record in records if "elongation" in record.channels]
     path = max((float(np.sum(np.abs(np.diff(r["elongation"])))) for r in records), default=0.0)
     if not path > 0:
@@ -160,7 +167,8 @@ def imposed_grid(
     wanted, least, stable = _divisions(path, yields, steepest)
     count = max(min(max(wanted, stable), _DIVISIONS * (samples - 1)), least)
     grid = Grid(samples, 1, path / count)
-    return replace(grid, steps=padded(1 + max(int(grid.divisions(record).sum()) for record in records)) - 1)
+    steps = max(int(grid.divisions(record).sum()) for record in records)
+    return replace(grid, steps=padded(1 + steps, is_shared) - 1)
 
 
 def _divisions(longest: float, yields: Sequence[float], steepest: AbstractSpringLaw) -> tuple[float, float, float]:
@@ -175,14 +183,19 @@ def _divisions(longest: float, yields: Sequence[float], steepest: AbstractSpring
     return longest / (_STEP_PER_YIELD * yielding), longest / yielding, longest * float(steepest.steepness) / RESOLVED
 
 
-def _divided(records: Sequence[Record], needed: float) -> Grid:
+def _divided(records: Sequence[Record], needed: float, is_shared: bool) -> Grid:
     """The grid of records: as many steps per sample as are needed, within reason."""
     steps = min(max(math.ceil(needed - 1e-9), 1), _DIVISIONS)
-    return Grid(padded(max(len(record) for record in records)), steps)
+    return Grid(padded(max(len(record) for record in records), is_shared), steps)
 
 
-def padded(count: int) -> int:
-    """The least size of a compiled program for so many samples, at least 64."""
+def padded(count: int, is_shared: bool = False) -> int:
+    """The least size of a compiled program for so many samples, at least 64.
+
+    A program that takes long to make, and that stops where a record ends, has few sizes: each is four times the one before.
+    """
+    if is_shared:
+        return _SHARED * 4 ** max(math.ceil(math.log(count / _SHARED, 4)), 0)
     octave = 2.0 ** max(math.ceil(math.log2(max(count, 1))), 6)
     sizes = (int(octave * (1 - share / (2 * _SIZES_PER_OCTAVE))) for share in reversed(range(_SIZES_PER_OCTAVE)))
     return next(size for size in sizes if size >= count)

@@ -278,15 +278,26 @@ class Catalogue(Mapping[str, type[AbstractEffect]]):
         return Catalogue((*self.entries, *Catalogue.of(effects).entries))
 
 
-def combine(contributions: list[dict[str, Any]]) -> Callable[[str], Any]:
-    """Merge contributions: slot name -> value, or the neutral Python number where nobody wrote (and XLA folds it away)."""
-    merged: dict[str, Any] = {}
+def neutral(slot: str) -> float:
+    """What stands in a slot that nobody writes to."""
+    return 1.0 if slot in MULTIPLIED else 0.0
+
+
+def merged(contributions: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """Contributions as one: slot name -> product or sum."""
+    found: dict[str, Any] = {}
     for contribution in contributions:
         for slot, value in contribution.items():
             if slot in MULTIPLIED:
-                merged[slot] = merged[slot] * value if slot in merged else value
+                found[slot] = found[slot] * value if slot in found else value
             elif slot in ADDED:
-                merged[slot] = merged[slot] + value if slot in merged else value
+                found[slot] = found[slot] + value if slot in found else value
             else:
                 raise ValueError(f"There is no slot {slot!r}; slots are {', '.join((*MULTIPLIED, *ADDED))}.")
-    return lambda slot: merged.get(slot, 1.0 if slot in MULTIPLIED else 0.0)
+    return found
+
+
+def combine(contributions: Iterable[Mapping[str, Any]]) -> Callable[[str], Any]:
+    """Merge contributions: slot name -> value, or the neutral Python number where nobody wrote (and XLA folds it away)."""
+    found = merged(contributions)
+    return lambda slot: found.get(slot, neutral(slot))

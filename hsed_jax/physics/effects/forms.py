@@ -242,6 +242,12 @@ def slots_of(effect: type[AbstractEffect], form: str | None = None) -> tuple[str
 
 
 @cache
+def slots_of_any(effect: type[AbstractEffect]) -> tuple[str, ...]:
+    """The slots that an effect writes to in any of its forms."""
+    return tuple(dict.fromkeys(slot for label in forms_of(effect) for slot in slots_of(effect, label)))
+
+
+@cache
 def is_of_sensors(effect: type[AbstractEffect]) -> bool:
     """Whether every specimen has such an effect in its sensors."""
     if not issubclass(effect, AbstractSetupEffect):
