@@ -67,7 +67,11 @@ def test_what_is_absent_of_all_that_run_together_is_not_computed():
 
     def part(name, value):
         def say():
-            return {"force": jax.pure_callback(lambda v: called.append(name) or v, jnp.zeros(()), value)}
+            return {
+                "force": jax.pure_callback(
+                    lambda v: called.append(name) or v, jnp.zeros(()), value, vmap_method="sequential"
+                )
+            }
 
         return gates.Part(("force",), say)
 

@@ -201,7 +201,24 @@ spring, dashpot, drag = (
     to_sides(lambda p, x, s: p.delta * F * s.v / V, lambda s: s.v),
     to_sides(lambda p, x, s: p.delta * F * np.abs(s.v) * s.v / V**2, lambda s: s.v),
 )
+
+
+def towards_peak(s):
+    """Slope of the line to the strength at the former peak, over the stiffness."""
+    reached = np.where(s.v > 0, s.largest_tension, s.largest_compression) - np.sign(s.v) * s.u
+    return np.minimum(STRENGTH / STIFFNESS / np.maximum(reached, 1e-12), 1.0)
+
+
+def sharply(s):
+    there = towards_peak(s)
+    return np.where(there < 1, there * np.maximum(1 - np.abs(s.z) / STRENGTH, 0.0), 1.0)
+
+
 EQUATIONS = {
+    "peak_oriented": {
+        "gradual": ("h", lambda p, x, s: 1 - p.delta * np.where(s.z * s.v > 0, 1 - towards_peak(s), 0.0)),
+        "sharp": ("h", lambda p, x, s: 1 - p.delta * np.where(s.z * s.v > 0, 1 - sharply(s), 0.0)),
+    },
     "gap": {
         "fixed": ("slack", lambda p, x, s: p.delta * U + 0 * s.u),
         "widening": ("slack", lambda p, x, s: p.delta * s.largest_elongation),

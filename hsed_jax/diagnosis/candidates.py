@@ -6,7 +6,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Int
 
 from hsed_jax.behaviour.histories import Range, range_of
 from hsed_jax.config.mechanics import DRIVER, FORM
@@ -156,7 +156,7 @@ def problem_of(
     size = jax.tree.leaves(conditions)[0].shape[0]
     weights = np.asarray(data.weights)
     used = np.concatenate([weights > 0, np.zeros((size - len(weights), weights.shape[1]), dtype=bool)])
-    kept = _kept(large, used)
+    kept = _kept(large, (*train, *test))
     batch = Batch(large.simulation.simulator, large.inference.observation, order, conditions, parts, used, kept)
     predictions = batch if apart is None else BatchApart(batch, apart.across(order, size))
     # A prior may reach beyond what is possible, and another effect is what lies there.
@@ -255,13 +255,14 @@ def _neutral(free: Mapping[str, Prior], declared: Mapping[str, Parameter]) -> np
     return np.asarray(values)
 
 
-def _kept(large: Built, used: Bool[np.ndarray, "n J"]) -> Int[np.ndarray, " K"]:
+def _kept(large: Built, experiments: Sequence[Experiment]) -> Int[np.ndarray, " K"]:
     """The outputs that any experiment has: of histories those to the end of the longest, and not what a program is padded to."""
     observation = large.inference.observation
+    count = len(observation.groups)
     if not isinstance(observation, Histories):
-        return np.arange(used.shape[1])
-    samples = np.arange(used.shape[1]) % observation.samples
-    return np.flatnonzero(samples <= samples[used.any(axis=0)].max(initial=0))
+        return np.arange(count)
+    longest = max(0 if e.record is None else len(e.record) for e in experiments)
+    return np.flatnonzero(np.arange(count) % observation.samples < longest)
 
 
 def _measured(

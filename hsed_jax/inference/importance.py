@@ -205,8 +205,9 @@ def _pareto_shape(log_weight: Heights) -> float:
     # The tail of Vehtari et al. 2024, section 2; weights that a whole tail shares, as those of a chain that stands, are bounded.
     if finite[-1] == finite[-int(min(0.2 * len(finite), 3 * np.sqrt(len(finite))))]:
         return -np.inf
-    # ArviZ takes what is to be weighed down: the negative logarithm of the weights.
-    return float(array_stats.psislw(finite.max() - finite)[1])
+    # ArviZ takes what is to be weighed down: the negative logarithm of the weights.  A tail that is far too long overflows.
+    with np.errstate(over="ignore"):
+        return float(array_stats.psislw(finite.max() - finite)[1])
 
 
 class Looked(NamedTuple):

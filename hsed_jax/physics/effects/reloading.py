@@ -5,8 +5,8 @@ from typing import ClassVar, final
 import jax
 import jax.numpy as jnp
 
-from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, register
-from hsed_jax.physics.parameters import parameter
+from hsed_jax.physics.effects.base import AbstractSpringEffect, Form, Scalar, SpringPoint, register
+from hsed_jax.physics.parameters import parameter, share_parameter
 from hsed_jax.physics.scales import is_zero
 from hsed_jax.physics.states import LARGEST_COMPRESSION, LARGEST_TENSION, SharedState
 
@@ -70,12 +70,17 @@ class PeakOriented(AbstractSpringEffect):
     $$h = 1 - \delta(1 - s)\quad\text{on loading},\qquad
       s = \min\Big(\frac{u_y}{\max(\pm\Delta u) \mp \Delta u}, 1\Big),\quad u_y = z_u/k_0$$
 
-    with the signs of $\Delta\dot u$.  With δ = 1 and n = 1 it is a straight line to $z_u$ at the largest elongation.
+    with the signs of $\Delta\dot u$.  With δ = 1 it is a straight line to $z_u$ at the largest elongation: of a law that yields
+    gradually (n = 1), and in the form `sharp`, where s is $1 - |z|/z_u$ times that, of one that yields at once (n large).
     """
 
     name: ClassVar[str] = "peak_oriented"
     family: ClassVar[str] = "stiffness"
     reference: ClassVar[str] = "Clough & Johnston 1966; Ibarra, Medina & Krawinkler 2005"
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("gradual"),
+        Form("sharp", r"h = 1 - \delta\left[1 - s(1 - |z|/z_u)\right]", held={"sharp": 1.0}),
+    )
 
     delta: Scalar = parameter(
         r"\delta_p",
@@ -86,6 +91,7 @@ class PeakOriented(AbstractSpringEffect):
         upper=1.0,
         prior={"uniform": [0.0, 1.0]},
     )
+    sharp: Scalar = share_parameter("w", "whether the law yields at once")
 
     @property
     def needs(self) -> tuple[SharedState, ...]:
@@ -94,7 +100,12 @@ class PeakOriented(AbstractSpringEffect):
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """A factor on `h`."""
-        return {"h": 1 - self.delta * jnp.where(point.rate * point.hysteretic > 0, 1 - _towards_peak(point), 0.0)}
+        towards = _towards_peak(point)
+        if not is_zero(self.sharp):
+            # Where nothing limits the way the law itself does.
+            left = jnp.maximum(1 - jnp.abs(point.hysteretic) / point.strength, 0.0)
+            towards = towards * jnp.where(towards < 1, 1 - self.sharp * (1 - left), 1.0)
+        return {"h": 1 - self.delta * jnp.where(point.rate * point.hysteretic > 0, 1 - towards, 0.0)}
 
 
 @register
