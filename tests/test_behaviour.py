@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from hsed_jax.behaviour.contributions import contribution, dependence
+from hsed_jax.behaviour.findings import Behaviour, Behaviours, Value, told
 from hsed_jax.behaviour.histories import PLACES, Histories, Range, along_the_test, over_the_range, range_of
 from hsed_jax.behaviour.names import Trait, called, trait
 from hsed_jax.behaviour.probes import Probed, probed
+from hsed_jax.physics.pairs import ELONGATION_AND_FORCE
 
 STIFFNESS, YIELD, RATE = 2.0e6, 3.0e4, 0.4
 VISITED = Range(0.06 * np.linspace(0, 1, 41) * (-1.0) ** np.arange(41), RATE)
@@ -186,3 +188,14 @@ def test_histories_that_could_not_be_simulated_have_no_number(histories):
     found = probed(histories, force, ok)
     assert math.isnan(found.quantities["strength+"][3])
     assert np.isfinite(found.quantities["strength+"][ok]).all()
+
+
+def test_the_main_changes_are_said_first_and_what_stays_is_compared_with_the_model_as_it_was():
+    value = Value(2.0e7, 1.9e7, 2.1e7)
+    falls = [
+        Behaviour(quantity, "falls", {}, Value(3.0e7, 3.0e7, 3.0e7), value, "N/m", sentence=quantity)
+        for quantity in ("unloading_stiffness", "post_yield_stiffness", "strength", "recentring")
+    ]
+    assert Behaviours(falls).sentence == "strength; recentring; unloading_stiffness"
+    flag = Behaviour("recentring", "differs", {}, Value(0.42, 0.42, 0.42), Value(0.97, 0.96, 0.98), "1")
+    assert told(flag, ELONGATION_AND_FORCE) == "recentring is 0.97, in the model as it was 0.42 (90 %: 0.96 to 0.98)"

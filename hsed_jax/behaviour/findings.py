@@ -60,10 +60,11 @@ class Behaviour:
 
     Attributes:
         quantity: a key of `QUANTITIES`.
-        change: `falls`, `grows`, or `is there` where it is the same all the time.
+        change: `falls`, `grows`, or `is there` where it is the same all the time; `differs` where it stays, and is not that of
+            the model as it was.
         drivers: with what it changes, and how well that alone predicts it, from 0 to 1; the best first.
         before, after: of the virgin specimen and after the whole test; of a force that an effect adds, at the least and at the
-            largest elongation or rate.
+            largest elongation or rate; where it differs, of the model as it was and with the effects.
         unit: SI, of the pair that the specimen is measured in.
         sides: `both`, `tension` or `compression`.
         specimen: its name, where there are several.
@@ -176,6 +177,9 @@ def told(one: Behaviour, pair: Pair) -> str:
         return f"{owner}{words} of {number(one.after.mean)}{unit_text} is added at the largest elongation {interval}"
     if one.change == "is there":
         return f"{owner}friction of {number(one.after.mean)}{unit_text}, the same at every speed, is added {interval}"
+    if one.change == "differs":
+        was = number(one.before.mean)
+        return f"{owner}{words}{side} is {number(one.after.mean)}{unit_text}, in the model as it was {was}{unit_text} {interval}"
     ends = f"from {number(one.before.mean)} to {number(one.after.mean)}{unit_text}"
     return f"{owner}{words}{side} {one.change} {ends}{by} {interval}"
 

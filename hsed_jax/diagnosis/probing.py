@@ -91,6 +91,7 @@ class Probe(NamedTuple):
             drivers = self._drivers(best, element) if own else {}
             own = [replace(one, drivers=drivers.get(_read(one), {})) for one in own]
             own += self._added(best, element, draws[: _DRAWS // 2])
+            own = own or self._apart(before, after, element)
             changes += [replace(one, sentence=told(one, self.problem.pair)) for one in own]
             said = {one.quantity for one in own}
             steady |= {named(element.name, q): _moved(after, q) for q in _STEADY if q not in said}
@@ -147,6 +148,20 @@ class Probe(NamedTuple):
             sides=_SIDES.get(side, "both"),
             specimen=element.name,
         )
+
+    def _apart(
+        self, before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray], element: Element
+    ) -> list[Behaviour]:
+        """Quantities that stay along the test and are not those of the model as it was, the most different first."""
+        found: list[tuple[float, Behaviour]] = []
+        for name in _LASTING:
+            was, now = float(before[name].mean()), after[name].mean(axis=1)
+            quantity, unit = name.rstrip("+-"), QUANTITIES[name.rstrip("+-")][1]
+            scale = 1.0 if unit == "1" else max(abs(was), abs(now.mean()))
+            if (apart := abs(now.mean() - was) / scale) > PRACTICAL:
+                values = {"before": Value(was, was, was), "after": _value(now), "unit": self.problem.pair.unit(unit)}
+                found.append((apart, Behaviour(quantity, "differs", {}, **values, specimen=element.name)))
+        return [one for _, one in sorted(found, key=lambda one: -one[0])]
 
     def _added(self, model: Model, element: Element, draws: Drawn) -> list[Behaviour]:
         """Forces that effects add, which depend on the elongation or on the rate alone."""
@@ -233,6 +248,10 @@ class Probe(NamedTuple):
         known = {**dict(self.simulator.constants), **parameters}
         law = element.law(**element.parameters(by_owner(known)))
         return longest_step(float(law.yield_elongation), self.visited.elongation)
+
+
+# What is told of a specimen that stays as it is.
+_LASTING = ("recentring", "initial_stiffness", "strength+", "pinching_ratio", "sharpness")
 
 
 def _value(values: np.ndarray) -> Value:
