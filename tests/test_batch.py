@@ -46,8 +46,12 @@ def case(request):
     return built, names, conditions, parts, thetas[mixed], np.tile(np.arange(3), len(sets))[mixed]
 
 
-def test_a_batch_gives_what_the_whole_model_gives(case):
+@pytest.mark.parametrize(
+    "price", [pytest.param(-1, marks=pytest.mark.whole), 10**12], ids=["programs of their own", "one program"]
+)
+def test_a_batch_gives_what_the_whole_model_gives(case, monkeypatch, price):
     built, names, conditions, parts, thetas, experiments = case
+    monkeypatch.setattr(module, "_PRICE", price)
     # Without parts everything is computed.
     whole, ok = Batch(built.simulation.simulator, built.inference.observation, names, conditions)(thetas, experiments)
     batch = Batch(built.simulation.simulator, built.inference.observation, names, conditions, parts)
@@ -92,12 +96,20 @@ def test_what_is_absent_of_all_that_run_together_is_not_computed():
     assert set(called) == {3, 7}
 
 
-def test_simulations_of_one_model_run_together(case):
+def test_simulations_of_one_model_run_together_and_often_in_a_program_of_their_own(case, monkeypatch):
     built, names, conditions, parts, thetas, _ = case
     batch = Batch(built.simulation.simulator, built.inference.observation, names, conditions, parts)
-    differs = thetas != thetas[np.argmin(np.abs(thetas).sum(axis=1))]
-    kinds = np.unique(differs, axis=0, return_inverse=True)[1].ravel()[batch._order(thetas, None)]
-    assert np.count_nonzero(np.diff(kinds)) == len(np.unique(kinds)) - 1
+    monkeypatch.setattr(module, "_PRICE", 7 * built.simulation.simulator.timeline.steps)
+    differs = thetas != batch._present.neutral
+    kinds = np.unique(differs, axis=0, return_inverse=True)[1].ravel()
+    # Three of each of seven models, at once and once more.
+    for _ in range(2):
+        ((served, places),) = batch._served(thetas, None)
+        assert served.present is not None and sorted(places) == list(range(len(thetas)))
+        assert np.count_nonzero(np.diff(kinds[places])) == 6
+    found = list(batch._served(thetas, None))
+    assert len(found) == 7 and all(served.present is None and len(places) == 3 for served, places in found)
+    assert sorted(len(served.columns) for served, _ in found)[0] == 2
 
 
 @pytest.mark.parametrize("is_short", [False, True])

@@ -4,11 +4,16 @@ One program holds every candidate effect in all its forms.  It serves every set 
 record of about its length: masses, scales, data and parameters are operands.  An effect whose parameters are neutral in all
 simulations that run together is not computed (`hsed_jax.physics.gates`), so simulations of one model run together.
 
+A model that is simulated again and again gets a program of its own, three times as fast, as soon as that would have paid for
+itself (the rule of ski rental: at most twice the cost of knowing the number of simulations beforehand; Karlin et al. 1988).
+
 Chunks of simulations go to threads: XLA runs a program of this kind on one core, and several at a time on several.
 """
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -20,7 +25,7 @@ from hsed_jax.backend import cores
 from hsed_jax.inference.observation import Histories, Observation, Outputs
 from hsed_jax.physics.batch import tiled_map
 from hsed_jax.physics.gates import LANES
-from hsed_jax.physics.simulator import AbstractModel, Conditions
+from hsed_jax.physics.simulator import AbstractModel, Conditions, Simulator
 from hsed_jax.programs import program
 
 # Simulations of a chunk, and those that run together: most rounds ask for a few of each set.
@@ -29,6 +34,8 @@ _CHUNK, _TILE = 64, 8
 _AHEAD = 16
 # Outputs beyond this are on their way to infinity, and their squares would be no numbers.
 _FAR = 1e100
+# A program of its own takes about three seconds to make, as long as it saves in so many steps.
+_PRICE = 15_000_000
 
 
 @runtime_checkable
@@ -82,6 +89,20 @@ class Present(NamedTuple):
         """Whether each effect acts in any of several simulations."""
         differs = jnp.any(thetas != self.neutral, axis=0)
         return dict(zip(self.effects, jnp.any(self.owned & differs, axis=1), strict=True))
+
+
+class Served(NamedTuple):
+    """A program, and what of a parameter vector it takes.
+
+    Attributes:
+        outputs: what it computes.
+        present: which effects a simulation has; None where it computes all that there are.
+        columns: of the parameters, (p,).
+    """
+
+    outputs: Outputs
+    present: Present | None
+    columns: Int[np.ndarray, " p"]
 
 
 class Apart(NamedTuple):
@@ -172,8 +193,12 @@ class Batch:
     ):
         self._kept = slice(None) if kept is None else kept
         self._outputs, self._conditions = Outputs(model, observation, names), conditions
+        self._observation = observation
         self._present = _present(parts, len(names)) if parts else None
         self._ends = None if used is None else _steps_to(used, conditions, observation, model)
+        self._steps = 1 if model.timeline is None else model.timeline.steps
+        self._spent: Counter[bytes] = Counter()
+        self._own: dict[bytes, Served] = {}
         self._threads = ThreadPoolExecutor(cores())
         self.simulations = 0
 
@@ -195,35 +220,64 @@ class Batch:
         if self._ends is not None:
             most = self._ends.shape[1] - 1
             stops = self._ends[experiments, most if samples is None else np.clip(samples + _AHEAD, 0, most)]
-        order = self._order(thetas, stops)
         # Tiles are shared among the cores.
         size = min(max(-(-len(thetas) // (cores() * _TILE)), 1) * _TILE, _CHUNK)
+        chunks = [
+            (served, places[start : start + size])
+            for served, places in self._served(thetas, stops)
+            for start in range(0, len(places), size)
+        ]
 
-        def run(places: np.ndarray):
+        def run(chunk: tuple[Served, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+            (outputs, present, columns), places = chunk
             padding = ((0, _CHUNK - len(places)),)
             found, ok = _outputs(
-                self._outputs,
+                outputs,
                 self._conditions,
-                self._present,
-                jnp.asarray(np.pad(thetas[places], (*padding, (0, 0)), mode="edge")),
+                present,
+                jnp.asarray(np.pad(thetas[places][:, columns], (*padding, (0, 0)), mode="edge")),
                 jnp.asarray(np.pad(experiments[places], padding, mode="edge")),
                 jnp.asarray(len(places)),
                 None if stops is None else jnp.asarray(np.pad(stops[places], padding, mode="edge")),
             )
             return np.asarray(found)[: len(places), self._kept], np.asarray(ok)[: len(places)]
 
-        found = list(self._threads.map(run, (order[start : start + size] for start in range(0, len(order), size))))
-        back = np.argsort(order)
+        found = list(self._threads.map(run, chunks))
+        back = np.argsort(np.concatenate([places for _, places in chunks]))
         return np.concatenate([out for out, _ in found])[back], np.concatenate([ok for _, ok in found])[back]
 
-    def _order(self, thetas: np.ndarray, stops: np.ndarray | None) -> np.ndarray:
-        """The order in which simulations run: those of one model together, and of these those of about one length."""
-        keys = [] if stops is None else [stops]
+    def _served(self, thetas: np.ndarray, stops: np.ndarray | None) -> Iterator[tuple[Served, np.ndarray]]:
+        """The programs that simulations run, and the places of these in the order in which they run: those of one model together,
+        and of these those of about one length."""
+        lengths = np.full(len(thetas), self._steps) if stops is None else stops
+        kind_of, is_alone = np.zeros(len(thetas), dtype=int), np.zeros(len(thetas), dtype=bool)
         if self._present is not None:
-            differs = thetas != np.asarray(self._present.neutral)
-            acts = differs @ np.asarray(self._present.owned, dtype=float).T > 0
-            keys.append(np.unique(acts, axis=0, return_inverse=True)[1].ravel())
-        return np.lexsort(keys) if keys else np.arange(len(thetas))
+            kinds, kind_of = np.unique(thetas != np.asarray(self._present.neutral), axis=0, return_inverse=True)
+            kind_of = kind_of.ravel()
+            for number, differs in enumerate(kinds):
+                places, key = np.flatnonzero(kind_of == number), differs.tobytes()
+                self._spent[key] += int(lengths[places].sum())
+                if self._spent[key] > _PRICE:
+                    if key not in self._own:
+                        self._own[key] = self._alone(differs)
+                    is_alone[places] = True
+                    yield self._own[key], places[np.argsort(lengths[places], kind="stable")]
+        rest = np.flatnonzero(~is_alone)
+        if rest.size:
+            order = np.lexsort([lengths[rest], kind_of[rest]])
+            yield Served(self._outputs, self._present, np.arange(thetas.shape[1])), rest[order]
+
+    def _alone(self, differs: Bool[np.ndarray, " P"]) -> Served:
+        """A program of the model in which these parameters are not neutral: all others are numbers that the compiler knows."""
+        assert self._present is not None
+        owned = np.asarray(self._present.owned)
+        absent = {name for name, own in zip(self._present.effects, owned, strict=True) if not differs[own].any()}
+        columns = np.flatnonzero(differs | ~owned.any(axis=0))
+        model = self._outputs.model
+        assert isinstance(model, Simulator)
+        lean = replace(model, effects=model.effects.only(e for e in model.effects if e not in absent))
+        names = tuple(self._outputs.names[k] for k in columns)
+        return Served(Outputs(lean, self._observation, names), None, columns)
 
 
 def _present(parts: Sequence[Part], count: int) -> Present:

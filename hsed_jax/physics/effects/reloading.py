@@ -151,7 +151,7 @@ class Buckling(AbstractSpringEffect):
         tension, compression = point.memory["largest_tension"], point.memory["largest_compression"]
         reached = jnp.where(side > 0, compression, tension) / point.scales.elongation
         weaker = (1 + self.growth * lost * reached) / (1 - lost)
-        found = {"nu": jnp.where(point.hysteretic * side < 0, weaker, 1.0)}
+        found: dict[str, Scalar] = {"nu": jnp.where(point.hysteretic * side < 0, weaker, 1.0)}
         if not is_zero(self.late):
             loads = (point.hysteretic * side > 0) & (point.rate * side > 0)
             later = self.late * jnp.minimum(_AT_ONCE * lost, 1.0)
