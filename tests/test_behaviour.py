@@ -196,6 +196,7 @@ def test_the_main_changes_are_said_first_and_what_stays_is_compared_with_the_mod
         Behaviour(quantity, "falls", {}, Value(3.0e7, 3.0e7, 3.0e7), value, "N/m", sentence=quantity)
         for quantity in ("unloading_stiffness", "post_yield_stiffness", "strength", "recentring")
     ]
-    assert Behaviours(falls).sentence == "strength; recentring; unloading_stiffness"
+    assert Behaviours(falls).sentence == "strength; recentring"
+    assert Behaviours(falls[:2]).sentence == "unloading_stiffness; post_yield_stiffness"
     flag = Behaviour("recentring", "differs", {}, Value(0.42, 0.42, 0.42), Value(0.97, 0.96, 0.98), "1")
     assert told(flag, ELONGATION_AND_FORCE) == "recentring is 0.97, in the model as it was 0.42 (90 %: 0.96 to 0.98)"

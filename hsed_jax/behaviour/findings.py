@@ -131,7 +131,9 @@ class Behaviours(Tabular):
     @property
     def sentence(self) -> str:
         """The main changes in one sentence; empty where nothing changes."""
-        said = [one.sentence for one in sorted(self.changes, key=lambda one: one.quantity in _FURTHER)[:_SAID]]
+        main = [one for one in self.changes if one.quantity not in _FURTHER]
+        is_told = any(one.quantity in ("initial_stiffness", "strength") for one in main)
+        said = [one.sentence for one in (main if is_told else self.changes)[:_SAID]]
         if not said:
             return ""
         said += [
@@ -159,7 +161,7 @@ class Behaviours(Tabular):
 
 # Changes of a sentence.
 _SAID = 3
-# What says less than the initial stiffness and the strength do, and is said after them.
+# What says no more than the initial stiffness and the strength do, where these change.
 _FURTHER = ("unloading_stiffness", "reloading_stiffness", "post_yield_stiffness", "sharpness")
 
 
