@@ -186,7 +186,7 @@ class Search:
         if self.held_out.test is not None:
             before, unseen = self.unseen([here, larger])
             if not unseen <= before:
-                return f"it takes the error on experiments that were not used from {before:.3f} to {unseen:.3g}"
+                return "the model predicts the experiments that were not used better without it"
         odds = self.odds(larger, here)
         if odds < ODDS:
             return f"its odds of {odds:.2g} by what it predicts are less than {ODDS:.0f}"

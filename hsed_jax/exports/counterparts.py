@@ -206,7 +206,7 @@ def _flexibility(name: str, effect: Any, scales: Scales) -> tuple:
 def _beside(name: str, effect: Any, law: AbstractSpringLaw, scales: Scales, reach: float) -> tuple:
     """Kind and arguments of what an effect adds beside the element."""
     if effect.name in _CURVES:
-        _require(name, effect, of_bristle=0, worn=0, kept=0)
+        _require(name, effect, worn=0, kept=0)
         return _curve(effect, scales, reach)
     force = float(effect.delta * scales.force)
     if effect.name == "coulomb_friction":
