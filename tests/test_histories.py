@@ -16,6 +16,7 @@ import hsed_jax as hx
 from hsed_jax.errors import UserError
 from hsed_jax.inference.observation import Quantities, assemble, conditions_of
 from hsed_jax.measurements import Campaign, Channel, Experiment, Noise, Record, check_campaign, read_at2
+from hsed_jax.measurements.characteristics import from_unloaded
 from hsed_jax.physics.simulator import Conditions
 from hsed_jax.study.build import Built
 
@@ -230,6 +231,13 @@ def test_a_record_whose_first_rows_were_not_written_begins_loaded():
     np.testing.assert_allclose(found[:100], whole["force"][4:104], atol=2e-3 * largest)
     said = [finding for finding in check_campaign(loaded) if finding.kind == "offset"]
     assert len(said) == 1 and "loads a new specimen from zero" in said[0].message
+
+
+def test_a_sensor_that_is_not_quite_at_zero_is_no_load():
+    time, elongation = motion(1, 400)
+    record = Record(time, {"elongation": elongation + 1e-5, "force": path_force(time, elongation) + 4e3})
+    assert from_unloaded(record) is record
+    assert not [finding for finding in check_campaign(in_one_record(record)) if finding.kind == "offset"]
 
 
 def test_an_elongation_that_was_not_zeroed_is_no_load():

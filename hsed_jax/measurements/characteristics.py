@@ -31,8 +31,9 @@ class Characteristics(NamedTuple):
 START = 0.02
 """Share of the largest magnitude at which a record may begin."""
 
-# A specimen that is loaded has at least this share of the secant stiffness to its peak.
-_SECANT = 0.5
+# A specimen that is loaded has at least this share of the secant stiffness to its peak, and has moved by this share of what it
+# moves from one sample to the next: less is a zero that is not quite set.
+_SECANT, _MOVED = 0.5, 0.1
 
 
 def characteristics(campaign: Campaign) -> Characteristics:
@@ -73,8 +74,10 @@ def from_unloaded(record: Record) -> Record:
         share = loaded / np.nanmax(np.abs(force)) * np.sign(moved)
         if not share >= max(START, _SECANT * abs(moved) / np.nanmax(np.abs(elongation))):
             return record
-        speed = np.nanmean(np.abs(np.diff(elongation))) / np.nanmean(np.diff(record.time))
-        before = record.time[0] - abs(moved) / speed
+        step = np.nanmean(np.abs(np.diff(elongation)))
+        if not abs(moved) >= _MOVED * step:
+            return record
+        before = record.time[0] - abs(moved) / step * np.nanmean(np.diff(record.time))
     if not before < record.time[0]:
         return record
     zero = {name: np.concatenate([[0.0], values]) for name, values in record.channels.items()}
