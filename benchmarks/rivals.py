@@ -287,7 +287,11 @@ def _descents(
 ) -> tuple[list[list[Descent]], NestedModels]:
     """Of each trial the best fits of these members, all made side by side."""
     slots = _slots(trials)
-    models = case.models.within(case.models.box, lambda thetas, rows: case.lanes(thetas, slots.ravel()[rows]))
+
+    def lanes(thetas: np.ndarray, rows: np.ndarray, samples: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        return case.lanes(thetas, slots.ravel()[rows], samples)
+
+    models = case.models.within(case.models.box, lanes)
     used = np.asarray([np.arange(MOST) < len(trial.asked) for trial in trials]).reshape(-1, MOST)
     weights = np.zeros((len(trials), *slots.shape, made.shape[1]))
     weights[range(len(trials)), range(len(trials))] = used[..., None]

@@ -66,6 +66,14 @@ def test_a_batch_gives_what_the_whole_model_gives(case, monkeypatch, price):
     np.testing.assert_allclose(found[4], exact, rtol=1e-9)
 
 
+def test_effects_that_are_no_candidates_always_act(case):
+    built, names, conditions, parts, thetas, experiments = case
+    whole, _ = Batch(built.simulation.simulator, built.inference.observation, names, conditions)(thetas, experiments)
+    # Those of the model as it is: a specimen's and the structure's are among them.
+    batch = Batch(built.simulation.simulator, built.inference.observation, names, conditions, parts[:2])
+    np.testing.assert_allclose(batch(thetas, experiments)[0], whole, rtol=1e-9)
+
+
 def test_what_is_absent_of_all_that_run_together_is_not_computed():
     called = []
 

@@ -61,7 +61,7 @@ class Conditions(NamedTuple):
         inputs: by name, SI.
         recorded: its record, where it has one.
         acting: whether each effect of the model acts, the same for all experiments that run together: those that do not are not
-            computed (`hsed_jax.physics.gates`).  None: all do.
+            computed (`hsed_jax.physics.gates`).  None: all do, and so do those that are not named.
     """
 
     inputs: Mapping[str, Scalar]
@@ -306,12 +306,16 @@ class _Given(NamedTuple):
             for name, effect in self.effects.items()
             if isinstance(effect, AbstractSpringEffect) and has(owner_of(name))
         }
-        return tuple(own.values()), scales, None if self.acting is None else tuple(self.acting[name] for name in own)
+        return tuple(own.values()), scales, None if self.acting is None else tuple(map(self._acts, own))
+
+    def _acts(self, effect: str) -> Bool[Array, ""]:
+        assert self.acting is not None
+        return jax.numpy.asarray(self.acting.get(effect, True))
 
     @property
     def rig_acts(self) -> Bool[Array, ""] | None:
         """Whether any effect outside the springs acts; None where all do."""
         if self.acting is None:
             return None
-        outside = [self.acting[name] for name, e in self.effects.items() if isinstance(e, AbstractSetupEffect)]
+        outside = [self._acts(name) for name, e in self.effects.items() if isinstance(e, AbstractSetupEffect)]
         return jax.numpy.any(jax.numpy.stack(outside))
