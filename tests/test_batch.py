@@ -85,7 +85,7 @@ def test_what_is_absent_of_all_that_run_together_is_not_computed():
                 )
             }
 
-        return gates.Part(("force",), say)
+        return gates.Contributor(lambda: ("force",), say)
 
     @jax.jit
     def forces(values, acts):

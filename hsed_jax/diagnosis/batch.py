@@ -4,7 +4,7 @@ One program holds every candidate effect in all its forms.  It serves every set 
 record of about its length: masses, scales, data and parameters are operands.  An effect whose parameters are neutral in all
 simulations that run together is not computed (`hsed_jax.physics.gates`), so simulations of one model run together.
 
-A model that is simulated again and again gets a program of its own, three times as fast, as soon as that would have paid for
+A model that is simulated again and again gets a program of its own, which is faster, as soon as that would have paid for
 itself (the rule of ski rental: at most twice the cost of knowing the number of simulations beforehand; Karlin et al. 1988).
 
 Chunks of simulations go to threads: XLA runs a program of this kind on one core, and several at a time on several.
@@ -193,7 +193,6 @@ class Batch:
     ):
         self._kept = slice(None) if kept is None else kept
         self._outputs, self._conditions = Outputs(model, observation, names), conditions
-        self._observation = observation
         self._present = _present(parts, len(names)) if parts else None
         self._ends = None if used is None else _steps_to(used, conditions, observation, model)
         self._steps = 1 if model.timeline is None else model.timeline.steps
@@ -277,7 +276,7 @@ class Batch:
         assert isinstance(model, Simulator)
         lean = replace(model, effects=model.effects.only(e for e in model.effects if e not in absent))
         names = tuple(self._outputs.names[k] for k in columns)
-        return Served(Outputs(lean, self._observation, names), None, columns)
+        return Served(Outputs(lean, self._outputs.observation, names), None, columns)
 
 
 def _present(parts: Sequence[Part], count: int) -> Present:

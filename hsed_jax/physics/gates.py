@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, PyTree
 LANES = "lanes"
 """The axis of `jax.vmap` over what runs together, where effects are gated."""
 
-# A gate that is shut costs as much as ten multiplications, so effects stand behind a common gate in groups of about so many.
+# Every gate has to be asked, so effects stand behind a common gate in groups of so many.
 _GROUP = 6
 
 
@@ -35,48 +35,48 @@ def in_any_lane(happens: Bool[Array, ""]) -> Bool[Array, ""]:
     return jax.lax.pmax(jnp.asarray(happens, int), LANES) > 0
 
 
-class Part(NamedTuple):
-    """One of several that say numbers.
+class Contributor(NamedTuple):
+    """One of several that contribute numbers.
 
     Attributes:
-        names: of all that it may say.
-        say: some of them, by name.
+        names: gives the names of all that it may contribute; asked for behind a gate only.
+        contribute: gives some of them, by name.
     """
 
-    names: tuple[str, ...]
-    say: Callable[[], Mapping[str, Any]]
+    names: Callable[[], tuple[str, ...]]
+    contribute: Callable[[], Mapping[str, Any]]
 
 
 def gathered(
-    parts: Sequence[Part],
+    contributors: Sequence[Contributor],
     acting: Sequence[Bool[Array, ""]] | None,
     merged: Callable[[Iterable[Mapping[str, Any]]], dict[str, Any]],
     neutral: Callable[[str], Any],
 ) -> dict[str, Any]:
-    """Merge what those of several parts say that act.
+    """Merge the contributions of those that act.
 
     Arguments:
-        parts: of which some are absent.
+        contributors: of which some may be absent.
         acting: whether each acts; None where all do.
-        merged: makes one of several.
-        neutral: what a part that is absent says of a name.
+        merged: makes one contribution of several.
+        neutral: what stands for a name to which nobody contributes.
     """
     if acting is None:
-        return merged([part.say() for part in parts])
+        return merged([one.contribute() for one in contributors])
 
-    def told(acts: Bool[Array, ""], part: Part) -> Mapping[str, Any]:
-        def silent() -> dict[str, Any]:
-            return {name: neutral(name) for name in part.names}
+    def behind(acts: Bool[Array, ""], one: Contributor) -> Mapping[str, Any]:
+        def absent() -> dict[str, Any]:
+            return {name: neutral(name) for name in one.names()}
 
-        return gated(acts, lambda: silent() | dict(part.say()), silent)
+        return gated(acts, lambda: absent() | dict(one.contribute()), absent)
 
-    speaking = [(acts, part) for acts, part in zip(acting, parts, strict=True) if part.names]
+    able = [(acts, one) for acts, one in zip(acting, contributors, strict=True) if one.names()]
     found = []
-    for start in range(0, len(speaking), _GROUP):
-        group = speaking[start : start + _GROUP]
-        names = tuple(dict.fromkeys(name for _, part in group for name in part.names))
-        together = Part(names, lambda own=group: merged([told(*one) for one in own]))
-        found.append(told(jnp.any(jnp.stack([acts for acts, _ in group])), together))
+    for start in range(0, len(able), _GROUP):
+        group = able[start : start + _GROUP]
+        names = tuple(dict.fromkeys(name for _, one in group for name in one.names()))
+        together = Contributor(lambda own=names: own, lambda own=group: merged([behind(*pair) for pair in own]))
+        found.append(behind(jnp.any(jnp.stack([acts for acts, _ in group])), together))
     return merged(found)
 
 

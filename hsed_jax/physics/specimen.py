@@ -24,7 +24,7 @@ from hsed_jax.physics.effects.base import (
     neutral,
 )
 from hsed_jax.physics.effects.forms import slots_of, slots_of_any
-from hsed_jax.physics.gates import Part, gated, gathered, in_any_lane
+from hsed_jax.physics.gates import Contributor, gated, gathered, in_any_lane
 from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, Turn
 from hsed_jax.physics.scales import Scales, is_zero
 from hsed_jax.physics.states import SharedState
@@ -78,7 +78,7 @@ class Specimen(eqx.Module):
         rates = {name: jnp.zeros_like(value) for name, value in memory.items()}
         rates |= {**flow, "energy": force * rate}
         rates |= {state.name: state.rate(elongation, rate) for state in self._shared if state.rate is not None}
-        flows = [Part(effect.states, partial(effect.flow, point)) for effect in self.effects]
+        flows = [Contributor(lambda e=effect: e.states, partial(effect.flow, point)) for effect in self.effects]
         rates |= gathered(flows, self.acting, _joined, lambda state: 0.0)
         return force, rates
 
@@ -90,7 +90,7 @@ class Specimen(eqx.Module):
         kept = {s.name: s.settled(memory[s.name], elongation, turned) for s in self._shared if s.settled is not None}
         # Of a law of paths, what is committed is the force that the element has now.
         point = point._replace(hysteretic=committed.get("hysteretic", point.hysteretic))
-        settled = [Part(effect.states, partial(effect.settle, point)) for effect in self.effects]
+        settled = [Contributor(lambda e=effect: e.states, partial(effect.settle, point)) for effect in self.effects]
         return {**memory, **committed, **kept, **gathered(settled, self.acting, _joined, memory.__getitem__)}
 
     def turned(self, turn: Turn, before: Memory, flow: Memory, after: Memory) -> tuple[Memory, Scalar]:
@@ -123,7 +123,7 @@ class Specimen(eqx.Module):
                 raise ValueError(f"{effect.name}: {missing}")
             return contribution
 
-        parts = [Part(slots_of_any(type(effect)), partial(written, effect)) for effect in self.effects]
+        parts = [Contributor(partial(slots_of_any, type(effect)), partial(written, effect)) for effect in self.effects]
         return combine([gathered(parts, self.acting, merged, neutral)])
 
     def _force(self, point: SpringPoint, slots: Slots, step: Scalar = 0.0) -> tuple[Scalar, SpringPoint]:

@@ -122,6 +122,7 @@ class Buckling(AbstractSpringEffect):
     name: ClassVar[str] = "buckling"
     family: ClassVar[str] = "asymmetry"
     reference: ClassVar[str] = "Black, Wenger & Popov 1980; Ikeda & Mahin 1986"
+
     delta: Scalar = parameter(
         r"\delta_x",
         "1",

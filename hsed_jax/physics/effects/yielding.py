@@ -84,6 +84,7 @@ class KinematicHardening(AbstractBristledEffect):
     name: ClassVar[str] = "kinematic_hardening"
     family: ClassVar[str] = "hardening"
     reference: ClassVar[str] = "Armstrong & Frederick 1966; Chaboche 1986"
+
     delta: Scalar = parameter(
         r"\delta_\alpha",
         "1",
