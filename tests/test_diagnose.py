@@ -717,12 +717,12 @@ def rivals_problem(functions, values):
     )
 
 
-def rival_case(unlike):
-    """Two effects that are alike but for a part of this size."""
+def rival_case(unlike, more=()):
+    """Two effects that are alike but for a part of this size, the first of which is hidden, and further ones that are, too."""
     random = np.random.default_rng(5)
     functions = np.concatenate([FUNCTIONS, random.standard_normal((2 + K, MORE, J))], axis=1)
     functions[3 + 1] = functions[2] + unlike * random.standard_normal(functions[0].shape)
-    values = data_of(1) + 0.4 * functions[2, :N]
+    values = data_of(1) + 0.4 * functions[2, :N] + sum(0.4 * functions[2 + number, :N] for number in more)
     problem = rivals_problem(functions, values)
     search = Search(problem.models, problem.train, LAW, EFFECTS, lambda fit: False)
     search.start()
@@ -806,6 +806,15 @@ def test_another_name_is_taken_where_its_effect_explains_nine_tenths(unlike, is_
     assert search.exchange("effect_0", "effect_2", "") is is_taken
     assert search.best == frozenset({"effect_2" if is_taken else "effect_0"})
     assert search.exchange(*sorted(search.best), "effect_5", "") is False
+
+
+def test_an_exchange_leaves_each_set_of_one_effect_less():
+    # In the report each effect stands beside the set without it.
+    _, search = rival_case(0.15, more=(3, 4, 5))
+    assert search.best == {"effect_0", "effect_3", "effect_4", "effect_5"}
+    assert search.exchange("effect_0", "effect_2", "")
+    for effect in search.best:
+        assert np.isfinite(search.model(search.best - {effect}).log_evidence)
 
 
 def test_an_average_over_explanations_is_their_mixture():
