@@ -230,6 +230,20 @@ def test_evidence_of_a_curved_posterior_by_sampling_is_that_of_quadrature():
         assert sampled.moments(k)["sd"] == pytest.approx(sd, rel=0.1)
 
 
+def test_an_interval_of_a_few_telling_draws_is_no_point():
+    # The slope at the fit promises an interval of 1, and almost everywhere within it the model is far off.
+    def rough(theta):
+        x = np.stack(theta, axis=1)
+        return 0.01 * x + 0.3 * (1 - np.cos(40 * x))
+
+    priors = {name: Prior("normal", [0.0, 1.0]) for name in "abcd"}
+    models, target, fit = fitted(rough, priors, np.zeros(4), 0.01)
+    sampled = sample_posterior(fit, models, target, 60, 0)
+    assert sampled.effective < 10 < 1 / np.sum(sampled.weights**2)
+    for k in range(4):
+        assert sampled.moments(k)["q95"] - sampled.moments(k)["q05"] > 0.1
+
+
 def test_evidence_leaves_out_where_the_simulation_diverges():
     # Half of the posterior is gone: half of the evidence, too.
     models, target, fit = fitted(wave, {"a": Prior("normal", [0.0, 1.0])}, pulled(0.0)[0])

@@ -14,7 +14,7 @@ from scipy.special import log_ndtr
 
 from hsed_jax.diagnosis.descent import Descent, Target
 from hsed_jax.diagnosis.nested import NestedModels
-from hsed_jax.inference.importance import Proposal, weigh
+from hsed_jax.inference.importance import Proposal, flattened, weigh
 
 _FLOOR = 1e-6
 
@@ -26,7 +26,8 @@ class Sampled(NamedTuple):
         log_evidence: log Z.
         effective: effective number of draws.
         thetas: draws, SI, (S, P).
-        weights: of the draws, summing to one, (S,).
+        weights: of the draws, summing to one, (S,); flattened where only a few draws would count, so that an interval is too wide
+            and not too narrow.
     """
 
     log_evidence: float
@@ -109,7 +110,9 @@ def sample_posterior(fit: Descent, models: NestedModels, target: Target, draws: 
     if not np.isfinite(found.log_evidence):
         return Sampled(-np.inf, 0.0, models.theta(fit.x, fit.member)[None], np.ones(1))
     thetas = np.stack([models.theta(_at(fit, point), fit.member) for point in found.points])
-    return Sampled(found.log_evidence, found.worth, thetas, found.weights)
+    with np.errstate(divide="ignore"):
+        log_weights = np.log(found.weights)
+    return Sampled(found.log_evidence, found.worth, thetas, flattened(log_weights, len(fit.free)))
 
 
 def gaussian(fit: Descent) -> tuple[np.ndarray, np.ndarray]:
