@@ -17,7 +17,7 @@ from hsed_jax.analysis.calibration import calibrate_built
 from hsed_jax.command_line import main
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
-from hsed_jax.inference.expansion import expansion
+from hsed_jax.inference.expansion import expand
 from hsed_jax.inference.population import Level, Population, Varying, spread_support
 from hsed_jax.inference.priors import Prior
 from hsed_jax.study.build import Built
@@ -177,7 +177,7 @@ def test_the_map_and_its_coordinates_are_what_finite_differences_say(folder):
     outputs = lambda x: posterior.predictions(x, data)[0]  # noqa: E731
     np.testing.assert_allclose(jax.jacfwd(outputs)(u), difference(outputs), atol=1e-7)
     density = lambda x: posterior.log_density(x, data)  # noqa: E731
-    found = expansion(posterior, data, u)
+    (found,) = expand(posterior, data, [np.asarray(u)])
     np.testing.assert_allclose(found.gradient, difference(density), rtol=1e-6, atol=1e-5)
     np.testing.assert_allclose(found.gradient, jax.grad(density)(u), rtol=1e-9)
     assert np.linalg.eigvalsh(found.curvature).min() > 0

@@ -4,7 +4,7 @@ All of it follows from one simulation of each experiment with its derivatives.  
 Fisher information, and of priors and transformation what is positive):
 $F = \sum \frac{\partial f\,\partial f^\top}{\sigma^2} + 2\,\partial\log\sigma\,\partial\log\sigma^\top$.
 
-The simulation is most of what there is to compile, so one program serves starts side by side and a point alone.
+The simulations are those of `hsed_jax.inference.simulations`, starts side by side.
 """
 
 from collections.abc import Sequence
@@ -14,14 +14,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from hsed_jax.inference.likelihood import Data, decorrelated, log_likelihood
 from hsed_jax.inference.population import Population
 from hsed_jax.inference.posterior import Posterior
+from hsed_jax.inference.simulations import filled, linearised_at
 from hsed_jax.programs import program
 
-# Points of a call; those that are not asked for cost nothing.
+# Points of a call.
 _WIDTH = 4
 # Coordinates are of order one, and so is their density where the Hessian does not say so.
 _LEAST_OF_POPULATION = 0.25
@@ -58,11 +59,9 @@ def expand(posterior: Posterior, data: Data, points: Sequence[np.ndarray] | np.n
     found: list[Expansion] = []
     for at in range(0, len(points), _WIDTH):
         block = np.stack([np.asarray(point) for point in points[at : at + _WIDTH]])
-        missing = _WIDTH - len(block)
-        counts = np.asarray(data.count) * (np.arange(_WIDTH) < len(block))
-        block = np.concatenate([block, np.repeat(block[-1:], missing, axis=0)])
-        leaves = [np.asarray(leaf) for leaf in _expansions(posterior, data, block, counts)]
-        found += [Expansion(*(leaf[i] for leaf in leaves)) for i in range(_WIDTH - missing)]
+        simulated = linearised_at(posterior, data, filled(block, _WIDTH))
+        leaves = [np.asarray(leaf) for leaf in _expansions(posterior, data, filled(block, _WIDTH), *simulated)]
+        found += [Expansion(*(leaf[i] for leaf in leaves)) for i in range(len(block))]
     return found
 
 
@@ -80,14 +79,24 @@ def centred(posterior: Posterior, data: Data, theta: Float[Array, " p"]) -> Post
 
 @program
 def _expansions(
-    posterior: Posterior, data: Data, points: Float[Array | np.ndarray, "S p"], counts: Int[Array | np.ndarray, " S"]
+    posterior: Posterior,
+    data: Data,
+    points: Float[Array | np.ndarray, "S p"],
+    *simulated: Float[Array | np.ndarray, "S ..."],
 ) -> Expansion:
-    return jax.vmap(lambda u, count: expansion(posterior, data._replace(count=count), u))(points, counts)
+    return jax.vmap(lambda u, *own: _expansion(posterior, data, u, *own))(points, *simulated)
 
 
-def expansion(posterior: Posterior, data: Data, u: Float[Array, " p"]) -> Expansion:
-    """The posterior around u."""
-    predicted, ok, z, log_sigma, z_along, sigma_along = posterior.linearised(u, data)
+def _expansion(
+    posterior: Posterior,
+    data: Data,
+    u: Float[Array, " p"],
+    predicted: Float[Array, "n J"],
+    ok: Float[Array, " n"],
+    along: Float[Array, "n J p"],
+) -> Expansion:
+    """The posterior around u, where the outputs and their derivatives are known."""
+    z, log_sigma, z_along, sigma_along = posterior.compared_along(u, predicted, ok, along, data)
     likelihood, (by_z, by_sigma) = jax.value_and_grad(
         lambda z, log_sigma: log_likelihood(z, log_sigma, ok, data), argnums=(0, 1)
     )(z, log_sigma)

@@ -12,12 +12,12 @@ from jaxtyping import Array, Float
 from hsed_jax.backend import cores
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.posterior import Posterior
+from hsed_jax.inference.simulations import filled, outputs_at, points_of_a_call
 from hsed_jax.inference.watch import Watch
-from hsed_jax.physics.batch import TILE
 from hsed_jax.programs import program
 
-# Simulations of a block, and how often one looks at the blocks and keeps what they found [s].
-_LANES, _LOOK, _KEEP = 4 * TILE, 0.2, 5.0
+# How often one looks at the blocks and keeps what they found [s].
+_LOOK, _KEEP = 0.2, 5.0
 
 
 def heights(
@@ -44,9 +44,8 @@ def heights(
         spent, found = float(kept[0]), np.array(kept[1])
     began = time.perf_counter()
 
-    def one(at: int, block: Array, many: int) -> None:
-        values = np.asarray(_simulated(posterior, data, block)[2])[:many]
-        found[at : at + many] = np.where(np.isnan(values), -np.inf, values)
+    def one(at: int, block: np.ndarray) -> None:
+        found[at : at + len(block)] = _simulated(posterior, data, block)[2]
 
     def seen() -> None:
         watch.count(int((~np.isnan(found)).sum()), len(points))
@@ -64,23 +63,21 @@ def simulated(
     posterior: Posterior, data: Data, points: Float[np.ndarray, "N p"], watch: Watch
 ) -> tuple[Float[np.ndarray, "N n J"], Float[np.ndarray, "N n"], Float[np.ndarray, " N"]]:
     """Outputs of all experiments at points, whether their simulations converged, and the log density in u."""
-    blocks: dict[int, list[np.ndarray]] = {}
+    blocks: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
 
-    def one(at: int, block: Array, many: int) -> None:
-        blocks[at] = [np.asarray(values)[:many] for values in _simulated(posterior, data, block)]
+    def one(at: int, block: np.ndarray) -> None:
+        blocks[at] = _simulated(posterior, data, block)
 
     def seen() -> None:
         watch.count(sum(len(height) for *_, height in blocks.values()), len(points))
 
     _over(one, points, data, np.ones(len(points), dtype=bool), seen, lambda: None, None)
-    outputs, ok, height = (
-        np.concatenate(values) for values in zip(*(blocks[at] for at in sorted(blocks)), strict=True)
-    )
-    return outputs, ok, np.where(np.isnan(height), -np.inf, height)
+    outputs, ok, height = zip(*(blocks[at] for at in sorted(blocks)), strict=True)
+    return np.concatenate(outputs), np.concatenate(ok), np.concatenate(height)
 
 
 def _over(
-    one: Callable[[int, Array, int], None],
+    one: Callable[[int, np.ndarray], None],
     points: Float[np.ndarray, "N p"],
     data: Data,
     is_open: np.ndarray,
@@ -88,15 +85,13 @@ def _over(
     keep: Callable[[], None],
     seconds: float | None,
 ) -> None:
-    """Call `one` with where a block begins, its points, and how many of them count."""
+    """Call `one` with where a block begins, and its points."""
     began = looked = time.perf_counter()
-    size = max(1, _LANES // jax.tree.leaves(data.conditions)[0].shape[0])
+    size = points_of_a_call(data)
     todo = iter([at for at in range(0, len(points), size) if is_open[at : at + size].any()])
 
     def block_of(at: int) -> None:
-        block = points[at : at + size]
-        # One program serves the last block, too.
-        one(at, jax.device_put(np.concatenate([block, np.repeat(block[-1:], size - len(block), axis=0)])), len(block))
+        one(at, points[at : at + size])
 
     def next_of(blocks: Iterator[int]) -> list[int]:
         is_spent = seconds is not None and time.perf_counter() - began >= seconds
@@ -127,11 +122,22 @@ def constrained(posterior: Posterior, u: Float[Array, "N p"]) -> Float[Array, "N
     return jax.vmap(posterior.constrain)(u)
 
 
-@program
-def _simulated(posterior: Posterior, data: Data, u: Float[Array, "S p"]) -> tuple[Array, Array, Array]:
-    # The simulation is most of what there is to compile, so one program serves those who want no outputs, too.
-    def one(u):
-        outputs, ok = posterior.predictions(u, data)
-        return outputs, ok, posterior.log_density_of(u, outputs, ok, data)
+def _simulated(
+    posterior: Posterior, data: Data, u: Float[np.ndarray, "k p"]
+) -> tuple[Float[np.ndarray, "k n J"], Float[np.ndarray, "k n"], Float[np.ndarray, " k"]]:
+    """What `simulated` gives, of the points of a call."""
+    outputs, ok = outputs_at(posterior, data, u)
+    size = points_of_a_call(data)
+    density = np.asarray(_densities(posterior, data, *(filled(values, size) for values in (u, outputs, ok))))[: len(u)]
+    return outputs, ok, np.where(np.isnan(density), -np.inf, density)
 
-    return jax.lax.map(one, u, batch_size=TILE)
+
+@program
+def _densities(
+    posterior: Posterior,
+    data: Data,
+    u: Float[Array | np.ndarray, "S p"],
+    outputs: Float[Array | np.ndarray, "S n J"],
+    ok: Float[Array | np.ndarray, "S n"],
+) -> Float[Array, " S"]:
+    return jax.vmap(lambda u, outputs, ok: posterior.log_density_of(u, outputs, ok, data))(u, outputs, ok)

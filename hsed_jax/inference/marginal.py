@@ -73,8 +73,9 @@ def lowest(
 @program
 def linearised(posterior: Posterior, data: Data, u: Float[Array, " p"]):
     """z, its derivatives along u, (n, J, p), and 1 where the simulation converged."""
-    _, ok, z, _, along, _ = posterior.linearised(u, data)
-    return z, jnp.moveaxis(along, 0, -1), ok
+    predicted, ok, along = posterior.sensitivities(u, data)
+    z, _, z_along, _ = posterior.compared_along(u, predicted, ok, along, data)
+    return z, jnp.moveaxis(z_along, 0, -1), ok
 
 
 @program

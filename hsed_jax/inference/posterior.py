@@ -266,9 +266,15 @@ class Posterior(eqx.Module):
         """Log density of the prior *in u*."""
         return self.log_prior(self.constrain(u)) + self._log_jacobian(u)
 
-    def linearised(self, u: Float[Array, " p"], data: Data) -> tuple[Any, Any, Any, Any, Any, Any]:
-        """Outputs, SI, 1 where the simulation converged, z and log σ, and the derivatives of these two along u, (p, n, J)."""
-        predicted, ok, along = self.sensitivities(u, data)
+    def compared_along(
+        self,
+        u: Float[Array, " p"],
+        predicted: Float[Array, "n J"],
+        ok: Float[Array, " n"],
+        along: Float[Array, "n J p"],
+        data: Data,
+    ) -> tuple[Any, Any, Any, Any]:
+        """z and log σ, and the derivatives of both along u, (p, n, J), where those of the outputs are known."""
 
         def comparison(u, predicted):
             return self._compared(self.constrain(u), predicted, ok, data)
@@ -277,7 +283,7 @@ class Posterior(eqx.Module):
             return jax.jvp(comparison, (u, predicted), (direction, of_outputs))[1]
 
         z, log_sigma = comparison(u, predicted)
-        return predicted, ok, z, log_sigma, *jax.vmap(moved, in_axes=(0, -1))(jnp.eye(u.size), along)
+        return z, log_sigma, *jax.vmap(moved, in_axes=(0, -1))(jnp.eye(u.size), along)
 
     def sensitivities(
         self, u: Float[Array, " p"], data: Data

@@ -1,0 +1,111 @@
+r"""Simulations of all experiments at many points of u, and their derivatives: one compiled program for whoever asks.
+
+Derivatives are central differences along the parameters of the model,
+$\partial f/\partial\theta_k \approx [f(\theta + h_k e_k) - f(\theta - h_k e_k)]/2h_k$, with $h_k = h\,|d\theta_k/du_k|$ and u
+the unconstrained coordinates, which are of order one.  So no second program has to be compiled, with tangents, and the parameters
+of errors and the offsets of a population cost no simulation.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, PyTree
+
+from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.posterior import Posterior
+from hsed_jax.inference.predict import Predictor
+from hsed_jax.physics.batch import TILE
+from hsed_jax.programs import program
+
+# Simulations of a call of the program; those that are not asked for cost nothing.
+_LANES = 4 * TILE
+# h: of a program in another language some six digits are right, and a third derivative of order one leaves a millionth.
+_DIFFERENCE = 1e-3
+
+
+def points_of_a_call(data: Data) -> int:
+    """How many points are simulated side by side."""
+    return max(1, _LANES // jax.tree.leaves(data.conditions)[0].shape[0])
+
+
+def outputs_at(
+    posterior: Posterior, data: Data, points: Float[np.ndarray | Array, "N p"]
+) -> tuple[Float[np.ndarray, "N n J"], Float[np.ndarray, "N n"]]:
+    """Outputs of all experiments at points, and 1 where their simulations converged, else 0."""
+    size = points_of_a_call(data)
+    blocks = [np.asarray(points[at : at + size]) for at in range(0, len(points), size)]
+    own = [np.asarray(_parameters(posterior, data, filled(block, size)))[: len(block)] for block in blocks]
+    return _simulated(posterior, data, np.concatenate(own))
+
+
+def linearised_at(
+    posterior: Posterior, data: Data, points: Float[np.ndarray, "N p"]
+) -> tuple[Float[np.ndarray, "N n J"], Float[np.ndarray, "N n"], Float[np.ndarray, "N n J p"]]:
+    """As `outputs_at`, and the derivatives of the outputs along u; zero where too many simulations diverged."""
+    theta, steps, along = map(np.asarray, _stencils(posterior, data, points))
+    offsets = steps[:, :, None, None] * np.eye(steps.shape[1])[:, None, :]
+    stencil = np.concatenate([theta[:, None], theta[:, None] + offsets, theta[:, None] - offsets], axis=1)
+    outputs, ok = _simulated(posterior, data, stencil.reshape(-1, *stencil.shape[2:]))
+    outputs, ok = (values.reshape(*stencil.shape[:2], *values.shape[1:]) for values in (outputs, ok))
+    ahead, behind = np.split(np.arange(1, stencil.shape[1]), 2)
+    # Where one side diverged, the other one tells.
+    here = outputs[:, :1]
+    sides = [np.where(ok[:, side, :, None] > 0, outputs[:, side], here) for side in (ahead, behind)]
+    lengths = steps[:, :, None] * (ok[:, ahead] + ok[:, behind]) * ok[:, :1]
+    slopes = (sides[0] - sides[1]) / np.where(lengths > 0, lengths, np.inf)[..., None]
+    return (
+        outputs[:, 0],
+        ok[:, 0],
+        np.einsum("sknj,snkp->snjp", slopes, np.broadcast_to(along, (len(along), slopes.shape[2], *along.shape[2:]))),
+    )
+
+
+def filled(block: Float[np.ndarray, "k ..."], size: int) -> Float[np.ndarray, "size ..."]:
+    """As many rows as a program has room for: the last one repeats."""
+    return np.concatenate([block, np.repeat(block[-1:], size - len(block), axis=0)])
+
+
+def _simulated(
+    posterior: Posterior, data: Data, thetas: Float[np.ndarray, "N m q"]
+) -> tuple[Float[np.ndarray, "N n J"], Float[np.ndarray, "N n"]]:
+    """Outputs at parameters of the model, for all experiments or of each its own."""
+    size, found = points_of_a_call(data), []
+    for at in range(0, len(thetas), size):
+        block = thetas[at : at + size]
+        counts = np.where(np.arange(size) < len(block), np.asarray(data.count), 0)
+        outputs, ok = _predictions(posterior.predict, filled(block, size), data.conditions, counts)
+        found.append((np.asarray(outputs)[: len(block)], np.asarray(ok)[: len(block)]))
+    outputs, ok = zip(*found, strict=True)
+    return np.concatenate(outputs), np.concatenate(ok)
+
+
+@program
+def _predictions(
+    predict: Predictor,
+    thetas: Float[Array | np.ndarray, "S m q"],
+    conditions: PyTree,
+    counts: Int[Array | np.ndarray, " S"],
+) -> tuple[Array, Array]:
+    return jax.vmap(lambda theta, count: predict(theta, conditions, count))(thetas, counts)
+
+
+@program
+def _parameters(posterior: Posterior, data: Data, points: Float[Array | np.ndarray, "S p"]) -> Float[Array, "S m q"]:
+    return jax.vmap(lambda u: posterior.by_experiment(posterior.constrain(u), data))(jnp.asarray(points))
+
+
+@program
+def _stencils(posterior: Posterior, data: Data, points: Float[Array | np.ndarray, "S p"]) -> tuple[Any, Any, Any]:
+    """Parameters of the model (S, m, q), the lengths of differences along each (S, q), and derivatives along u (S, m, q, p)."""
+
+    def own(u: Float[Array, " p"]) -> Float[Array, "m q"]:
+        return posterior.by_experiment(posterior.constrain(u), data)
+
+    def one(u: Float[Array, " p"]) -> tuple[Array, Array, Array]:
+        center = jax.jacfwd(lambda x: posterior.of_model(posterior.constrain(x)))(u)
+        steps = _DIFFERENCE * jnp.abs(jnp.diagonal(center[:, : center.shape[0]]))
+        return own(u), jnp.maximum(steps, jnp.finfo(float).tiny), jax.jacfwd(own)(u)
+
+    return jax.vmap(one)(jnp.asarray(points))
