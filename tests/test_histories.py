@@ -511,10 +511,10 @@ def test_quantities_that_nobody_measured_are_refused():
 
 
 def test_a_record_longer_than_the_model_was_built_for_is_refused(calibration):
-    time, elongation = motion(0, 500)
+    time, elongation = motion(0, 600)
     longer = Record(time, {"elongation": elongation, "force": exact_force(elongation)})
     campaign = replace(calibration.campaign, experiments=(Experiment("L01", record=longer),))
-    with pytest.raises(UserError, match="'L01': its record has 500 samples, more than the 448"):
+    with pytest.raises(UserError, match="'L01': its record has 600 samples, more than the 512"):
         calibration.predict(campaign)
 
 

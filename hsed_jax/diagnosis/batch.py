@@ -308,15 +308,15 @@ def _steps_to(
 def _outputs(respond, conditions, present, thetas, experiments, count, stops):
     def tile(lanes):
         thetas, experiments, stops = lanes
+        if stops is None and conditions.stop is not None:
+            stops = conditions.stop[experiments]
         # One number for all, or the loop would ask every lane at every step.
         stop = None if stops is None else jnp.max(stops)
-        acting = None if present is None else present.acting(thetas)
+        acting, records = None if present is None else present.acting(thetas), conditions.until(None)
 
         def one(theta, experiment):
-            at_it = jax.tree.map(lambda leaf: leaf[experiment], conditions)._replace(acting=acting)
-            if stop is not None:
-                at_it = at_it._replace(recorded=at_it.recorded._replace(stop=stop))
-            outputs, ok = respond(theta, at_it)
+            at_it = jax.tree.map(lambda leaf: leaf[experiment], records)._replace(acting=acting)
+            outputs, ok = respond(theta, at_it.until(stop))
             # On its way to infinity a diverging simulation passes numbers whose squares are no numbers any more.
             ok = ok & jnp.all(jnp.abs(outputs) < _FAR)
             return jnp.where(ok, outputs, 0.0), ok

@@ -277,9 +277,8 @@ def conditions_of(experiment: Experiment, campaign: Campaign, grid: Grid | None,
             f"experiment {experiment.id!r}: its record has no ground_acceleration and the study no excitation; give one (or "
             "the force on mass 1 as a channel applied_force_1)"
         )
-    return Conditions(
-        inputs, Recorded(Tabulated(jax.device_put(samples)), jax.device_put(lengths), jax.device_put(ends))
-    )
+    placed = jax.device_put((samples, lengths, ends, np.asarray(steps)))
+    return Conditions(inputs, Recorded(Tabulated(placed[0]), *placed[1:]))
 
 
 @eqx.filter_jit

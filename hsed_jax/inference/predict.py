@@ -16,6 +16,7 @@ from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float, Int, PyTree
 
 from hsed_jax.physics.batch import TILE, tiled_map
+from hsed_jax.physics.simulator import Conditions
 
 # A lane with derivatives has several times the state of one without.
 _TILE_WITH_DERIVATIVES = TILE // 2
@@ -71,12 +72,18 @@ def _(rest, primals, tangents):
 
 @eqx.filter_jit
 def _values(rest, arrays, lanes):
-    def one(lane):
-        outputs, ok = eqx.combine(rest, arrays)(*lane)
+    thetas, conditions = lanes
+    stop = None
+    if isinstance(conditions, Conditions) and conditions.stop is not None:
+        # One number for all, or the loop would ask every lane at every step.
+        stop, conditions = jnp.max(conditions.stop), conditions.until(None)
+
+    def one(theta, own):
+        outputs, ok = eqx.combine(rest, arrays)(theta, own if stop is None else own.until(stop))
         ok = ok & jnp.all(jnp.isfinite(outputs))
         return jnp.where(ok, outputs, 0.0), ok
 
-    outputs, ok = jax.vmap(one)(lanes)
+    outputs, ok = jax.vmap(one)(thetas, conditions)
     return outputs, ok.astype(float)
 
 

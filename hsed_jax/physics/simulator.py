@@ -68,6 +68,15 @@ class Conditions(NamedTuple):
     recorded: Recorded | None = None
     acting: Mapping[str, Bool[Array, ""]] | None = None
 
+    @property
+    def stop(self) -> Any:
+        """Steps after which nothing is asked for; None for the whole grid."""
+        return None if self.recorded is None else self.recorded.stop
+
+    def until(self, stop: Any) -> "Conditions":
+        """The same, with nothing asked for after so many steps."""
+        return self if self.recorded is None else self._replace(recorded=self.recorded._replace(stop=stop))
+
 
 @final
 class Parametrised[T](eqx.Module):

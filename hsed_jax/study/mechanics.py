@@ -97,7 +97,7 @@ class AbstractMechanics(ABC):
 
     @property
     def is_shared(self) -> bool:
-        """Whether its program is one that campaigns share: it holds all forms of its effects."""
+        """Whether its program takes long to make: it holds all forms of its effects."""
         return False
 
     @abstractmethod

@@ -34,10 +34,10 @@ _MOST_PER_BRANCH = 100
 # these; and at most the yield elongation, however many it takes.
 _STEP_PER_YIELD = 0.2
 _DIVISIONS = 20
-# Sizes of a compiled program in an octave: records of similar length share one, and at most a fifth of it is padding.
-_SIZES_PER_OCTAVE = 4
-# The least size of a program that campaigns share.
-_SHARED = 512
+# The least size of a compiled program, and how many times the one before each is: campaigns of similar length share it, and what
+# is padded is not simulated.  One that takes long to make has fewer sizes.
+_LEAST, _TIMES = 256, 2
+_LEAST_SHARED, _TIMES_SHARED = 512, 4
 TOLD = 1000
 """Samples of what drives an experiment, as a model is told that integrates nothing here."""
 
@@ -156,7 +156,7 @@ def imposed_grid(
         records: each with its elongation.
         found: characteristic values of the campaign.
         middle, steepest: the law in the middle of its priors, and where they make it yield soonest.
-        is_shared: the program is one that campaigns share, as `padded` says.
+        is_shared: the program takes long to make, as `padded` says.
     """
     samples = padded(max(len(record) for record in records), is_shared)
     records = [from_unloaded(record) for record in records if "elongation" in record.channels]
@@ -190,15 +190,9 @@ def _divided(records: Sequence[Record], needed: float, is_shared: bool) -> Grid:
 
 
 def padded(count: int, is_shared: bool = False) -> int:
-    """The least size of a compiled program for so many samples, at least 64.
-
-    A program that takes long to make, and that stops where a record ends, has few sizes: each is four times the one before.
-    """
-    if is_shared:
-        return _SHARED * 4 ** max(math.ceil(math.log(count / _SHARED, 4)), 0)
-    octave = 2.0 ** max(math.ceil(math.log2(max(count, 1))), 6)
-    sizes = (int(octave * (1 - share / (2 * _SIZES_PER_OCTAVE))) for share in reversed(range(_SIZES_PER_OCTAVE)))
-    return next(size for size in sizes if size >= count)
+    """The least size of a compiled program for so many samples; `is_shared`: of one that takes long to make."""
+    least, times = (_LEAST_SHARED, _TIMES_SHARED) if is_shared else (_LEAST, _TIMES)
+    return least * times ** max(math.ceil(math.log(max(count, 1) / least, times) - 1e-9), 0)
 
 
 def _checked(steps: int, words: str) -> int:
