@@ -271,7 +271,7 @@ def test_an_effect_of_all_needs_one_that_shares_the_model(tmp_path):
     assert "left.slip" in built.mechanics.naming.candidates and "slip" not in built.mechanics.naming.candidates
     assert "storey2.yielding" not in built.mechanics.naming.candidates
     with pytest.raises(
-        UserError, match=r"slip: no specimen shares the model of the study; say of which one, left\.slip"
+        UserError, match=r"slip: no specimen shares the model of the study; name the specimen, left\.slip"
     ):
         Built(study(tmp_path, *changes, "model={effects: {slip: {}}}")).check()
 

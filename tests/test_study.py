@@ -336,7 +336,7 @@ MISTAKES = {
     "record of 300 characters": ("excitation", {"recorded": {"file": "a" * 300}}, "cannot be read"),
     "program with NUL": ("experiments", {"python": "a\0.py:f"}, "experiments.python", "no such file"),
     "no channels": ("channels", [], "channels", "empty"),
-    "channel twice": ("channels", ["force", "force"], "channels", "'force' stands twice"),
+    "channel twice": ("channels", ["force", "force"], "channels", "'force' appears twice"),
     "unit without end": ("inputs.V_P.unit", "9**9**9**9", "inputs.V_P.unit", "unknown unit"),
 }  # fmt: skip
 
