@@ -226,7 +226,7 @@ def test_masses_of_a_frame_bring_the_priors_with_them(frame, height, tmp_path, c
     # A mass that is changed alone is doubted, with the prior to write.
     study.write_text(study.read_text().replace("[22118, 18810]", "[221180, 188100]"))
     assert main(["check", str(study)]) == 0
-    (line,) = (line for line in capsys.readouterr().out.splitlines() if "where masses are changed" in line)
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if "other masses need other stiffnesses" in line)
     assert re.search(r"such as A: \{lognormal: \[", line)
 
 

@@ -336,7 +336,7 @@ def test_what_cannot_start_a_study_is_said():
         protocol="displacement",
         channels={"time": "s", "elongation": "mm"},
     )
-    with pytest.raises(UserError, match="force and elongation were not both measured"):
+    with pytest.raises(UserError, match="neither force and elongation nor the motion of a floor"):
         text_of_study(only, Path("x"), Path("x/study.yaml"))
     with pytest.raises(UserError, match="no completed training experiment"):
         text_of_study(Campaign("empty", "ground_motion"), Path("x"), Path("x/study.yaml"))

@@ -371,9 +371,7 @@ def test_forces_beside_a_law_of_paths_see_its_force_of_now():
 
 def test_an_effect_that_a_law_has_no_place_for_is_no_silence():
     specimen = Specimen(LAWS["takeda"](**CASES["takeda"]), (EFFECTS["slip"](delta=0.1),), SCALES)
-    with pytest.raises(
-        ValueError, match="slip: it writes to the slot compliance, which the law takeda does not have place for"
-    ):
+    with pytest.raises(ValueError, match="slip: it writes to the slot compliance, which the law takeda does not have"):
         specimen.force(0.1, 0.0, specimen.start())
 
 
