@@ -106,7 +106,7 @@ def test_a_mistake_is_one_message_and_leaves_nothing(wall, capsys, words, messag
 def test_flags_of_files_are_none_of_a_campaign(wall, capsys):
     assert main(["init", "wall.csv"]) == 0
     assert main(["init", "wall", "--force", "--unit", "force=N"]) == 2
-    assert "--unit is said of files" in capsys.readouterr().err
+    assert "--unit is an option for files" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

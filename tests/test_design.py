@@ -414,5 +414,5 @@ def test_a_design_with_too_little_to_go_on_says_what_to_do_about_it(status, advi
     trials = (Trial(point, np.ones(1), "completed"), Trial(point, np.full(1, np.nan), status))
     design = SimpleNamespace(space=SimpleNamespace(names=("x",)), kriging={})
     design.least = SequentialDesign.least.fget(design)
-    with pytest.raises(UserError, match=f"only 1 of 2 experiments gave something to use.*{advice}"):
+    with pytest.raises(UserError, match=f"only 1 of 2 experiments have usable results.*{advice}"):
         SequentialDesign._check_enough(design, DesignState(trials))

@@ -391,7 +391,7 @@ def test_a_report_executes_nothing(folder, tmp_path):
         ),
         ("def f(p, x): return {'peak_force': 'strong'}", "its peak_force is 'strong'; numbers are wanted"),
         ("def f(p, x): return {'peak_force': float('nan')}", "its peak_force is no finite number"),
-        ("def f(p, x): return {'peak_force': p['a'], 'force': [1.0]}", "the channel force, and there is no excitation"),
+        ("def f(p, x): return {'peak_force': p['a'], 'force': [1.0]}", "the channel force, but no excitation"),
         ("def f(p, x): return {'peak_force': p['c']}", "KeyError: 'c'"),
         ("def f(p, x): raise SystemExit(3)", "SystemExit: 3"),
         ("def f(p): return {}", "TypeError: f"),
