@@ -211,7 +211,7 @@ def test_a_program_is_a_model(folder):
     assert float(response.quantities["peak_force"]) == 7.0 and bool(response.ok)
     assert not bool(built.simulation.simulator.respond({"a": 2.0, "b": 2e3}, Conditions({"x": 3.0})).ok)
     assert "sim.py" in study.code[0]
-    with pytest.raises(UserError, match=r"model\.command\.run: it names \{y\}"):
+    with pytest.raises(UserError, match=r"model\.command\.run: it contains \{y\}"):
         Built(study_of(folder, ["model.command.run='prog {y}'"], model=model)).check()
     with pytest.raises(UserError, match=r"model\.command\.run: there is no program no_such"):
         Built(study_of(folder, ["model.command.run=no_such"], model=model)).check()
