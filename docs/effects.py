@@ -61,62 +61,66 @@ HEAD = """\
 
 *Written by `python docs/effects.py` from the code; not to be edited by hand.*
 
-What a model may lack. Any of these can stand in a study under `model: effects:`, such as
-`effects: {{stiffness_degradation: {{}}}}`; a diagnosis looks for all of them that the measurements could show;
-`hsed effects NAME` prints the same in a terminal.
+A study adds an effect under `model: effects:`, such as `effects: {{stiffness_degradation: {{}}}}`. A diagnosis considers
+every effect that the measurements can show. `hsed effects NAME` prints an entry of this page in a terminal.
 
-The plain law is that of Bouc and Wen with the force $r = z$. Effects write to named places in it,
+The plain law is that of Bouc and Wen with the force $r = z$. Effects write to named slots of it,
 
 $$\\dot z = h\\,\\frac{{a A - \\nu\\,(\\beta\\,\\mathrm{{sign}}(\\Delta\\dot u\\,z)+\\gamma)\\,|z|^n}}{{\\eta}}\\,\\Delta\\dot u,
 \\qquad r = z + \\sum \\text{{force}},$$
 
-or to structure and test rig. [Other laws](laws.md) have some of these places. What several effects write to one place
-multiplies or adds, so their order does not matter, and at its neutral value an effect does exactly nothing.
+or to the structure and the test rig. [Other laws](laws.md) have some of these slots. The values that several effects write
+to one slot are multiplied or added, so their order does not matter. At its neutral value an effect changes nothing.
 
-- **Forms and drivers.** An effect is a place in the law; many have several published formulas for what stands there, and some a
-  choice of what drives it, the $x$ of equations. A study names them by `form` and `driver`
-  ([settings](settings.md#forms-of-an-effect)); the first of each is meant where none is named. A diagnosis looks at all of them
-  and reports the effect, and the form beside it.
-- **Units.** Amplitudes are dimensionless by default, made so by characteristic values of the campaign: force $F_c$ [N],
-  elongation $u_c$ [m], rate of elongation $v_c$ [m/s] and absorbed energy $E_c$ [J]. Where a physical form is given, a study may
-  name it instead, in SI units; not with another driver, nor in a form whose shape changes its unit. Energy is the total work of
-  the spring, $e = \\int r\\,d\\Delta u$ [J]; other authors leave out
-  the elastic part or divide by the mass, and their numbers differ accordingly.
+- **Forms and drivers.** Many effects have several published formulas, and some a choice of the driver, the $x$ of the
+  equations. A study chooses them by `form` and `driver` ([settings](settings.md#forms-of-an-effect)); the defaults are the
+  first ones. A diagnosis considers all of them. It reports the effect and its form.
+- **Units.** Characteristic values of the campaign make the amplitudes dimensionless: force $F_c$ [N], elongation $u_c$ [m],
+  rate of elongation $v_c$ [m/s] and absorbed energy $E_c$ [J]. Where the table gives a physical unit, a study may use that
+  name instead, in SI units. It may not do so with another driver, or in a form that changes the unit. Energy is the total
+  work of the spring, $e = \\int r\\,d\\Delta u$ [J]. Other authors leave out the elastic part or divide by the mass, and
+  their numbers differ accordingly.
 - **Priors** are defaults; a study may give others.
-- **Figures.** Grey: the plain law; blue: with the effect, its first parameter at the {share:.0f} % quantile of its prior,
-  the others at their defaults, or as said below it. Loops are of a component test with three cycles of growing amplitude
-  (A = 2000 kN/m, β = 40 1/m, γ = 0, n = 1). Effects that mean nothing in a component test are shown by the elongation of the
-  specimen in the shaken structure of `configs/hidden_effect.yaml`.
+- **Figures.** Grey: the plain law. Blue: with the effect. Its first parameter is at the {share:.0f} % quantile of its prior
+  and the others are at their defaults, or as stated below the figure. Loops are those of a component test with three cycles
+  of growing amplitude (A = 2000 kN/m, β = 40 1/m, γ = 0, n = 1). Effects without influence on a component test are shown by
+  the elongation of the specimen in the shaken structure of `configs/hidden_effect.yaml`.
+"""
+
+DRIVER_TABLE = """\
+## Drivers
+
+| driver | meaning | $x$ |
+|---|---|---|
 """
 
 LOOK_ALIKES = """\
 ## What looks like what
 
-Some effects cannot be told apart by some measurements, however good. A diagnosis says so (`ambiguous`, with the rivals and the
-experiment that would separate them) rather than pick one by luck. Where to be careful:
+Some measurements cannot distinguish some effects, whatever their accuracy. A diagnosis then reports `ambiguous`, with the
+rivals and the experiment that would separate them. The usual cases are:
 
-- **Stiffness against strength.** A decay of A, as in `peak_softening`, lowers the initial slope and the ultimate force
-  together: to first order it is `strength_degradation` and `stiffness_degradation` at once. Loops well beyond yield separate
-  them.
-- **A delay against damping.** At one frequency a delay acts as a dashpot does: a negative one where a late signal is fed back
-  to the structure, as in hybrid simulation. So `actuator_delay`, `time_offset` and `viscous_damping` need more than one
-  frequency, or a known clock.
-- **A wrong load cell against a wrong specimen.** With n = 1 `force_gain` is A times a factor and nothing else; for another n
-  it carries β and γ along. Only a second measure of the force decides.
-- **β, γ and n at one amplitude.** They shape one loop nearly alike; correlations of 0.998 and more are published. So
+- **Stiffness and strength.** A decay of A, as in `peak_softening`, lowers the initial slope and the ultimate force together.
+  To first order it equals `strength_degradation` plus `stiffness_degradation`. Loops well beyond yield separate them.
+- **Delay and damping.** At one frequency a delay acts like a dashpot; it acts like a negative dashpot where the late signal
+  is fed back to the structure, as in hybrid simulation. `actuator_delay`, `time_offset` and `viscous_damping` need more than
+  one frequency, or a known clock.
+- **Load cell and specimen.** With n = 1 `force_gain` is a factor on A; with another n it changes β and γ too. Only a second
+  measurement of the force separates them.
+- **β, γ and n at one amplitude.** They change one loop in nearly the same way; published correlations are 0.998 and more.
   `loop_shape` and `yield_sharpness` need cycles of several amplitudes.
-- **Pinching against softness.** As long as cycles are small, `pinching` and `slip` are just a softer spring.
-- **Friction against a small loop.** `coulomb_friction` is the limit of a very stiff hysteretic spring that yields at once; its
-  corners, or a change of speed (`stribeck_friction`, `viscous_damping`), tell them apart.
+- **Pinching and softness.** In small cycles `pinching` and `slip` are only a softer spring.
+- **Friction and a small loop.** `coulomb_friction` is the limit of a very stiff hysteretic spring that yields at once. Its
+  corners, or a change of speed (`stribeck_friction`, `viscous_damping`), separate them.
 """
 
 OWN = '''\
 ## An effect of your own
 
-A Python file that the study names, `model: {own_effects: [mine.py]}` (relative to the study), adds to the catalogue of that
-study; its effects then take part in everything, `hsed effects NAME --study STUDY.yaml --trust` included ([when it is
-executed](laboratories.md#what-is-executed-when)). One class is one effect: its first
-parameter is the amplitude, zero when it is absent; it contributes to the places of the law in the equation above.
+A study can add a Python file to its catalogue: `model: {own_effects: [mine.py]}`, relative to the study ([when the file is
+executed](laboratories.md#what-is-executed-when)). All commands then know its effects, also `hsed effects NAME --study
+STUDY.yaml --trust`. One class is one effect. Its first parameter is the amplitude, which is zero without the effect. The
+effect contributes to the slots of the equation above.
 
 ```python
 from typing import ClassVar, final
@@ -159,7 +163,14 @@ def page() -> str:
         families.setdefault(effect.family, []).append(name)
     index = ["| family | effects |", "|---|---|"]
     index += [f"| {f} | {', '.join(f'[`{n}`](#{n})' for n in names)} |" for f, names in families.items()]
-    parts = [HEAD.format(share=100 * SIZE), "\n".join(index) + "\n", LOOK_ALIKES, OWN]
+    rows = [f"| `{key}` | {driver.words} | ${_in_a_cell(driver.measure)}$ |" for key, driver in DRIVERS.items()]
+    parts = [
+        HEAD.format(share=100 * SIZE),
+        "\n".join(index) + "\n",
+        DRIVER_TABLE + "\n".join(rows) + "\n",
+        LOOK_ALIKES,
+        OWN,
+    ]
     for family, names in families.items():
         parts.append(f"## Family: {family}\n")
         parts += [_entry(name) for name in names]
@@ -171,25 +182,30 @@ def _for_markdown(text: str) -> str:
     return text.replace("\\,", "\\thinspace ").replace("\\!", "\\negthinspace ")
 
 
+def _in_a_cell(formula: str) -> str:
+    """The formula without bars, which would end a cell of a table."""
+    return formula.replace("|", "\\vert ")
+
+
 def _entry(name: str) -> str:
     effect = EFFECTS[name]
     known = parameters_of(effect)
     shown = ", ".join(f"${known[key].symbol}$ = {value:.2g}" for key, value in medium(name).items())
     alt = f"Plain law in grey and with {name} in blue"
     rows = [
-        "| parameter | symbol | meaning | neutral | range | prior | physical form |",
+        "| parameter | symbol | meaning | neutral | range | prior | physical unit |",
         "|---|---|---|---|---|---|---|",
     ]
     rows += [_row(parameter) for parameter in known.values() if not parameter.shapes]
     limits = [
         said
         for is_so, said in (
-            (effect.shaken_only, "does nothing in a component test"),
+            (effect.shaken_only, "no influence on a component test"),
             (effect.needs_time, "needs a time scale"),
-            (effect.histories_only, "shows in histories, not in quantities"),
+            (effect.histories_only, "visible in histories, not in quantities"),
             (
                 getattr(effect, "linear_only", False),
-                "of linear springs alone (`spring_1.yielding`), or of the law `elastic`",
+                "only for linear springs (`spring_1.yielding`) and the law `elastic`",
             ),
         )
         if is_so
@@ -206,8 +222,8 @@ def _entry(name: str) -> str:
             "",
             *_forms(effect),
             *_drivers(effect),
-            f"Place: {effect.place}, {_written(effect)}{''.join(f'; {said}' for said in limits)}. Reference: {effect.reference}. "
-            f"Shown: {shown}.",
+            f"Acts on: {effect.place}, {_written(effect)}{''.join(f'; {said}' for said in limits)}. "
+            f"Reference: {effect.reference}. In the figure: {shown}.",
             "",
         ]
     )
@@ -220,7 +236,7 @@ def _written(effect: type[AbstractEffect]) -> str:
 
 
 def _forms(effect: type[AbstractEffect]) -> list[str]:
-    """The table of its forms, and that of the parameters that some of them free."""
+    """The table of its forms, and that of the free parameters of some of them."""
     if not effect.forms:
         return []
     known, rows = parameters_of(effect), []
@@ -229,26 +245,25 @@ def _forms(effect: type[AbstractEffect]) -> list[str]:
         name, curves = effect.name, curves_of(effect)
         across = re.sub(r"[uvF]_c", r"$\g<0>$", curves.across)
         rows += [f"![Forms of {name}](images/effects/{name}_forms.png)", ""]
-        rows += [f"{curves.what.capitalize()}, over {across}, each over its own range.", ""]
-    rows += ["| form | equation | frees | holds | source |", "|---|---|---|---|---|"]
+        rows += [f"{curves.what.capitalize()} against {across}. Each curve has its own scale.", ""]
+    rows += ["| form | equation | free | fixed | source |", "|---|---|---|---|---|"]
     for form in effect.forms:
         frees = ", ".join(f"`{key}`" for key in form.free) or "–"
         held = [f"`{key}` = {value:g}" for key, value in form.held.items() if not known[key].shapes]
-        equation = f"${form.equation.replace('|', '\\vert ')}$" if form.equation else "as above"
+        equation = f"${_in_a_cell(form.equation)}$" if form.equation else "as above"
         rows.append(f"| `{form.name}` | {equation} | {frees} | {', '.join(held) or '–'} | {form.reference or '–'} |")
     freed = {key for form in forms_of(effect).values() for key in form.free}
     if freed:
-        rows += ["", "| parameter of forms | symbol | meaning | default | range | prior | physical form |"]
+        rows += ["", "| parameter of forms | symbol | meaning | default | range | prior | physical unit |"]
         rows += ["|---|---|---|---|---|---|---|", *(_row(known[key]) for key in known if key in freed)]
     return [*rows, ""]
 
 
 def _drivers(effect: type[AbstractEffect]) -> list[str]:
-    """What may drive it."""
+    """Its possible drivers, the default one first."""
     if not effect.drivers:
         return []
-    each = [f"`{key}` ({DRIVERS[key].words}, ${DRIVERS[key].measure}$)" for key in effect.drivers]
-    return [f"Driver $x$: {', '.join(each)}.", ""]
+    return [f"[Driver](#drivers) $x$: {', '.join(f'`{key}`' for key in effect.drivers)}.", ""]
 
 
 def _row(known: Parameter) -> str:

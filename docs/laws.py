@@ -16,24 +16,24 @@ HEAD = r"""# Spring laws
 
 *Written by `python docs/laws.py` from the code; not to be edited by hand.*
 
-The law of the specimen is chosen by `model.spring`; a virtual specimen may have another one, `experiments.virtual.spring`. All
-of them stand behind one seam (`hsed_jax/physics/laws/base.py`): an element with a force f, effects around it
-(`hsed_jax/physics/specimen.py`),
+`model.spring` chooses the law of the specimen. A virtual specimen may have another law, `experiments.virtual.spring`. A law
+is an element with a force f (`hsed_jax/physics/laws/base.py`). The specimen adds the effects
+(`hsed_jax/physics/specimen.py`):
 
 $$r = f(\Delta u, \text{states}) + \sum \text{force},\qquad \dot e = r\,\Delta\dot u.$$
 
-**Two kinds.** Bouc–Wen integrates its force, ż = g Δu̇. The others know their force as a continuous function of the elongation,
-given the states that were committed at the end of the last step, as materials of finite element programs do; where the
-elongation turns within a step, the states are committed at the turn. On cyclic paths the latter are those of OpenSees to all
-digits (`tests/data/laws.csv`: Steel01, Steel02, Hysteretic); an oscillator with 40 steps to its period has peaks and work within
-3e-4 of a central-difference solution with 4000. Corners of a law (yielding, zero force) are not looked for within a step.
+**Two kinds.** Bouc–Wen integrates its force, ż = g Δu̇. The force of the other laws is a continuous function of the
+elongation, given the states that were committed at the end of the last step, as in finite-element programs. Where the
+elongation reverses within a step, the states are committed at the reversal. On cyclic paths these laws agree with OpenSees
+to all digits (`tests/data/laws.csv`: Steel01, Steel02, Hysteretic). An oscillator with 40 steps per period has peaks and
+work within 3e-4 of a central-difference solution with 4000. The step is not split at corners of a law (yielding, zero
+force).
 
-**Which effects.** Effects write to [places in a law](effects.md), and a law has some of them: all have `force` (what acts
-beside the element) and `slack`. An effect whose place the law lacks is refused in a study; a diagnosis does not look for it,
-and says so.
+**Which effects.** Effects write to [slots of a law](effects.md). All laws have the slots `force` (a force parallel to the
+element) and `slack`. A study with an effect whose slot the law lacks is refused. A diagnosis leaves the effect out and
+reports this.
 
-**Parameters** that have a default may be left out; a value, a prior, or `{}` for the prior of the table stand for them in
-`model.parameters`.
+**Parameters** with a default may be left out. `model.parameters` takes a value, a prior, or `{}` for the prior of the table.
 
 | law | what it is | effects it cannot have |
 |---|---|---|
@@ -42,9 +42,9 @@ and says so.
 OWN = r"""
 ## A law of your own
 
-`model: {spring: mine.py:Cubic}`, the file relative to the study, takes a class of your own
-([when the file is executed](laboratories.md#what-is-executed-when)). It is an equinox module with parameters as fields; `force`
-must be continuous in the elongation, and both sides of a `jnp.where` finite, for derivatives pass through them.
+`model: {spring: mine.py:Cubic}` uses a class of your own; the file is relative to the study ([when the file is
+executed](laboratories.md#what-is-executed-when)). The class is an equinox module with the parameters as fields. `force` must
+be continuous in the elongation. Both sides of a `jnp.where` must be finite, because derivatives pass through them.
 
 ```python
 from typing import ClassVar, final
@@ -85,9 +85,9 @@ class Cubic(AbstractSpringLaw):
         return {"hysteretic": self.force(elongation, memory, slots)}
 ```
 
-A law that remembers declares its states in `start` and commits them in `settle` (`hsed_jax/physics/laws/bilinear.py` is the
-shortest example); one that integrates its force has `flow` instead, and mends the kink at a reversal in `mended`
-(`hsed_jax/physics/laws/reversal.py` with its derivation, also in [the equations](equations.md#the-kink-at-a-reversal)).
+A law with memory declares its states in `start` and commits them in `settle`; the shortest example is
+`hsed_jax/physics/laws/bilinear.py`. A law that integrates its force has `flow` instead, and corrects the [kink at a
+reversal](equations.md#the-kink-at-a-reversal) in `mended` (`hsed_jax/physics/laws/reversal.py`).
 """
 
 
@@ -111,7 +111,7 @@ def page() -> str:
             "|---|---|---|---|---|---|---|",
             *rows,
             "",
-            f"Places for effects: {places}. Reference: {law.reference}.",
+            f"Slots for effects: {places}. Reference: {law.reference}.",
         ]
     text = HEAD + "\n".join([*index, *parts]) + "\n" + OWN
     return text.replace("\\,", "\\thinspace ").replace("\\!", "\\negthinspace ")

@@ -44,7 +44,7 @@ def prepare() -> None:
         else:
             print(
                 f"{_cache_place()} cannot be written or is open to other users, so that every command compiles its programs "
-                "anew; delete it, or name another folder for what is kept by XDG_CACHE_HOME",
+                "again; delete it, or choose another folder by XDG_CACHE_HOME",
                 file=sys.stderr,
             )
             # It has a folder of its own in the same place, and says the same of it at length.

@@ -27,7 +27,7 @@ _PARTS = (
     ),
     (
         "discover",
-        "learn what no effect of the catalogue is: where it sits, its curve, its formula, as an effect of your own",
+        "learn an effect that is not in the catalogue: its place, its curve and its formula, as an effect of your own",
         "calibrate compare diagnose discover improve",
     ),
 )
@@ -81,7 +81,7 @@ def command_line() -> argparse.ArgumentParser:
         part.set_defaults(steps=steps.split())
         if name == "improve":
             part.add_argument(
-                "--add", action="append", metavar="EFFECT", help="add this effect; may be said several times"
+                "--add", action="append", metavar="EFFECT", help="add this effect; may be given several times"
             )
     _add_ask_and_tell(commands)
     sweeping.add_commands(commands)
@@ -89,14 +89,14 @@ def command_line() -> argparse.ArgumentParser:
     report = commands.add_parser("report", help=text, description=text.capitalize() + ".")
     report.add_argument("runs", nargs="+", metavar="RUN", help="run folder")
     report.add_argument(
-        "--output", metavar="FILE.html", help="where to (default: RUN/report.html; of several runs: runs.html)"
+        "--output", metavar="FILE.html", help="the file to write (default: RUN/report.html; of several runs: runs.html)"
     )
     report.set_defaults(command=_report)
     exporting.add_command(commands)
     text = "the catalogue of physical effects"
     effects = commands.add_parser("effects", help=text, description=text.capitalize() + ".")
     effects.add_argument("name", nargs="?", metavar="NAME", help="show one effect: equation, parameters, reference")
-    effects.add_argument("--study", metavar="STUDY.yaml", help="with the effects of this study's own")
+    effects.add_argument("--study", metavar="STUDY.yaml", help="include your own effects of this study")
     effects.add_argument("--trust", action="store_true", help="execute the Python files that the study names")
     effects.set_defaults(command=_effects)
     protocols.add_command(commands)
@@ -111,7 +111,7 @@ def _add_run(parser: argparse.ArgumentParser, takes_files: bool = False) -> None
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="override a key by its dotted path")
     parser.add_argument("--output", metavar="DIR", help="run folder (default: runs/<study>)")
     existing = parser.add_mutually_exclusive_group()
-    existing.add_argument("--resume", action="store_true", help="go on with the run in the folder")
+    existing.add_argument("--resume", action="store_true", help="continue the run in the folder")
     if takes_files:
         beginning.add_force(existing, "replace the run in the folder")
         beginning.add_options(parser)
@@ -129,28 +129,32 @@ def _add_ask_and_tell(commands: Any) -> None:
     _add_design(ask)
     ask.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="override a key by its dotted path")
     which = ask.add_mutually_exclusive_group()
-    out = "have N experiments out at once, chosen for what they tell together (default: 1)"
+    out = "ask for N experiments at once (default: 1)"
     which.add_argument("--count", "--batch", type=int, default=1, metavar="N", help=out)
-    which.add_argument("--again", metavar="ID", help="ask an experiment that failed once more")
+    which.add_argument("--again", metavar="ID", help="ask again for a failed experiment")
     ask.set_defaults(command=_ask)
-    text = "tell what was measured, or that an experiment failed"
+    text = "report the measurements of an experiment, or its failure"
     tell = commands.add_parser("tell", help=text, description=text.capitalize() + ".")
     _add_design(tell)
-    tell.add_argument("id", nargs="?", metavar="ID", help="of the experiment; one that was not asked needs its inputs")
-    tell.add_argument("--record", metavar="FILE", help="the record (default: what lies in the folder of the request)")
-    tell.add_argument("--quantity", action="append", metavar="NAME=VALUE", help="in its declared unit; say it for each")
     tell.add_argument(
-        "--input", action="append", metavar="NAME=VALUE", help="as tested, where it differs; say it for each"
+        "id", nargs="?", metavar="ID", help="name of the experiment; one that was not requested needs its inputs"
+    )
+    tell.add_argument("--record", metavar="FILE", help="the record (default: the file in the folder of the request)")
+    tell.add_argument(
+        "--quantity", action="append", metavar="NAME=VALUE", help="in its declared unit; one option for each"
+    )
+    tell.add_argument(
+        "--input", action="append", metavar="NAME=VALUE", help="the tested value, if it differs; one option for each"
     )
     ended = tell.add_mutually_exclusive_group()
-    ended.add_argument("--failed", metavar="REASON", help="it failed and may be asked again")
-    ended.add_argument("--abandoned", metavar="REASON", help="it is never to be asked again")
-    ended.add_argument("--campaign", metavar="CAMPAIGN", help="take the experiments of an earlier campaign")
+    ended.add_argument("--failed", metavar="REASON", help="the experiment failed and may be requested again")
+    ended.add_argument("--abandoned", metavar="REASON", help="the experiment is never requested again")
+    ended.add_argument("--campaign", metavar="CAMPAIGN", help="add the experiments of an earlier campaign")
     tell.set_defaults(command=_tell_measured, overrides=[])
 
 
 def _add_design(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("study", metavar="STUDY.yaml|RUN", help="study, or the run folder of one that was begun")
+    parser.add_argument("study", metavar="STUDY.yaml|RUN", help="a study, or its run folder")
     parser.add_argument("--output", metavar="DIR", help="run folder (default: runs/<study>)")
 
 

@@ -45,8 +45,8 @@ def ended(parser: Callable[[], argparse.ArgumentParser], arguments: Sequence[str
     except OSError as error:
         if error.errno not in _FULL:
             raise
-        return _told(f"error: {error.filename or 'what was made'} cannot be written ({error.strerror}); make room, and go on "
-                     "with a run by --resume", 3)  # fmt: skip
+        return _told(f"error: {error.filename or 'what was made'} cannot be written ({error.strerror}); free some space, "
+                     "and continue a run with --resume", 3)  # fmt: skip
     except BaseException as error:
         if not is_interruption(error):
             raise

@@ -17,7 +17,7 @@ MOST = 1e100
 DEPTH = 50
 """Lists and mappings within one another, at most."""
 _PARTS = 1_000_000
-_TOO_DEEP = f"lists and mappings lie within one another more than {DEPTH} deep"
+_TOO_DEEP = f"lists and mappings are nested more than {DEPTH} deep"
 
 _KINDS = {"int": "a whole number", "float": "a number", "bool": "true or false", "timestamp": "a date"}
 _NUMBER = re.compile(r"^[-+]?(\d+\.?\d*([eE][-+]?\d+)?|\.\d+([eE][-+]?\d+)?|\.(inf|nan))$")
@@ -55,7 +55,7 @@ class _Loader(yaml.SafeLoader):
                 problem = "a key must be a word, not a list or a mapping"
                 raise yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
             if name in seen:
-                raise yaml.MarkedYAMLError(problem=f"the key {shown(name)} stands twice", problem_mark=mark)
+                raise yaml.MarkedYAMLError(problem=f"the key {shown(name)} appears twice", problem_mark=mark)
             seen.add(name)
         return super().construct_mapping(node, deep=deep)
 
@@ -167,7 +167,7 @@ def _no_truth(kind: str):
 
 def _sized(value: Any) -> Any:
     if math.isfinite(value) and not in_range(value):
-        raise ValueError(f"{value:g} is beyond any sense; numbers are 0 or from {1 / MOST:g} to {MOST:g} in size")
+        raise ValueError(f"{value:g} is out of range; numbers are 0 or from {1 / MOST:g} to {MOST:g} in size")
     return value
 
 

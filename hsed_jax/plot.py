@@ -87,7 +87,7 @@ def histories(calibration: Calibration, experiment: str, campaign: Campaign | No
         if experiment in ids:
             errors = split.per_experiment.get(experiment, {})
             return _several(misfit_figures.overlay(prediction, ids.index(experiment), errors, campaign))
-    raise UserError(f"nothing that is observed was measured in the experiment {experiment!r}")
+    raise UserError(f"no observed output was measured in the experiment {experiment!r}")
 
 
 def loops(calibration: Calibration, campaign: Campaign | None = None) -> np.ndarray:
@@ -147,7 +147,7 @@ def where(calibration: Calibration, campaign: Campaign | None = None) -> np.ndar
     if location.samples is None:
         raise UserError("quantities were observed, not time histories; plot.error_map shows where the error is")
     picture = misfit_maps.residual_coordinates(location, campaign or calibration.campaign)
-    return _several(_there(picture, "nothing varies over which the error could be drawn"))
+    return _several(_there(picture, "no input varies, so the error cannot be drawn"))
 
 
 def error_map(calibration: Calibration, campaign: Campaign | None = None) -> Axes:
@@ -161,7 +161,7 @@ def error_map(calibration: Calibration, campaign: Campaign | None = None) -> Axe
         UserError: not one or two inputs vary.
     """
     campaign = calibration.campaign if campaign is None else campaign
-    missing = "the error is drawn over one or two inputs that vary, and the campaign has none or more"
+    missing = "the error is drawn over one or two inputs that vary, but the campaign has none or more than two"
     if (found := error_map_of(compare(calibration, campaign), campaign)) is None:
         raise UserError(missing)
     return _one(misfit_maps.error_map(found))

@@ -605,7 +605,7 @@ def test_files_are_looked_at_while_choosing_and_tabs_know_nothing_of_each_other(
 
     drop(page, ("raw.csv", "text/csv", RAW))
     page.get_by_role("status").get_by_text("notes.txt: no row has numbers").wait_for()
-    page.get_by_text("The checks of the data found nothing to doubt").wait_for()
+    page.get_by_text("The checks of the data found no doubts").wait_for()
     page.get_by_text("the weight of").wait_for()
     assert (root / "raw" / "dropped" / "raw.csv").read_text() == RAW
     go = page.get_by_role("button", name="Continue with these measurements")
@@ -615,16 +615,16 @@ def test_files_are_looked_at_while_choosing_and_tabs_know_nothing_of_each_other(
     page.get_by_role("alert").get_by_text("a specimen cannot give energy").wait_for()
     expect(go).to_be_disabled(timeout=60_000)
     page.get_by_label("turn the sign of the force").uncheck()
-    page.get_by_text("nothing to doubt").wait_for()
+    page.get_by_text("found no doubts").wait_for()
 
     page.get_by_label("unit").nth(3).select_option("MPa")
     page.get_by_role("alert").get_by_text("do not belong together").wait_for()
     page.get_by_label("unit").nth(3).select_option("kN")
-    page.get_by_text("nothing to doubt").wait_for()
+    page.get_by_text("found no doubts").wait_for()
 
-    assert other.get_by_text("nothing to doubt").count() == 0
+    assert other.get_by_text("found no doubts").count() == 0
     drop(other, ("second.csv", "text/csv", RAW))
-    other.get_by_text("nothing to doubt").wait_for()
+    other.get_by_text("found no doubts").wait_for()
     go.click()
     page.get_by_text("Fit a model to raw").wait_for()
     assert read_campaign(root / "raw")["raw"].record["force"].max() > 8e4

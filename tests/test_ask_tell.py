@@ -112,7 +112,7 @@ def test_a_campaign_by_the_command_line_alone_ends_as_the_same_events_at_once(ca
         for number in range(3 + steps):
             (asked,) = one.ask()
             # Only a step of the design knows what it expects.
-            assert ("expected to teach whether the model is wrong by more" in one.told(asked)) == (number >= 3)
+            assert ("expected to teach whether the discrepancy exceeds" in one.told(asked)) == (number >= 3)
             if number == 1:
                 one.failed(asked.id, "the pump stopped")
                 asked = one.ask_again(asked.id)
@@ -152,7 +152,7 @@ def test_experiments_that_are_out_at_once_are_chosen_for_what_they_tell_together
 
 
 def test_what_an_experiment_is_expected_to_teach_is_said_in_words():
-    assert lesson("expected_improvement", 0.03, [0.1, None, math.nan, 0.3]).endswith("by 10 % of that, on average")
+    assert lesson("expected_improvement", 0.03, [0.1, None, math.nan, 0.3]).endswith("by 10 % of it, on average")
     assert lesson("expected_improvement", 0.03, [None]) == lesson("sobol", 1.0, [0.3]) == ""
     assert lesson("discriminate", math.log(20), []).endswith("odds of 20 to 1")
     assert odds(40.0) == "more than a million to 1"
@@ -274,7 +274,7 @@ def test_a_second_process_is_refused(tmp_path):
         (["ask", "RUN", "--again", "E07"], "there is no experiment 'E07'"),
         (["ask", "RUN", "--count", "0"], "at least 1"),
         (["ask", "RUN", "--batch", "0"], "at least 1"),
-        (["ask", "RUN", "--count", "1000000000"], "ask at most 3"),
+        (["ask", "RUN", "--count", "1000000000"], "ask for at most 3"),
         (["ask", "RUN", "seed=3"], "its study is fixed"),
         (["ask", "nowhere.yaml"], "nowhere.yaml"),
     ],

@@ -106,7 +106,7 @@ def test_a_mistake_is_one_message_and_leaves_nothing(wall, capsys, words, messag
 def test_flags_of_files_are_none_of_a_campaign(wall, capsys):
     assert main(["init", "wall.csv"]) == 0
     assert main(["init", "wall", "--force", "--unit", "force=N"]) == 2
-    assert "--unit is said of files" in capsys.readouterr().err
+    assert "--unit is an option for files" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -226,7 +226,7 @@ def test_masses_of_a_frame_bring_the_priors_with_them(frame, height, tmp_path, c
     # A mass that is changed alone is doubted, with the prior to write.
     study.write_text(study.read_text().replace("[22118, 18810]", "[221180, 188100]"))
     assert main(["check", str(study)]) == 0
-    (line,) = (line for line in capsys.readouterr().out.splitlines() if "where masses are changed" in line)
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if "other masses need other stiffnesses" in line)
     assert re.search(r"such as A: \{lognormal: \[", line)
 
 

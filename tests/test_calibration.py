@@ -683,7 +683,7 @@ def test_inflated_errors_are_as_large_as_what_is_left_and_the_chi_square_stays_t
     wrong, left, covariance = bent(2.0, True)
     assert wrong.chi2_per_datum == pytest.approx(left**2)
     np.testing.assert_allclose(wrong.maximum.covariance, left**2 * covariance, rtol=2e-2, atol=1e-12)
-    assert "count what is left as error" in wrong.doubt
+    assert "count the rest as error" in wrong.doubt
     # A comparison measures by the noise, whatever counts as error: only the band is as wide as what is left.
     predicted = predict(wrong, wrong.data, ())
     np.testing.assert_allclose(predicted.sigma, 0.1)

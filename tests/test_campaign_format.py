@@ -427,7 +427,7 @@ BROKEN = {
     "id with NUL": (edit(id="a\0b"), ["row 3, column 'id'", "is not an id"]),
     "record with NUL": (edit(record="a\0b"), ["row 3, column 'record'", "is missing"]),
     "record of 300 characters": (edit(record="x" * 300), ["row 3, column 'record'", "is missing"]),
-    "input of 1e400": (edit(V_P="1e400"), ["row 3, column 'V_P'", "beyond any sense"]),
+    "input of 1e400": (edit(V_P="1e400"), ["row 3, column 'V_P'", "out of range"]),
     "one row": (write("records/E02.csv", "t,ag,F\n0,1,2\n"), ["E02.csv", "at least two samples"]),
     "infinity": (write("records/E02.csv", "t,ag,F\n0,1,2\n1,1,inf\n"), ["E02.csv", "force is inf at sample 2"]),
     "1e400": (write("records/E02.csv", "t,ag,F\n0,1,2\n1,1e400,1\n"), ["E02.csv", "ground_acceleration is inf"]),

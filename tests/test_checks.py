@@ -409,7 +409,7 @@ def test_windows_that_overlap_are_doubted_and_those_that_meet_are_not():
 def test_a_test_beyond_every_fitted_amplitude_is_doubted():
     small, large = as_record(loop(cycles=(2, 4, 4), noise=1.0)), as_record(loop(noise=1.0, seed=1))
     (found,) = two(Experiment("E01", record=small), Experiment("E02", record=large, split="test"))
-    assert found.kind == "beyond" and "goes to 12 mm, fitted to 4" in found.message
+    assert found.kind == "beyond" and "reaches 12 mm, the fitted experiments reach 4" in found.message
 
 
 @pytest.mark.parametrize("samples", [2, 7])

@@ -253,7 +253,7 @@ def test_the_shares_of_the_inputs_are_those_of_the_nearest():
 def test_an_improvement_below_a_millionth_of_the_largest_is_shown_as_none():
     assert told([0.2, 0.05, 3e-7, 1e-9, 1e-44]) == [0.2, 0.05, 3e-7, 0.0, 0.0]
     assert told([]) == [] and told([0.0]) == [0.0]
-    assert "by 0 % of that" in lesson("expected_improvement", 1e-44, [0.3])
+    assert "by 0 % of it" in lesson("expected_improvement", 1e-44, [0.3])
 
 
 def test_few_candidates_are_used_up_one_by_one_and_then_there_are_none(toy):
@@ -408,11 +408,11 @@ def test_the_surrogate_of_a_step_is_made_again_from_what_the_journal_keeps(campa
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize(("status", "advice"), [("pending", "tell first"), ("failed", "design.initial")])
+@pytest.mark.parametrize(("status", "advice"), [("pending", "tell the results"), ("failed", "design.initial")])
 def test_a_design_with_too_little_to_go_on_says_what_to_do_about_it(status, advice):
     point = Point(np.zeros(1), {"x": 0.0}, {"x": 0.0})
     trials = (Trial(point, np.ones(1), "completed"), Trial(point, np.full(1, np.nan), status))
     design = SimpleNamespace(space=SimpleNamespace(names=("x",)), kriging={})
     design.least = SequentialDesign.least.fget(design)
-    with pytest.raises(UserError, match=f"only 1 of 2 experiments gave something to use.*{advice}"):
+    with pytest.raises(UserError, match=f"only 1 of 2 experiments have usable results.*{advice}"):
         SequentialDesign._check_enough(design, DesignState(trials))

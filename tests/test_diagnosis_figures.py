@@ -115,8 +115,8 @@ def test_a_bar_is_how_much_worse_a_candidate_predicts_and_named_effects_and_look
     assert panel.get_xscale() == "linear" and panel.get_xlim() == (-30.0, 0.0)
     (cut, _) = panel.get_lines()
     assert cut.get_ydata().tolist() == [-2.0]
-    assert list(bars) == ["named", "look-alike of what is named", "other candidates"]
-    assert bars["look-alike of what is named"][0].get_hatch()
+    assert list(bars) == ["named", "look-alike of a named effect", "other candidates"]
+    assert bars["look-alike of a named effect"][0].get_hatch()
     assert [tick.get_text() for tick in panel.get_yticklabels()] == ["pinching", "slip", "gap"]
     assert {"0.970", "0.030", "< 0.001", "0.0", "−9.5", "−802.0"} <= set(texts(picture))
     assert "the best one gains 800 nats" in picture.caption and "among the listed formulas" in picture.caption

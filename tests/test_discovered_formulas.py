@@ -286,7 +286,7 @@ def test_the_summary_has_the_keys_of_its_contract(tmp_path):
         content["file"] == "learned_effect.py"
         and replace(found, effect="learned_effect_2").file == "learned_effect_2.py"
     )
-    assert "a force beside the element that depends on the elongation and the rate" in repr(found)
+    assert "a force parallel to the element that depends on the elongation and the rate" in repr(found)
     nothing = Discovery(False, "the noise explains the residual")
     assert nothing.summary().items() >= {"found": False, "reason": "the noise explains the residual"}.items()
     assert "nothing was learned: the noise" in repr(nothing) and nothing.reach == {}

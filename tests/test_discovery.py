@@ -320,7 +320,9 @@ def calibrated(study, campaign):
     return Mock(Calibration, built=Built(study, campaign), campaign=campaign)
 
 
-@pytest.mark.parametrize(("content", "words"), [(LINE, "spring law.*function"), (STOREYS, "one specimen.*with names")])
+@pytest.mark.parametrize(
+    ("content", "words"), [(LINE, "spring law.*function"), (STOREYS, "one specimen.*named specimens")]
+)
 def test_what_it_cannot_look_into_is_one_clear_message(content, words, tmp_path):
     (tmp_path / "mine.py").write_text(FUNCTION)
     (tmp_path / "study.yaml").write_text(content)

@@ -113,7 +113,7 @@ def test_a_spring_that_softens_is_called_so():
 def test_a_response_shows_its_peaks_and_what_diverged():
     assert re.search(r"elongation +12 samples +2 +m", repr(response()))
     batch = response((4,))._replace(ok=jnp.asarray([True, True, False, True]))
-    assert repr(batch).startswith("response of 4 experiments; 1 diverged and mean nothing")
+    assert repr(batch).startswith("response of 4 experiments; 1 diverged and have no meaning")
 
 
 def test_a_response_shows_itself_inside_a_transformation_too():

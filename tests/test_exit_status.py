@@ -52,7 +52,7 @@ def failing(error):
         (failing(KeyboardInterrupt()), 3, "stopped"),
         (stopped_while_loading, 3, "stopped"),
         (failing(OSError(errno.ENOSPC, "No space left on device", "run/results.nc")), 3, "run/results.nc"),
-        (failing(OSError(errno.ENOSPC, "No space left on device")), 3, "make room"),
+        (failing(OSError(errno.ENOSPC, "No space left on device")), 3, "free some space"),
     ],
 )
 def test_every_end_has_its_status_and_one_line(command, status, words, capsys):

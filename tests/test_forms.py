@@ -771,7 +771,7 @@ def test_curves_are_the_equations_of_the_forms():
     np.testing.assert_allclose(values["linear"], 0.5 * x, atol=1e-15)
     np.testing.assert_allclose(values["exponential"], np.exp(0.5 * x) - 1, atol=1e-15)
     what, across, u, values = curves_of(EFFECTS["hardening"])
-    assert "adds or multiplies by" in what and "elongation, from" in across
+    assert "contribution of each form" in what and "elongation, from" in across
     np.testing.assert_allclose(values["tension only"], 0.5 * np.maximum(u, 0.0), atol=1e-15)
 
 
@@ -787,7 +787,7 @@ def test_forms_are_shown_over_what_tells_them_apart(name):
 
 
 def test_of_an_effect_with_a_state_of_its_own_the_rate_is_shown():
-    assert "how fast its own state changes" in entry("relaxation", EFFECTS, curves_of)
+    assert "rate of its own state" in entry("relaxation", EFFECTS, curves_of)
 
 
 @pytest.mark.parametrize("name", EFFECTS)

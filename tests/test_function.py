@@ -211,7 +211,7 @@ def test_a_program_is_a_model(folder):
     assert float(response.quantities["peak_force"]) == 7.0 and bool(response.ok)
     assert not bool(built.simulation.simulator.respond({"a": 2.0, "b": 2e3}, Conditions({"x": 3.0})).ok)
     assert "sim.py" in study.code[0]
-    with pytest.raises(UserError, match=r"model\.command\.run: it names \{y\}"):
+    with pytest.raises(UserError, match=r"model\.command\.run: it contains \{y\}"):
         Built(study_of(folder, ["model.command.run='prog {y}'"], model=model)).check()
     with pytest.raises(UserError, match=r"model\.command\.run: there is no program no_such"):
         Built(study_of(folder, ["model.command.run=no_such"], model=model)).check()
@@ -391,7 +391,7 @@ def test_a_report_executes_nothing(folder, tmp_path):
         ),
         ("def f(p, x): return {'peak_force': 'strong'}", "its peak_force is 'strong'; numbers are wanted"),
         ("def f(p, x): return {'peak_force': float('nan')}", "its peak_force is no finite number"),
-        ("def f(p, x): return {'peak_force': p['a'], 'force': [1.0]}", "the channel force, and there is no excitation"),
+        ("def f(p, x): return {'peak_force': p['a'], 'force': [1.0]}", "the channel force, but no excitation"),
         ("def f(p, x): return {'peak_force': p['c']}", "KeyError: 'c'"),
         ("def f(p, x): raise SystemExit(3)", "SystemExit: 3"),
         ("def f(p): return {}", "TypeError: f"),

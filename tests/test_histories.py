@@ -306,7 +306,7 @@ def test_a_relative_error_of_a_quantity_of_zero_is_refused():
         quantities={"peak_force": "kN"},
     )
     observed = Quantities(("peak_force",))
-    with pytest.raises(UserError, match="'E01': peak_force is 0, and a relative error of that is none"):
+    with pytest.raises(UserError, match="'E01': peak_force is 0, for which a relative error is zero"):
         assemble(observed, campaign, campaign.experiments, np.asarray([True]))
     data = assemble(observed, campaign, campaign.experiments, np.asarray([False]))
     assert data.values.tolist() == [[0.0], [3e3]] and data.weights.tolist() == [[1.0], [1.0]]

@@ -109,7 +109,7 @@ def test_a_model_that_was_not_at_its_best_fit_is_calibrated_again(calibration):
     short = replace(calibration.fit, maximum=there._replace(theta=there.theta * jnp.asarray([0.8, 1.0])))
     found = hx.improve(replace(calibration, fit=short), effects=["coulomb_friction"])
     assert not hx.improve(calibration, effects=["coulomb_friction"]).trail.notes
-    assert "calibrated again" in found.trail.notes[0] and "calibrated again" in repr(found)
+    assert "was repeated" in found.trail.notes[0] and "was repeated" in repr(found)
     errors = [step.error_train for step in found.trail.steps]
     assert errors[0] == pytest.approx(hx.compare(calibration).train.error, rel=1e-3)
     assert errors[1] < errors[0] * 1.001

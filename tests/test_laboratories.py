@@ -183,7 +183,7 @@ def test_a_measured_ground_motion_is_kept_and_samples_are_its_own_where_peaks_ar
         ("sys.exit(200)", r"ended with status 200"),
         ("os.kill(os.getpid(), signal.SIGSEGV)", r"was killed by SIGSEGV"),
         ("sys.exit(0)", r"left no record\.csv in .*E01-1 \(also read: .*record\.h5"),
-        ("open('record.txt', 'w')", r"left record\.csv and record\.txt in .*; one is wanted"),
+        ("open('record.txt', 'w')", r"left record\.csv and record\.txt in .*; only one is allowed"),
         ("rows[3][1] = math.nan", r"record\.csv: elongation at 0\.015 s: .*"),
         ("rows[7][0] = 25", r"record\.csv: time at .*"),
         ("rows = rows[:500]", r"lasts from 0 to 2\.495 s; the study compares from 0 to 4 s"),
@@ -206,7 +206,7 @@ def test_an_experiment_that_gives_nothing_to_use_fails_with_one_reason(bench, li
 def test_files_that_cannot_be_read_fail_the_experiment(bench):
     with pytest.raises(ExperimentFailed, match=r"record\.csv"):
         bench(write="open('record.csv', 'wb').write(bytes(range(256)))").perform(0, INPUTS)
-    with pytest.raises(ExperimentFailed, match=r"quantities\.json: it is no JSON"):
+    with pytest.raises(ExperimentFailed, match=r"quantities\.json: it is not valid JSON"):
         bench(write=WRITE + "open('quantities.json', 'w').write('{')").perform(0, INPUTS)
 
 
@@ -402,7 +402,7 @@ def study(folder):
 @pytest.mark.parametrize(
     ("experiments", "said"),
     [
-        ({"command": "{python} rig.py {V_Q}"}, r"experiments\.command\.run: it names \{V_Q\}; it can name \{folder\}.*\{T_P\}"),
+        ({"command": "{python} rig.py {V_Q}"}, r"experiments\.command\.run: it contains \{V_Q\}; allowed are .*\{T_P\}"),
         ({"command": "no-such-program"}, r"experiments\.command\.run: there is no program no-such-program"),
         ({"command": "./rig.py"}, r"experiments\.command\.run: there is no program .*rig\.py that may be executed"),
         ({"command": "sh 'rig.py"}, r"experiments\.command\.run: no closing quotation"),

@@ -371,9 +371,7 @@ def test_forces_beside_a_law_of_paths_see_its_force_of_now():
 
 def test_an_effect_that_a_law_has_no_place_for_is_no_silence():
     specimen = Specimen(LAWS["takeda"](**CASES["takeda"]), (EFFECTS["slip"](delta=0.1),), SCALES)
-    with pytest.raises(
-        ValueError, match="slip: it writes to the slot compliance, which the law takeda has no place for"
-    ):
+    with pytest.raises(ValueError, match="slip: it writes to the slot compliance, which the law takeda does not have"):
         specimen.force(0.1, 0.0, specimen.start())
 
 
@@ -523,7 +521,7 @@ def test_a_diagnosis_of_a_law_looks_for_what_it_has_a_place_for_and_says_what_no
     (said,) = built.mechanics.naming.left_out()
     assert "takeda" in said and "pinching" in said and "hardening" not in said
     with pytest.raises(
-        UserError, match="slip cannot be added: it writes to the slot compliance, which the law takeda has no"
+        UserError, match="slip cannot be added: it writes to the slot compliance, which the law takeda does not have"
     ):
         check_added(built.study, ["slip"], built.mechanics.naming)
     model = {"parameters": {"A": {"uniform": [1e5, 9e5]}, "beta": 1.0}}
@@ -541,7 +539,7 @@ def test_a_diagnosis_of_a_law_looks_for_what_it_has_a_place_for_and_says_what_no
         ({"spring": "elastic"}, r"model\.parameters\.F_y: there is no such parameter; allowed here are k"),
         ({"parameters": {"k": {"uniform": [1e5, 9e5]}}}, r"model\.parameters\.F_y: this key is required \(yield force, N\)"),
         ({"parameters": {"k": {}, "F_y": F_Y}}, r"model\.parameters\.k: there is no default prior"),
-        ({"effects": {"pinching": {}}}, r"model\.effects\.pinching: it writes to the slot h, which the law takeda has no"),
+        ({"effects": {"pinching": {}}}, r"model\.effects\.pinching: it writes to the slot h, which the law takeda does not have"),
         ({"parameters": {"k": K, "F_y": F_Y}}, r"at least one parameter needs a prior, such as k:"),
     ],
 )  # fmt: skip
@@ -552,9 +550,7 @@ def test_what_cannot_be_is_refused(changes, said):
 
 def test_the_specimen_of_a_virtual_laboratory_is_checked_by_its_own_law():
     virtual = {"spring": "elastic", "parameters": {"k": K}, "effects": {"asymmetry": {"delta": 0.1}}}
-    with pytest.raises(
-        UserError, match=r"experiments\.virtual\.effects\.asymmetry: .* the law elastic has no place for"
-    ):
+    with pytest.raises(UserError, match=r"experiments\.virtual\.effects\.asymmetry: .* the law elastic does not have"):
         Built(study(experiments={"virtual": virtual})).check()
 
 

@@ -162,7 +162,7 @@ def test_a_perfect_model_fails_nowhere(plain):
     campaign = component_campaign({})
     location = locate(plain(campaign), campaign)
     assert location.sentences == []
-    assert "nowhere" in repr(location)
+    assert "not concentrated" in repr(location)
 
 
 @pytest.mark.parametrize("flaw", [{"eta": 4e-5}, {"nu": 2e-5}], ids=["stiffness", "strength"])

@@ -231,7 +231,7 @@ def test_a_file_of_a_logger_is_read_right_without_a_word(tmp_path, case):
 
 THOUSANDS = np.where(np.arange(48) % 2, 1.288, 964)
 ASKED = {
-    "OpenSees recorder, no names": ("node.out", rows(T, U, F, separator=" "), "columns? of the elongation .* names no column"),
+    "OpenSees recorder, no names": ("node.out", rows(T, U, F, separator=" "), "columns? of the elongation .* no column names"),
     "names without units": ("a.csv", text("t,du,F") + rows(T, U, F), "the unit of the elongation, column 'du'"),
     "names that say nothing": ("a.csv", text("A,B,C") + rows(T, U, F), "the column of the elongation"),
     "two displacements": ("a.csv", text("LVDT1 [mm],LVDT2 [mm],Force [kN]") + rows(U, 2 * U, F), "'LVDT1 .mm.', 'LVDT2 .mm.' may be it"),

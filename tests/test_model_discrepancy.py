@@ -252,7 +252,7 @@ PAPER = "configs/paper.yaml"
 def test_a_discrepancy_of_one_or_two_shaken_records_is_refused_with_the_reason():
     told = ["error={relative: 0.05, discrepancy: true}", "observe=histories", "steps=[calibrate]"]
     for number, many in ((1, "one experiment does"), (2, "two experiments do")):
-        reason = f"{many} not tell how far another one would be.*at least 3 experiments.*inflate: true"
+        reason = f"{many} not show how much the error of the model differs.*at least 3 experiments.*inflate: true"
         with pytest.raises(UserError, match=reason):
             Built(load_study(PAPER, [*told, f"design.initial={number}"])).check()
     Built(load_study(PAPER, [*told, "design.initial=3"])).check()
@@ -278,7 +278,7 @@ def test_a_calibration_on_one_shaken_record_is_refused_before_it_begins():
     ("error", "words"),
     [
         ("{relative: 0.05, inflate: true, discrepancy: true}", "give inflate or discrepancy, not both"),
-        ("{unknown: true, discrepancy: true}", "needs an error that is declared"),
+        ("{unknown: true, discrepancy: true}", "needs a declared error"),
     ],
 )
 def test_what_contradicts_itself_is_refused(error, words):

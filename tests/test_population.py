@@ -278,7 +278,7 @@ def test_what_cannot_be_is_one_clear_message(folder, changes, message):
 
 def test_levels_need_a_campaign_and_members(folder):
     virtual = load_study("configs/paper.yaml", ["model.levels={bar: [A]}", "steps=[calibrate]"])
-    with pytest.raises(UserError, match=r"model\.levels: members are told by a column of experiments\.csv"):
+    with pytest.raises(UserError, match=r"model\.levels: a column of experiments\.csv gives the members"):
         Built(virtual).check()
     study = study_of(folder)
     campaign = Built(study).experiments.measured

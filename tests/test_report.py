@@ -169,15 +169,15 @@ def test_the_figures_on_the_page_are_those_of_the_summary(folder):
     label = "probability of hardening among the listed formulas; where its formula is not listed, right in about 80 %"
     assert f'data-figure-key="probability_hardening">0.999</data><span>{label}' in page
     said = "With hardening the error on experiments that were not used goes from 0.350 to 0.055 (noise 0.050)."
-    assert verdict(read_run(folder)) == f"{said} What is left is more than noise."
-    missing = page[page.index("<h2>What is missing") :]
+    assert verdict(read_run(folder)) == f"{said} The noise does not explain the rest."
+    missing = page[page.index("<h2>Missing effects") :]
     assert SENTENCE[1:] in missing and said not in missing
 
 
 def test_an_improvement_without_a_diagnosis_has_its_headline_and_what_is_ambiguous_stays_so(tmp_path):
     page = page_of(tmp_path, lambda found: found.pop("diagnosis"))
     assert "goes from 0.350 to 0.055" in page[: page.index("Key figures")]
-    assert "does not explain what the model leaves" not in page
+    assert "does not explain the residual" not in page
     shutil.rmtree(tmp_path / "run")
     page = page_of(
         tmp_path, lambda found: found["diagnosis"].update(verdict="ambiguous", sentence="it is this or that")
@@ -219,14 +219,14 @@ def test_after_an_improvement_it_is_said_where_the_improved_model_fails(tmp_path
     assert own.index("The model as it was") < own.index("The improved model:") < own.index("90 % of the squared error")
     shutil.rmtree(tmp_path / "run")
     page = page_of(tmp_path, lambda found: found["improvement"]["comparison"].update(where=[]))
-    assert "What the improved model leaves is nowhere in particular." in page
+    assert "The misfit of the improved model is not concentrated in any part of the data." in page
 
 
 def test_what_a_reader_must_know_stands_first(folder):
     said = list(warnings(read_run(folder)))
     assert any("3 divergent transitions" in text for text in said)
     page = report_page(read_run(folder))
-    assert page.index("3 divergent transitions") < page.index("What was asked")
+    assert page.index("3 divergent transitions") < page.index("The question")
 
 
 def page_of(tmp_path, change, records=record):
@@ -247,14 +247,16 @@ def test_what_diverged_is_said_first_and_the_verdict_is_not_blue(tmp_path):
     def diverge(found):
         after = found["improvement"]["comparison"]
         del after["test"]["error"], after["test"]["per_experiment"]["T01"]["force"]["nrmse"]
-        after["warnings"] = ["the simulation of T01 diverged at the MAP: its errors mean nothing, and it is not drawn"]
+        after["warnings"] = [
+            "the simulation of T01 diverged at the MAP: its errors have no meaning, and it is not drawn"
+        ]
         found["improvement"]["steps"][-1]["error_test"] = 1.3e8
 
     page = page_of(tmp_path, diverge)
     assert '<data value="" data-figure-key="error_test_after">diverged</data>' in page
     assert '<span class="tag doubtful" id="verdict">missing effects' in page
     first = page.index("The improved model: the simulation of T01 diverged at the MAP")
-    assert first < page.index("What was asked")
+    assert first < page.index("The question")
     assert "130000000" not in page.replace(",", "") and page.count('<td class="number">diverged</td>') == 2
 
 
@@ -266,7 +268,7 @@ def test_doubts_of_the_data_are_quoted_first(tmp_path):
         )
 
     page = page_of(tmp_path, lambda found: None, flipped)
-    assert page.index("The data check has a doubt: E01, force: the work of force") < page.index("What was asked")
+    assert page.index("The data check has a doubt: E01, force: the work of force") < page.index("The question")
 
 
 def test_a_window_is_shaded(tmp_path):
@@ -285,7 +287,7 @@ def test_the_posterior_says_whether_the_model_explains_the_data_and_the_scales_a
 
     page = page_of(tmp_path, change)
     assert "χ² per datum: 7.3 " in page[page.index("<h2>Posterior") :]
-    above = page.lower()[: page.index("What was asked")]
+    above = page.lower()[: page.index("The question")]
     assert doubt.replace("the model", "the model as it was") in above
     assert doubt in page.lower()[page.index("<h2>Posterior") :]
     assert "force 120 kN, elongation 23 mm, elongation rate 1.9 m/s, absorbed energy 22 kJ" in page
@@ -672,13 +674,13 @@ def test_the_page_of_two_runs_draws_its_charts(opened, page_file, tmp_path):
     ("error", "said"),
     [
         (None, "error: the noise that the campaign declares, inferred where it declares none."),
-        ({"inflate": True}, "inferred where it declares none, and what the model leaves beyond it."),
+        ({"inflate": True}, "inferred where it declares none, and the residual beyond it."),
         ({"relative": 0.05, "correlated": False}, "error: 5 % of the RMS of each history."),
         (
             {"relative": 0.05, "discrepancy": True},
-            "5 % of the RMS of each history, and a discrepancy of the model that is learned.",
+            "5 % of the RMS of each history, and a learned model discrepancy.",
         ),
-        ({"force": {"unknown": True, "inflate": True}}, "error: force inferred, and what the model leaves beyond it."),
+        ({"force": {"unknown": True, "inflate": True}}, "error: force inferred, and the residual beyond it."),
     ],
 )
 def test_an_error_is_told_as_it_is_written(error, said):
@@ -728,7 +730,7 @@ def test_a_chart_or_table_that_fails_is_left_out_and_said(folder, monkeypatch, c
     page = (folder / "report.html").read_text()
     assert gone not in page and kept in page
     said = f"he {name} could not be made and is left out (ValueError: shapes (2,) (3,))"
-    assert page.index(said) < page.index("What was asked") and f"warning: t{said}" in capsys.readouterr().err
+    assert page.index(said) < page.index("The question") and f"warning: t{said}" in capsys.readouterr().err
 
 
 def test_a_figure_that_fails_leaves_the_others_and_is_said(tmp_path, monkeypatch):
@@ -752,7 +754,7 @@ def test_a_figure_that_fails_leaves_the_others_and_is_said(tmp_path, monkeypatch
 def test_what_was_left_out_of_a_run_is_said_first_in_its_report(tmp_path):
     said = "the figure cycles could not be made and is left out (ValueError: it is empty)"
     page = page_of(tmp_path, lambda found: found.update(left_out=[said]))
-    assert page.index(said[1:]) < page.index("What was asked")
+    assert page.index(said[1:]) < page.index("The question")
 
 
 @pytest.mark.parametrize("error", [OSError(28, "full"), KeyboardInterrupt(), RuntimeError("KeyboardInterrupt: ")])

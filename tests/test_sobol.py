@@ -123,8 +123,8 @@ def test_an_input_and_a_parameter_of_one_name_are_told_apart():
 @pytest.mark.parametrize(
     ("words", "samples", "message"),
     [
-        ([], 100, "samples: 100 is no power of two"),
-        ([], 1, "samples: 1 is no power of two"),
+        ([], 100, "samples: this must be a power of two, such as 1024, but it is 100"),
+        ([], 1, "samples: this must be a power of two, such as 1024, but it is 1"),
         ([], 2**40, "samples: 1099511627776 would take 4."),
         (
             ["model.parameters.gamma={uniform: [-900.0, 900.0]}", "excitation.duration=2.0"],

@@ -271,7 +271,7 @@ def test_an_effect_of_all_needs_one_that_shares_the_model(tmp_path):
     assert "left.slip" in built.mechanics.naming.candidates and "slip" not in built.mechanics.naming.candidates
     assert "storey2.yielding" not in built.mechanics.naming.candidates
     with pytest.raises(
-        UserError, match=r"slip: no specimen shares the model of the study; say of which one, left\.slip"
+        UserError, match=r"slip: no specimen shares the model of the study; name the specimen, left\.slip"
     ):
         Built(study(tmp_path, *changes, "model={effects: {slip: {}}}")).check()
 
@@ -287,7 +287,7 @@ def test_an_effect_of_all_needs_one_that_shares_the_model(tmp_path):
         ("structure.specimens={spring_1: {between: [ground, 1]}}", "can be no specimen's name"),
         ("structure.specimen={between: [1, 2]}", "give either specimen, or specimens"),
         ("structure.damping.specimen_stiffness={storey1: 6e6}", "one for each of several specimens: storey1, storey2"),
-        ("improve.add=[storey2.slip]", "which the law bilinear has no place for"),
+        ("improve.add=[storey2.slip]", "which the law bilinear does not have"),
         ("model.effects={storey9.slip: {}}", "there is no such effect"),
         ("model.parameters={beta: 60.0}", "model.parameters.A: this key is required"),
     ],

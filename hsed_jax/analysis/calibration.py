@@ -210,7 +210,7 @@ def compare(calibration: Calibration, campaign: Campaign | None = None) -> Compa
         and not campaign.has_time
     ):
         notes.append(
-            "the records have no time: the row number stands for it, which a rate-independent law does not notice"
+            "the records have no time: the row number replaces it, which does not change a rate-independent law"
         )
     return comparing.compare(calibration.train, calibration.test, declared, parameters, notes)
 

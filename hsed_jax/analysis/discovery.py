@@ -67,9 +67,9 @@ def discover(
     """
     campaign, watch = calibration.campaign if campaign is None else campaign, watch or Watch()
     if not isinstance(calibration.built.simulation.simulator, Simulator):
-        raise UserError("discover: it needs a spring law, and the model of this study is a function")
+        raise UserError("discover: it needs a spring law, but the model of this study is a function")
     if any(element.name for element in calibration.built.mechanics.elements):
-        raise UserError("discover: it looks into one specimen, and this study has specimens with names")
+        raise UserError("discover: it works with one specimen, but this study has named specimens")
     diagnosis = diagnosis or diagnose(calibration, campaign, watch)
     if diagnosis.verdict == "adequate":
         return Discovery(False, "the noise explains the residual", error=diagnosis.error)
@@ -156,7 +156,7 @@ class _Beside:
         """Why the evidence of a place does not do, in a sentence; empty where it does."""
         promised, words = best.promised, best.place.words
         if gain < math.log(_ODDS * len(self._search.promised)):
-            return f"the best place, {words}, gains {gain:.1f} nats only"
+            return f"the best place, {words}, gains only {gain:.1f} nats"
         if promised.gain < promised.chance + math.log(_ODDS):
             return f"{words} gains no more than chance does with the same flexibility"
         return ""
@@ -165,11 +165,11 @@ class _Beside:
         """Why what a place predicts does not do, in a sentence; empty where it does."""
         words, before, floor = best.place.words, self._before, self.problem.train.noise**2
         if not now.error < before.error or before.error**2 - now.error**2 < _MATERIAL * (before.error**2 - floor):
-            return f"{words} takes the error on experiments that were not used from {before.error:.3f} to {now.error:.3f} only"
+            return f"{words} reduces the error on experiments that were not used only from {before.error:.3f} to {now.error:.3f}"
         if not now.gain.total > now.gain.standard_error:
             return (
-                f"{words} takes a squared error of {now.gain.total:.2g} ± {now.gain.standard_error:.2g} only away from "
-                "predictions of experiments that were not used"
+                f"{words} reduces the squared error on experiments that were not used by only {now.gain.total:.2g} ± "
+                f"{now.gain.standard_error:.2g}"
             )
         return ""
 
@@ -196,7 +196,7 @@ class _Beside:
         shown = replace(
             found,
             place=place,
-            formula="a smooth curve that no formula of the grammar is",
+            formula="a smooth curve without a formula of the grammar",
             curve=curve,
             source=source_of_curve(place, reaches, best.coefficients, self._name),
             error_train=train.error(best.fit.predicted),
@@ -220,7 +220,7 @@ class _Beside:
         reach = " and ".join(f"{COORDINATES[name].text} from {low:.3g} to {high:.3g}" for name, (low, high) in ends)
         alike = [one.place.words for one in ranking[1:] if one.probability > _LIKELY * ranking[0].probability]
         return [
-            f"the measurements reach over {reach}; beyond, the function is held at its ends",
+            f"the measurements cover {reach}; beyond this range the function is constant",
             *([f"these measurements do not exclude {'; '.join(alike)}"] if alike else []),
         ]
 

@@ -67,7 +67,7 @@ def curves_of(effect: type[AbstractSpringEffect]) -> Curves:
     swept = {name: {form: rows[i] for form, rows in contributed.items()} for i, name in enumerate(_ACROSS)}
     name = max(swept, key=lambda key: _apart(swept[key]))
     flows = effect.flow is not AbstractSpringEffect.flow
-    what = "how fast its own state changes" if flows else "what a form adds or multiplies by"
+    what = "rate of its own state" if flows else "contribution of each form"
     return Curves(what, _ACROSS[name], places[name], swept[name])
 
 

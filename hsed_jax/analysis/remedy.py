@@ -140,10 +140,10 @@ class Improvement(Tabular):
                 f"model: {self.trail.sentence}.",
                 f"Run it with:  hsed run {path.name}   (every default is written out)",
             ],
-            "model": ["{} beside an effect: the priors of the catalogue (hsed effects NAME shows them)"],
+            "model": ["{} after an effect: the priors of the catalogue (hsed effects NAME shows them)"],
             "experiments": ["relative paths start at the folder of this file"],
             "scales": [
-                "amplitudes of effects are relative to these, as they were when the effects were added: force "
+                "amplitudes of effects are relative to these characteristic values: force "
                 f"[{pair.force_unit}], elongation [{pair.elongation_unit}], rate [{pair.unit('m/s')}], absorbed energy "
                 f"[{pair.energy_unit}]"
             ],
@@ -239,7 +239,7 @@ def improve(
         if again.fit.maximum.log_posterior - around.log_posterior > _APART:
             calibration, before = again, compare(again)
             notes.append(
-                "the model as it was had not been calibrated to its best fit, and was calibrated again from there"
+                "the calibration of the model as it was had not reached the best fit, so it was repeated from there"
             )
     steps, fit = [step_of([], before, calibration.map)], plain
     for count in range(1, len(effects) + 1):

@@ -136,7 +136,7 @@ def indices_of(
     if not variables:
         raise UserError("nothing varies: the study has neither inputs nor free parameters")
     if samples < 2 or samples.bit_count() != 1:
-        raise UserError(f"samples: {samples} is no power of two, such as 1024")
+        raise UserError(f"samples: this must be a power of two, such as 1024, but it is {samples}")
     random, d = np.random.default_rng(seed), len(variables)
     # The points three times (both samples, mixed, as values of the variables), what is simulated, and the bootstrap.
     numbers = 3 * d * (d + 2) + len(quantities) * (d + 2) + _RESAMPLES

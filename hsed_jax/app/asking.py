@@ -22,11 +22,11 @@ _LOOK = 0.3
 _THEN = re.compile(r"then: hsed tell \S+ '?([^']+)'?$")
 _NO_DESIGN = (
     "There is no design among the steps of this study, which are {}. A design needs inputs with their ranges, an excitation that "
-    "follows from them, and somebody who performs it (docs/laboratories.md); a record that was measured tells none of these."
+    "follows from them, and somebody who performs it (docs/laboratories.md); a measured record gives none of these."
 )
 _DESIGN = (
-    "A design chooses the experiment that is expected to teach the model most. The request, with what the model expects, is "
-    "written into the run folder."
+    "A design chooses the experiment from which the model is expected to learn most. The request, with the response that the "
+    "model expects, is written into the run folder."
 )
 
 
@@ -93,9 +93,7 @@ class Asking:
         wanted = ", ".join(
             f"{name} {value:.4g}" for name, value in (summary.get("diagnosis", {}).get("next_experiment") or {}).items()
         )
-        said = (
-            f"What tells the explanations of the diagnosis apart best is an experiment at {wanted}." if wanted else ""
-        )
+        said = f"An experiment at {wanted} separates the explanations of the diagnosis best." if wanted else ""
         return _Askable(designs, _NO_DESIGN.format(", ".join(steps)), said)
 
     async def _asked(self, _: Any) -> None:
@@ -106,7 +104,7 @@ class Asking:
         else:
             run = folder.name(folder.inside("runs", path.stem))
             arguments = ["ask", chosen, "--output", run]
-        self._messages.object = note("asking: what was measured so far is calibrated and searched …")
+        self._messages.object = note("choosing the next experiment from the measurements so far …")
         job = await self._done(run, arguments)
         if job is None:
             return
@@ -132,7 +130,7 @@ class Asking:
         if where is None:
             return
         path = self._session.folder.name(where / DROPPED / name)
-        self._messages.object = note(f"telling what was measured in {id} …")
+        self._messages.object = note(f"reading the measurements of {id} …")
         job = await self._done(run, ["tell", run, id, "--record", path])
         self._fresh_dropper()
         if job is not None:
@@ -143,7 +141,7 @@ class Asking:
         """A command in a run, when it has ended well; else None, and what was wrong is shown."""
         jobs = self._session.jobs
         if (job := jobs.of(run)) is not None and job.status is None:
-            self._messages.object = note("A command is at work in this run; wait for its end.")
+            self._messages.object = note("Another command uses this run; wait until it ends.")
             return None
         self._ask.disabled = True
         job = jobs.start(run, arguments)

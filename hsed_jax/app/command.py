@@ -16,22 +16,19 @@ def add_command(commands: Any) -> None:
         nargs="?",
         default=".",
         metavar="FOLDER",
-        help="all that it reads and writes is in here (default: this one)",
+        help="folder of all files that it reads and writes (default: the current one)",
     )
-    app.add_argument("--port", type=int, default=0, metavar="N", help="where it listens (default: any free port)")
-    app.add_argument("--no-browser", action="store_true", help="print the address, open nothing")
+    app.add_argument("--port", type=int, default=0, metavar="N", help="port of the page (default: any free port)")
+    app.add_argument("--no-browser", action="store_true", help="print the address without opening a browser")
     app.set_defaults(command=_app)
 
 
 def _app(options: Any) -> int:
     if missing := [name for name in ("panel", "openpyxl") if find_spec(name) is None]:
-        raise UserError(
-            f"hsed app needs {' and '.join(missing)}, which came with no other part of hsed_jax; "
-            "install it with: pip install 'hsed_jax[app]'"
-        )
+        raise UserError(f"hsed app needs {' and '.join(missing)}; install it with: pip install 'hsed_jax[app]'")
     from hsed_jax.app.server import serve
 
     stopped = serve(Path(options.folder), options.port, not options.no_browser)
     if stopped:
-        print(f"stopped what was running ({stopped}); nothing is lost: open the page again to go on")
+        print(f"stopped the running command ({stopped}); nothing is lost: open the page again to go on")
     return 0

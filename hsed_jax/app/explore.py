@@ -153,7 +153,7 @@ class Explorer:
         self._study = load_study(run / "study.yaml")
         if self._study.code:
             raise UserError(
-                "the study names code of its own, which this page does not execute; use hx.simulate in Python"
+                "the study uses code of your own, which this page does not execute; use hx.simulate in Python"
             )
         self._campaign = read_campaign(run / "campaign")
         shown = {"elongation", "force"}

@@ -19,7 +19,7 @@ from hsed_jax.measurements import read_campaign
 STEPS = {
     "fit, compare, find the missing effect, add it": "calibrate, compare, diagnose, improve",
     "fit and compare only": "calibrate, compare",
-    "… and learn what no effect of the catalogue is": "calibrate, compare, diagnose, discover, improve",
+    "… and learn an effect that is not in the catalogue": "calibrate, compare, diagnose, discover, improve",
 }
 CARE = {
     "quick: a Gaussian around the best fit": "laplace",
@@ -81,9 +81,9 @@ class Fitting:
         where = self._session.campaign
         about = f"Fit a model to <b>{escape(where)}</b>" if where else "Fit a model"
         said = (
-            "A plain Bouc–Wen law, its priors from your data; then how wrong it is, where, and which physical effect it lacks."
+            "A plain Bouc–Wen law with priors from your data. The report shows its error, where it fails, and the missing effect."
             if where
-            else "Choose measurements first, in part 1; or look at a run that there is, by its name above."
+            else "Choose measurements first, in part 1, or open an existing run by its name above."
         )
         self._about.object = f"<h2>{about}</h2>{note(said)}"
         self._study.object = f"<pre>{escape(text)}</pre>" if text else note("There is none yet.")

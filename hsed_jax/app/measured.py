@@ -274,7 +274,7 @@ class Measured:
         )
         hint = "" if self._is_declared else " Turn a sign, or choose another column, on the left."
         wrong = "".join(error(line + hint * (line not in faults)) for line in stops)
-        fine = "" if findings else '<p class="good">The checks of the data found nothing to doubt.</p>'
+        fine = "" if findings else '<p class="good">The checks of the data found no doubts.</p>'
         numbers = replace(overview(campaign), sentence=_sentence(campaign)).html()
         self._facts.object = f"{wrong}{doubts}{fine}{numbers}{_cycles(campaign)}"
         self._campaign, self._go.disabled = campaign, bool(stops)
@@ -310,7 +310,7 @@ def _numbers(text: str) -> tuple[float, ...] | None:
     try:
         return tuple(float(word) for word in words if word.lower() != "none") if words else None
     except ValueError:
-        raise UserError(f"{text!r} are no numbers; write such as -9999, or none") from None
+        raise UserError(f"{text!r}: write numbers such as -9999, or none") from None
 
 
 def _sentence(campaign: Campaign) -> str:

@@ -10,12 +10,12 @@ from hsed_jax.app.pieces import NONE_YET, html, note
 from hsed_jax.app.session import Session
 
 _WHAT = {
-    "report.html": "the report, one page that needs nothing else",
-    "study.yaml": "the study as it was run, every default written out",
-    "improved.yaml": "the improved model: the study with the missing effects in it, ready to run",
+    "report.html": "the report: one page that needs no other file",
+    "study.yaml": "the study of this run with every default written out",
+    "improved.yaml": "the improved model: the study with the missing effects, ready to run",
     "summary.json": "numbers of the run, for programs",
     "results.nc": "draws and predictions (NetCDF)",
-    "learned_effect.py": "the effect that was learned, as Python code",
+    "learned_effect.py": "the learned effect as Python code",
 }
 
 
@@ -64,5 +64,5 @@ class Download(_OfRun):
             for name in OFFERED
             if (folder / name).is_file()
         ]
-        where = note(f"They lie in {folder}, too, beside the figures and the journal.")
+        where = note(f"They are also in {folder}, with the figures and the journal.")
         return f"<h2>Files of this run</h2><table>{''.join(rows)}</table>{where}"

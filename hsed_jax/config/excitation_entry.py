@@ -72,7 +72,7 @@ class ExcitationEntry(create_model("ExcitationEntry", __base__=Section, **_KINDS
             raise ValueError(f"a {excitation.name} needs a duration [s]")
         if excitation.kind.protocol == "displacement" and (self.duration, self.step) != (None, None):
             raise ValueError(
-                f"leave out duration and step: the settings of {excitation.name} tell how long it lasts, and the spring how "
-                "long a step may be"
+                f"leave out duration and step: the settings of {excitation.name} determine the duration, and the spring "
+                "determines the step"
             )
         return self

@@ -29,7 +29,7 @@ class FunctionEntry(Section):
         if (self.function is None) == (self.command is None):
             raise ValueError("give either function or command")
         if self.command is not None and self.derivatives == "jax":
-            raise ValueError("a command has no derivatives but differences")
+            raise ValueError("the derivatives of a command are always differences")
         return self
 
     @field_validator("function")

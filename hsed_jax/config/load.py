@@ -69,7 +69,7 @@ def load_trusted(file: str, overrides: Sequence[str] = (), *, trust: bool) -> St
     if study.code and not trust:
         raise UserError(
             f"{file}: it names code of its own ({', '.join(map(shown, study.code))}), which this command would execute; "
-            "say --trust if you trust it"
+            "say --trust if you trust this code"
         )
     return study
 
@@ -94,7 +94,7 @@ def _override(content: dict[str, Any], override: str) -> dict[str, Any]:
 
     keys = path.split(".")
     if len(keys) > DEPTH:
-        raise UserError(f"{said}: no key of a study lies that deep")
+        raise UserError(f"{said}: no key of a study has so many parts")
     return put(content, keys)
 
 

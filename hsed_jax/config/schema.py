@@ -212,7 +212,7 @@ class Study(Tabular, Section):
         given = names or []
         for name in given:
             if given.count(name) > 1:
-                raise ValueError(f"{shown(name)} stands twice")
+                raise ValueError(f"{shown(name)} appears twice")
         return names
 
     _folder: Path = PrivateAttr(default=Path())

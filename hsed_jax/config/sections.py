@@ -74,13 +74,13 @@ class ErrorEntry(NoiseEntry):
             )
         if self.inflate and self.discrepancy:
             raise ValueError(
-                "give inflate or discrepancy, not both: each says how wrong the model is, one as a larger error, the other as "
-                "a process that is learned"
+                "give inflate or discrepancy, not both: each describes how wrong the model is, inflate by a larger error, "
+                "discrepancy by a learned process"
             )
         if self.unknown and self.discrepancy:
             raise ValueError(
-                "a discrepancy needs an error that is declared (relative or absolute): of an unknown one nobody could tell "
-                "what is noise and what is the model"
+                "a discrepancy needs a declared error (relative or absolute): with an unknown error, noise and model cannot be "
+                "distinguished"
             )
         return self
 

@@ -130,7 +130,7 @@ class Comparison(Tabular):
     def verdict(self) -> str:
         """One sentence."""
         if self.p_value is None:
-            return "whether the noise explains the residual cannot be said: no noise is declared"
+            return "no noise is declared, so it is unknown whether the noise explains the residual"
         if self.adequate:
             return f"the residual is explained by the noise (p = {self.p_value:.2g})"
         return f"the residual is not explained by the noise (p = {self.p_value:.1g})"
@@ -150,7 +150,7 @@ def compare(
     splits = [_split(p, declared) if p is not None and p.used.any() else None for p in (train, test)]
     if splits[0] is None:
         raise UserError(
-            "nothing that is observed was measured in the training experiments; there is nothing to compare"
+            "the training experiments have no measurement of an observed output; there is nothing to compare"
         )
     worst = sorted(
         (

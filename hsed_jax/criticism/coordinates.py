@@ -67,9 +67,7 @@ def samples_of(prediction: Prediction, campaign: Campaign) -> Samples:
             }
             parts.append(part)
     if not parts:
-        raise UserError(
-            "nothing that is observed was measured in these experiments; there is nowhere to look for a misfit"
-        )
+        raise UserError("these experiments have no measurement of an observed output, so a misfit cannot be located")
     names = parts[0].keys()
     joined = {name: np.concatenate([part[name] for part in parts]) for name in names}
     squares = joined["signed"] ** 2

@@ -26,7 +26,7 @@ def error_map(comparison: Comparison, campaign: Campaign) -> xr.Dataset | None:
         campaign: the units of its inputs.
 
     Returns:
-        By `experiment` its `split`, `squared_error` relative to the variance of what was measured, and inputs `at`
+        By `experiment` its `split`, `squared_error` relative to the variance of the measurement, and inputs `at`
         (experiment, input); `squared_error_mean` and `squared_error_sd` on a grid of the inputs, where there are enough
         experiments and not too many.  None unless one or two inputs vary.
     """
@@ -37,7 +37,7 @@ def error_map(comparison: Comparison, campaign: Campaign) -> xr.Dataset | None:
         return None
     names, points = list(inputs), np.stack(list(inputs.values()), axis=1)
     errors = np.asarray([error for _, _, error in found])
-    said = {"units": "1", "long_name": "squared error over the variance of what was measured"}
+    said = {"units": "1", "long_name": "squared error over the variance of the measurement"}
     low, span = points.min(axis=0), np.ptp(points, axis=0)
     # A little larger than the range of the experiments.
     grid = [np.linspace(a - 0.06 * s, a + 1.06 * s, _GRID) for a, s in zip(low, span, strict=True)]

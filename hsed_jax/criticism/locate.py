@@ -174,7 +174,7 @@ class Location(Tabular):
         ]
         items = self.places[0].items if self.places else "motion"
         heads = ("where", "of the squared error", f"of the {items}", "model there", "model elsewhere")
-        return Table(next(iter(self.sentences), "the misfit is nowhere in particular"), heads, rows)
+        return Table(next(iter(self.sentences), "the misfit is not concentrated in any part of the data"), heads, rows)
 
 
 def locate(prediction: Prediction, campaign: Campaign) -> Location:

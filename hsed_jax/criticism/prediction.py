@@ -127,10 +127,16 @@ class Prediction:
         found = []
         if self.diverged.any():
             names = _named(self.experiments, self.diverged)
-            found.append(f"the simulation of {names} diverged at the MAP: its errors mean nothing, and it is not drawn")
+            found.append(
+                f"the simulation of {names} diverged at the MAP: its errors have no meaning, and it is not drawn"
+            )
         lost = np.broadcast_to(self.draws_lost, len(self.experiments))
         if (lost > 0).any():
-            left = "leaves these draws out" if (lost < 1).all() else "leaves them out; without any other, there is none"
+            left = (
+                "leaves these draws out"
+                if (lost < 1).all()
+                else "leaves them out, and does not exist where no other draw is left"
+            )
             found.append(
                 f"the simulation of {_named(self.experiments, lost > 0)} diverged in up to {100 * lost.max():.0f} % of the "
                 f"posterior's draws: the predictive band {left}"

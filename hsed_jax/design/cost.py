@@ -33,7 +33,7 @@ class Cost:
             raise UserError(f"design.cost.per: there is no input {unknown[0]!r}; the study has {', '.join(names)}")
         if not self.bounds[0] > 0:
             raise UserError(
-                f"design.cost: every experiment must cost something, but the cheapest would cost {self.bounds[0]:.3g}"
+                f"design.cost: the cost of every experiment must be positive, but the smallest would be {self.bounds[0]:.3g}"
             )
 
     def __call__(self, declared: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " n"]:

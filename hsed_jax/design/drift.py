@@ -53,6 +53,6 @@ class Drift(NamedTuple):
             for name in moved
         ]
         return (
-            "the estimates depend on where the design tested: with every experiment counted for the part of the inputs that it "
-            f"stands for, {', '.join(said)}; the model is wrong in a way that differs over the inputs"
+            "the estimates depend on the tested inputs: with every experiment weighted by the part of the inputs that is "
+            f"nearest to it, {', '.join(said)}; the error of the model differs over the inputs"
         )

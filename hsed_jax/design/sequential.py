@@ -308,8 +308,8 @@ class SequentialDesign:
             is_out = (state.status == "pending").any()
             mend = "perform more initial experiments (design.initial) or choose inputs that can be tested"
             raise UserError(
-                f"only {usable} of {len(state.trials)} experiments gave something to use, and the design needs {least} to go on; "
-                f"{'tell first what came of those that are out' if is_out else mend}"
+                f"only {usable} of {len(state.trials)} experiments have usable results, but the design needs "
+                f"{least} to continue; {'tell the results of the pending experiments first' if is_out else mend}"
             )
 
     def surrogate(self, state: DesignState, norms: Sequence[float], lengths: Sequence[float], nugget: float) -> Kriging:

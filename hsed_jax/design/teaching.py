@@ -28,11 +28,11 @@ def lesson(acquisition: str, value: float, discrepancies: Sequence[float | None]
         discrepancies: of the experiments before it; None or NaN where there is none.
     """
     if acquisition == "discriminate":
-        return f"a log Bayes factor of {value:.3g} between the explanations that are left: odds of {odds(value)}"
+        return f"a log Bayes factor of {value:.3g} between the remaining explanations: odds of {odds(value)}"
     known = [one for one in discrepancies if one is not None and math.isfinite(one)]
     if acquisition == "max_variance":
-        return "how wrong the model is where that is known least"
+        return "the error of the model where it is known least"
     if acquisition != "expected_improvement" or not known or not max(known) > 0:
         return ""
     share = 100 * value / max(known) if value >= _NONE * max(known) else 0.0
-    return f"whether the model is wrong by more than anywhere so far: by {share:.3g} % of that, on average"
+    return f"whether the discrepancy exceeds the largest one so far: by {share:.3g} % of it, on average"

@@ -53,17 +53,17 @@ $memory''')
 _NEEDS = Template('''
     @property
     def needs(self) -> tuple[SharedState, ...]:
-        """What of the path it looks at."""
+        """The states of the path that it uses."""
         return needs_of($coordinates)
 ''')
 _FADES = Template('''
     @property
     def states(self) -> tuple[str, ...]:
-        """What fades."""
+        """The states that fade."""
         return states_of($coordinates)
 
     def flow(self, point: SpringPoint) -> dict[str, Scalar]:
-        """Rates of what fades."""
+        """Rates of the states that fade."""
         return fading($coordinates, point, self.fade)
 ''')
 _POINTS = 201
@@ -169,7 +169,7 @@ def _source(
         class_name="".join(part.capitalize() for part in name.split("_")),
         words=_wrap(words, 4),
         equation=textwrap.indent(f"${place.slot.replace('force', 'r')} \\leftarrow {equation}$", "    "),
-        reach=_wrap(f"The measurements reach over {held}; beyond, each is held at its end.", 4),
+        reach=_wrap(f"The measurements cover {held}; beyond this range each stays at its end.", 4),
         name=name,
         needs_time=any(COORDINATES[c].needs_time for c in of),
         parameters=textwrap.indent("\n".join(parameters), "    "),

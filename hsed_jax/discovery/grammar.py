@@ -72,11 +72,11 @@ _POWER = Number(
     lambda low, high: np.asarray([0.25, 0.4, 0.5, 0.65, 0.8, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0]),
 )  # fmt: skip
 _LENGTH = Number(
-    "b", "over how much it changes", lambda low, high: {"lognormal": [float(np.log(0.3 * _largest(low, high))), 1.0]},
+    "b", "length over which it changes", lambda low, high: {"lognormal": [float(np.log(0.3 * _largest(low, high))), 1.0]},
     lambda low, high: _largest(low, high) * np.asarray([0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0]),
 )  # fmt: skip
 _RATIO = Number(
-    "c", "slope at negative over that at positive values", lambda low, high: {"normal": [0.0, 3.0]},
+    "c", "slope at negative values over slope at positive values", lambda low, high: {"normal": [0.0, 3.0]},
     lambda low, high: np.outer([-1.0, 1.0], [0.2, 0.4, 0.7, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0]).ravel(),
 )  # fmt: skip
 _FREQUENCY = Number(
@@ -85,7 +85,7 @@ _FREQUENCY = Number(
 )  # fmt: skip
 _PLACE = Number("m", "where it is", _uniform, _inside(15))
 _AWAY = Number(
-    "m", "how far from nothing it is", lambda low, high: _uniform(0.0, _largest(low, high)),
+    "m", "distance from zero", lambda low, high: _uniform(0.0, _largest(low, high)),
     lambda low, high: _inside(11)(0.0, _largest(low, high)),
 )  # fmt: skip
 

@@ -11,7 +11,7 @@ from hsed_jax.physics.effects.free_function import COUNTS, DEGREES, SLOTS
 from hsed_jax.physics.scales import Scales
 
 WORDS = {
-    "force": "a force beside the element",
+    "force": "a force parallel to the element",
     "a": "a factor on the stiffness",
     "nu": "a factor on β and γ, which lowers the strength",
     "h": "a factor on the tangent of the loop",

@@ -84,7 +84,7 @@ def text_of_study(
         "  spring: bouc_wen",
         "  parameters:",
         f"    # initial stiffness [{pair.unit('N/m')}]: {_round(stiffness.value)} is the {pair.words(stiffness.source)};",
-        "    # within a factor of 4 with 95 %" + (", with what gravity takes away" if frame.height else ""),
+        "    # within a factor of 4 with 95 %" + (", plus the reduction by gravity" if frame.height else ""),
         f"    A: {{lognormal: [{math.log(stiffness.value + _of_gravity(frame)):.3f}, 0.7]}}",
         f"    # stiffness over strength [{pair.unit('1/m')}]: the strength A/beta is about {pair.words(strength.source)},",
         f"    # {_round(strength.value)} {pair.force_unit} (median over experiments); within a factor of 4 with 95 %",
@@ -106,10 +106,10 @@ def text_of_study(
     else:
         lines.append("# the campaign declares no noise, so it is inferred from the residual, per output")
     lines += [
-        "error: {inflate: true}                      # what the model leaves beyond it counts as error, too",
+        "error: {inflate: true}                      # the residual beyond it counts as error too",
         "",
-        "calibration: {seconds: 10}                  # budget of NUTS, where importance sampling does not vouch for its draws",
-        "steps: [calibrate, compare, diagnose, improve]   # how wrong, where, which effect is missing; add it",
+        "calibration: {seconds: 10}                  # time limit of NUTS, used where importance sampling is unreliable",
+        "steps: [calibrate, compare, diagnose, improve]   # find the error, where it is, and the missing effect; add it",
         "",
     ]
     return "\n".join(lines)
@@ -176,11 +176,11 @@ def _guesses(campaign: Campaign, folder: Path, frame: Frame) -> tuple[_Guess, _G
     floors = floors_of(campaign, frame.masses if is_of_all else ()) if campaign.protocol == "ground_motion" else None
     if floors is None or not floors.strength > 0:
         raise UserError(
-            f"{folder}: force and elongation were not both measured, nor the motion of a floor on a shake table, so nothing "
-            "tells the specimen's stiffness and strength; write the study by hand (configs/ has examples)"
+            f"{folder}: neither force and elongation nor the motion of a floor on a shake table were measured, so stiffness "
+            "and strength of the specimen are unknown; write the study by hand (configs/ has examples)"
         )
     mass = _given(frame) or _Guess(
-        _MASS, "a mere placeholder, since no force was measured; A and strength grow with it"
+        _MASS, "a placeholder, because no force was measured; A and the strength are proportional to it"
     )
     if found.force > 0 and not frame.masses:
         mass = _Guess(found.force / floors.strength, "largest force over largest accelerations")
@@ -234,7 +234,7 @@ def _mass(campaign: Campaign, stiffness: float) -> _Guess:
             turns = np.count_nonzero(np.diff(np.sign(elongation - elongation.mean())) != 0)
             frequency = max(turns, 2) / 2 / float(np.ptp(record.time))
             return _Guess(stiffness / (2 * math.pi * frequency) ** 2, f"from the dominant frequency of {experiment.id}")
-    return _Guess(stiffness / (2 * math.pi) ** 2, "for a frequency of 1 Hz, a mere placeholder")
+    return _Guess(stiffness / (2 * math.pi) ** 2, "for a frequency of 1 Hz, a placeholder")
 
 
 def _excitation(campaign: Campaign) -> list[str]:
@@ -248,7 +248,7 @@ def _excitation(campaign: Campaign) -> list[str]:
         fitting = [i for i in campaign.inputs if campaign.unit(i).si == parse_unit(dimension.si).si]
         values[name] = name if name in fitting else fitting[0] if len(fitting) == 1 else otherwise
     guessed = [name for name, value in values.items() if not isinstance(value, str)]
-    source = f"{' and '.join(guessed)}: mere placeholders" if guessed else "a name refers to an input"
+    source = f"{' and '.join(guessed)}: placeholders" if guessed else "a name refers to an input"
     period = values["T_P"]
     longest = max(e.inputs[period] for e in campaign.experiments) if isinstance(period, str) else float(period)
     return [

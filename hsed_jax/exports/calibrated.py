@@ -65,7 +65,7 @@ class Calibrated:
         for name, known in parameters_of(element.law).items():
             if name not in values and known.neutral is None:
                 raise UserError(
-                    f"{name} varies with a column of experiments.csv (model.levels): there is no one law to export"
+                    f"{name} varies with a column of experiments.csv (model.levels): there is no single law to export"
                 )
         effects, outside = {}, []
         for name, given in owners.items():
@@ -113,7 +113,7 @@ def calibrated(source: "str | Path | Calibration | Improvement", *, before: bool
     if study.code:
         raise UserError(
             f"{source}: its model is code of its own ({', '.join(study.code)}), which has no counterpart in OpenSees and "
-            "is not executed to be exported; from Python, hx.export(fit) makes the table of a model that you calibrate yourself"
+            "which an export does not execute; in Python, hx.export(fit) makes the table of a model that you calibrate there"
         )
     built = Built(study, run.campaign)
     _require_law(built, str(source))

@@ -51,7 +51,7 @@ def export(
         ['specimen.py', 'specimen.tcl']
     """
     if kind not in KINDS:
-        raise UserError(f"kind: {kind!r} is none of {', '.join(KINDS)}")
+        raise UserError(f"kind: this must be one of {', '.join(KINDS)}, but it is {kind!r}")
     with holding(source) if isinstance(source, str | Path) else nullcontext():
         files = _files(calibrated(source, before=before), kind)
     folder = (
@@ -62,7 +62,7 @@ def export(
         else Path("export")
     )
     if output is None and folder.is_symlink():
-        raise UserError(f"{folder} is a symbolic link, and the files would go elsewhere; say where to (--out)")
+        raise UserError(f"{folder} is a symbolic link, and the files would go elsewhere; give a folder (--out)")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in files.items():
@@ -91,9 +91,9 @@ def _scripts(model: Calibrated) -> dict[str, str]:
         )
         notes = [f"{law.name} at the maximum of the posterior{', with ' + ', '.join(effects) if effects else ''}."]
         if outside:
-            notes.append(f"Not in it, as they are of structure or test rig: {', '.join(outside)}.")
+            notes.append(f"Not included, because they belong to the structure or the test rig: {', '.join(outside)}.")
         if any(command.words[0] == "Viscous" for command in commands):
-            notes.append("What depends on the rate (Viscous) acts in a transient analysis; the loop below is static.")
+            notes.append("Rate-dependent parts (Viscous) act only in a transient analysis; the loop below is static.")
         if any(command.words[0] == "ElasticMultiLinear" for command in commands):
             notes.append(f"Curves are tabulated up to {2 * reach:.3g} m.")
         files[f"{name}.py"] = python_script(title, notes, commands, reach)

@@ -86,7 +86,7 @@ def _by_emulators(
     w = _SPREAD * random.standard_normal((count, p))
     points, log_drawn = frame.center + w @ frame.frame.T, -0.5 * np.sum((w / _SPREAD) ** 2, axis=1)
     for number in range(_ROUNDS):
-        watch.report("simulations to learn the posterior from")
+        watch.report("simulations for the emulator of the posterior")
         outputs, ok, height = simulated(posterior, data, points, watch)
         log_weight = height - log_drawn
         if not np.isfinite(log_weight).any():

@@ -97,7 +97,7 @@ def correlation_notes(outputs: Sequence[str], groups: np.ndarray, weights: np.nd
         if not own.any():
             continue
         if (rho := float(np.median(memory[own]))) > 0:
-            notes.append(f"the noise of {name} is autocorrelated: neighbouring samples share {rho:.0%} of it")
+            notes.append(f"the noise of {name} is autocorrelated: the correlation of neighbouring samples is {rho:.2g}")
         if (worth := float(weights[own].min())) < 1:
             samples = int(own.sum())
             notes.append(

@@ -89,7 +89,7 @@ def distribution_of(name: str, arguments: Any) -> dist.Distribution:
     if not scalar or made.support is None or made.support.is_discrete:
         raise UserError(f"{name} is not a scalar continuous distribution")
     if isinstance(made, dist.Delta):
-        raise UserError(f"{name}: a value that is known is written as a plain number")
+        raise UserError(f"{name}: write a known value as a plain number")
     low, high = limits(made)
     if low is not None and high is not None and not low < high:
         raise UserError(f"{name}: the lower bound {low:g} must lie below the upper bound {high:g}")

@@ -110,13 +110,13 @@ class Fit(Tabular):
         ):
             return None
         if self.discrepancy is not None:
-            worth = "the discrepancy takes up what is left, and the intervals hold for the best this model can do"
+            worth = "the model discrepancy covers the rest, and the intervals are those of the best parameters of this model"
         elif self.is_inflated:
-            worth = "the intervals count what is left as error, and hold for the best this model can do"
+            worth = "the intervals count the rest as error, and are those of the best parameters of this model"
         else:
             worth = (
-                "the intervals are those of the parameters if the model were right, and too narrow (error: {inflate: true} "
-                "widens them by what is left; error: {discrepancy: true} learns it)"
+                "the intervals assume that the model is right, and are too narrow (error: {inflate: true} widens them by the "
+                "rest; error: {discrepancy: true} learns the rest)"
             )
         left = f"(chi2 per datum {self.chi2_per_datum:.3g}, which should be about 1)"
         return f"the model does not explain the data {left}: {worth}"

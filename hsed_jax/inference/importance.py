@@ -111,10 +111,10 @@ class Weighted(NamedTuple):
         """Why moments of these draws may not be believed, in a sentence; None where they may."""
         if self.reliable:
             return None
-        what = f"Pareto shape {self.shape:.2f}, {len(self.points)} draws worth {self.worth:.0f}"
+        what = f"Pareto shape {self.shape:.2f}, effective number {self.worth:.0f} of {len(self.points)} draws"
         if self.missed > _MAY_MISS:
-            what = f"{self.missed:.1%} of steps from its draws end where it has hardly any, so that a tail is too short"
-        return f"importance sampling cannot be relied on here: {what} (calibration.sampler: nuts does without)"
+            what = f"{self.missed:.1%} of steps from its draws end where it has hardly any, so a tail is too short"
+        return f"importance sampling is unreliable here: {what} (calibration.sampler: nuts does not use it)"
 
     @property
     def reliable(self) -> bool:

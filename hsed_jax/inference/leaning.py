@@ -139,9 +139,7 @@ def _leaning_words(found: Sequence[Leaning], units: Mapping[str, str]) -> str:
         f"{one.parameter} = {_quantity(one.parameter, one.value, units)} on the {one.side} bound of {_range(one.prior)}"
         for one in found
     )
-    return (
-        f"{what}: {each}; the data ask for what {excluding}: widen {them} and calibrate again before an effect is named"
-    )
+    return f"{what}: {each}; the data ask for values that {excluding}: widen {them} and calibrate again before an effect is named"
 
 
 def _quantity(name: str, value: float, units: Mapping[str, str]) -> str:

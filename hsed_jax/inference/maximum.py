@@ -232,7 +232,7 @@ def _mode(posterior: Posterior, data: Data, search: _Search) -> Maximum:
     except np.linalg.LinAlgError:
         raise UserError(
             f"the posterior of {', '.join(posterior.names)} has no curvature at its maximum: there are fewer measurements than "
-            "parameters, or they are fitted to the last digit; measure more, or say how wrong the measurements are (error)"
+            "parameters, or they are fitted to the last digit; measure more, or give the error of the measurements (error)"
         ) from None
     log_evidence = at_center.log_density + 0.5 * u.size * LOG_2PI + np.linalg.slogdet(whitening)[1]
     known = (u, theta, found.log_posterior, covariance, log_evidence, center, whitening, search.is_settled)

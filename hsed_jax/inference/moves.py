@@ -94,7 +94,7 @@ def moved(
     chosen = np.resize(random.permutation(wanted), min(max(wanted, _LEAST_WALKERS), _WALKERS))
     points, height = points[chosen], height[chosen]
     passed, kept = [points.copy()], [(points, height)]
-    watch.report("draws moved on by the emulator and the simulator")
+    watch.report("draws moved by the emulator and the simulator")
     for sweep in range(1, _MOST + 1):
         # Those that move learn from those that stand: so every step leaves the posterior as it is.
         order = random.permutation(len(points))

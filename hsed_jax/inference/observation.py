@@ -237,7 +237,7 @@ def assemble(
             name, values = observation.names[output], row[own & (observation.groups == output)]
             if not values.any() or (values.size == 1 and values[0] < 0):
                 raise UserError(
-                    f"experiment {e.id!r}: {name} is {values[0]:g}, and a relative error of that is none; give {name} an "
+                    f"experiment {e.id!r}: {name} is {values[0]:g}, for which a relative error is zero; give {name} an "
                     "absolute error"
                 )
     gaps = np.stack([observation.gaps(None if e.record is None else e.record.time) for e in rows])

@@ -168,10 +168,12 @@ def _question(
         flags.append(f"--unit {quote(f'{column}=UNIT')}")
     if asked and not table.is_named:
         flags += [f"--unit {channel}=UNIT" for channel in asked]
-    lines = [f"{where}: {' and '.join(parts)} cannot be told from the file; say it:"]
+    lines = [f"{where}: the file does not determine {' and '.join(parts)}; give it:"]
     lines.append(f"  hsed init {' '.join(quote(str(file)) for file in files[:3])} {' '.join(dict.fromkeys(flags))}")
     if asked:
-        lines.append("The columns are:" if table.is_named else "The file names no column; by their positions they are:")
+        lines.append(
+            "The columns are:" if table.is_named else "The file has no column names; the columns by position are:"
+        )
         lines += [f"  {name!r}: {_range(table, name)}" for name in table.names]
     return "\n".join(lines)
 

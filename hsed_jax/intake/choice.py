@@ -127,7 +127,9 @@ def campaign_of(name: str, tables: Mapping[str, Found], choice: Choice) -> Made:
         if channel not in choice.columns:
             raise UserError(f"choose the column of the {channel.replace('_', ' ')}")
     if not choice.columns.keys() - {"time", "ground_acceleration"}:
-        raise UserError("choose the column of elongation or force: the ground alone says nothing of the specimen")
+        raise UserError(
+            "choose the column of elongation or force: the ground motion alone says nothing about the specimen"
+        )
     for id, table in tables.items():
         ask_of_faults(f"record {id!r}", table, choice)
     named = [channel for channel in order if channel in choice.columns]
@@ -213,7 +215,7 @@ def _ask_of_sentinels(id: str, table: Found, choice: Choice, column: str) -> Non
         raise UserError(
             f"record {id!r}: column {column!r} is {value:g} in {table.places(is_odd)}, far from all other samples; "
             f"loggers write such a number where nothing was measured: say --missing {value:g} (on the page, write it into the "
-            "field) where that is so here, or --missing none where it was measured"
+            "field) if this is the case here, or --missing none if it was measured"
         )
 
 
@@ -244,7 +246,7 @@ def _kept(id: str, table: Found, choice: Choice, raw: Mapping[str, np.ndarray]) 
         if not choice.drops_missing:
             raise UserError(
                 f"record {id!r}: {said} is missing in {where}; say --drop-missing (on the page, tick its box) to leave these "
-                "samples out, where the others tell the loops"
+                "samples out, if the others show the loops"
             )
         notes.append(f"record {id!r}: {where} are left out, where {said} is missing")
     return ~lacks, notes

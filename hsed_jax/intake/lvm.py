@@ -24,9 +24,7 @@ def found_in_lvm(path: Path, text: str) -> Found:
     lines = text.splitlines()
     ends = [k for k, line in enumerate(lines) if line.strip().startswith(_END)]
     if len(ends) < 2:
-        raise UserError(
-            f"{path}: the header of a LabVIEW measurement ends twice in {_END}; here it does {len(ends)} times"
-        )
+        raise UserError(f"{path}: a LabVIEW measurement has two lines {_END}; this file has {len(ends)}")
     if len(ends) > 2:
         raise UserError(f"{path}, row {ends[2] + 1}: a second measurement begins; keep one in the file")
     about = _settings(lines[: ends[0]], "\t")

@@ -87,9 +87,7 @@ def _rows(where: str, sheet: Any) -> list[tuple[int, tuple[Any, ...]]]:
     rows, width = [], 0
     for number, cells in enumerate(sheet.iter_rows(values_only=True), start=1):
         if number > _LAST_ROW:
-            raise UserError(
-                f"{where}: it has rows beyond {_LAST_ROW:,}; a sheet has none there, so that the file is damaged"
-            )
+            raise UserError(f"{where}: it has rows beyond {_LAST_ROW:,}; a sheet ends there, so the file is damaged")
         if not cells:
             continue
         while cells and cells[-1] is None:

@@ -69,7 +69,7 @@ def left(folder: Path, names: Iterable[str]) -> Path:
         raise ExperimentFailed(f"the laboratory left no {first} in {folder} (also read: {', '.join(others)})")
     if len(found) > 1:
         raise ExperimentFailed(
-            f"the laboratory left {' and '.join(file.name for file in found)} in {folder}; one is wanted"
+            f"the laboratory left {' and '.join(file.name for file in found)} in {folder}; only one is allowed"
         )
     return found[0]
 
@@ -84,7 +84,7 @@ def columns_of(file: Path, columns: Mapping[str, str]) -> dict[str, Any]:
         try:
             content = json.loads(file.read_text(encoding="utf-8"))
         except (ValueError, OSError) as error:
-            raise ExperimentFailed(f"{file}: it is no JSON ({error})") from None
+            raise ExperimentFailed(f"{file}: it is not valid JSON ({error})") from None
         if not isinstance(content, dict):
             raise ExperimentFailed(f"{file}: it must be a mapping of names to numbers")
         return {name: content[column] for name, column in columns.items() if column in content}

@@ -99,6 +99,6 @@ def check_template(template: Sequence[str], inputs: Iterable[str], words: Iterab
     for word in template:
         for name in _NAME.findall(word):
             if name not in known:
-                raise UserError(f"it names {{{name}}}; it can name {', '.join(f'{{{k}}}' for k in known)}")
+                raise UserError(f"it contains {{{name}}}; allowed are {', '.join(f'{{{k}}}' for k in known)}")
     if "{" not in program and which(program) is None:
         raise UserError(f"there is no program {program} that may be executed")

@@ -51,7 +51,7 @@ def read_at2(path: str | Path) -> tuple[float, np.ndarray]:
                 )
             values.append(_float(match[1]))
             if abs(values[-1]) > MOST:
-                raise UserError(f"{path}, row {row}: {shown(match[1])} g is beyond any sense")
+                raise UserError(f"{path}, row {row}: {shown(match[1])} g is out of range")
             position = match.end()
     if len(values) != samples or not values:
         raise UserError(

@@ -35,7 +35,7 @@ def ask(where: object, **asked: int) -> None:
     for kind, count in asked.items():
         most, advice = _MOST[kind]
         if count > most:
-            raise UserError(f"{where}: {count:,} {kind} would be read; at most {most:,} are: {advice}")
+            raise UserError(f"{where}: {count:,} {kind} are more than the allowed {most:,}; {advice}")
 
 
 def ask_of_file(path: Path, *, whole: bool) -> None:

@@ -58,7 +58,7 @@ def _shared(campaign: Campaign, one: Experiment, other: Experiment, count: int) 
     if shared <= BORDER:
         return  # windows of one record, one after the other
     if one.split != other.split:
-        message = f"{shared} samples of the window are those of {one.id}: what is fitted is no test"
+        message = f"{shared} samples of the window are those of {one.id}: fitted samples are no test"
         yield Finding("doubt", other.id, channel, None, message, "overlap")
     else:
         message = f"{shared} samples are those of {one.id}: is it there twice?"
@@ -86,7 +86,7 @@ def _beyond(campaign: Campaign) -> Iterator[Finding]:
             value = _largest(experiment, name)
             if value is not None and value > BEYOND * largest:
                 there, ours = (amount(campaign.pair, name, size) for size in (value, largest))
-                message = f"it goes to {there}, fitted to {ours}: a prediction of what no fitted experiment has seen"
+                message = f"it reaches {there}, the fitted experiments reach {ours}: its prediction is an extrapolation"
                 yield Finding("doubt", experiment.id, name, None, message, "beyond")
 
 

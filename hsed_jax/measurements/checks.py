@@ -72,7 +72,7 @@ def stop_at_errors(campaign: Campaign, accepted: Set[tuple[str, str]] = frozense
         remedy = ""
         if first.kind == "sign":
             key = "all" if len(errors) > 1 else yaml_key(first.experiment)
-            remedy = f" If it is as it should be, say in the study: measurements: {{accept: {{{key}: sign}}}}"
+            remedy = f" If it is correct, accept it in the study: measurements: {{accept: {{{key}: sign}}}}"
             more += "" if first.message.endswith("?") and not more else "."
         raise UserError(f"{where}: {first.line.removeprefix(f'{first.level}: ')}{more}{remedy}")
 

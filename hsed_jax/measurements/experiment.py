@@ -83,7 +83,7 @@ class Record:
             if (beyond := np.abs(values) > MOST).any():
                 sample = int(np.argmax(beyond))
                 raise UserError(
-                    f"{name} is {values[sample]:g} at sample {sample + 1}, beyond any sense; where a sample is missing, "
+                    f"{name} is {values[sample]:g} at sample {sample + 1}, out of range; where a sample is missing, "
                     "write nan"
                 )
 
@@ -158,9 +158,7 @@ class Experiment:
         object.__setattr__(self, "metadata", {name: text for name, text in texts.items() if text})
         object.__setattr__(self, "reason", (self.reason or "").strip() or None)
         if self.status == "pending" and self.quantities:
-            raise UserError(
-                f"{where}it is pending and yet has {', '.join(self.quantities)}; set its status to completed"
-            )
+            raise UserError(f"{where}it is pending but has {', '.join(self.quantities)}; set its status to completed")
         if self.window is not None:
             self._check_window(where)
 

@@ -88,7 +88,7 @@ def _turned(sheet: Sheet) -> tuple[Sheet, list[str]]:
     rows = [[row[k] if k < len(row) else "" for row in long] for k in range(width)]
     if sum(kind_of(cell, sheet.is_text) == NUMBER for row in rows for cell in row) < width * len(long) / 2:
         return sheet, []
-    said = "the channels lie in rows, which are read as columns; rows named below are samples"
+    said = "the channels are in rows, which are read as columns; rows in the messages below are samples"
     return Sheet(sheet.where, rows, list(range(1, width + 1)), delimiter="\t", is_text=sheet.is_text), [said]
 
 
@@ -233,10 +233,10 @@ def _joined(sheet: Sheet, heads: _Heads, one: tuple[int, int], other: tuple[int,
     first = [str(cell).strip() for cell in heads.name_cells]
     for k in between:
         if heads.names is not None and _fitted(sheet, k, columns[-1] + 1) == first:
-            return f"the names of the columns stand again in row {sheet.numbers[k]}: the parts are read as one record"
+            return f"row {sheet.numbers[k]} repeats the names of the columns: the parts are read as one record"
     k = between[0]
     raise UserError(
-        f"{sheet.where}, row {sheet.numbers[k]}: {_quoted(sheet, k)} stands between rows of numbers, which go on in row "
+        f"{sheet.where}, row {sheet.numbers[k]}: {_quoted(sheet, k)} stands between rows of numbers, which continue in row "
         f"{sheet.numbers[other[0]]}; correct this row, or keep one table in the file"
     )
 
@@ -296,7 +296,7 @@ def _named(
     if heads.names is not None and (filled > width or len(cells) < columns[-1] + 1) and sheet.is_text:
         raise UserError(
             f"{sheet.where}, row {sheet.numbers[heads.names]}: {filled} names stand above {len(columns)} columns of numbers, so "
-            "that which is which cannot be told; a decimal comma, or a comma or blank in a name, may have been read as a "
+            "names and columns cannot be matched; a decimal comma, or a comma or blank in a name, may have been read as a "
             "separator: separate the columns by semicolons or tabs, and name each"
         )
     for column in range(width):

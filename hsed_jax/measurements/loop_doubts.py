@@ -289,7 +289,7 @@ def _holds(campaign: Campaign, id: str, record: Record, owner: str, found: np.nd
         relaxed = amount(campaign.pair, named(owner, "force"), float(np.ptp(force[a : b + 1])))
         message = campaign.pair.words(
             f"it rests at {amount(campaign.pair, name, float(elongation[a]))} for {b - a + 1} samples while the force changes by "
-            f"{relaxed}, {len(holds)} such rests: was it held? A law without relaxation does not follow"
+            f"{relaxed}, {len(holds)} such rests: was it held? A law without relaxation cannot follow"
         )
         yield Finding("doubt", id, name, float(record.time[holds[0][0]]), message, "hold")
 

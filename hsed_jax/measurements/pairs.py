@@ -34,8 +34,8 @@ def pair_of(declared: Mapping[str, Channel]) -> Pair:
         return left[0]
     where = next(iter(found))
     raise UserError(
-        f"{where} in {declared[where].unit!r} may be {' or '.join(f'a {pair.elongation}' for pair in left)}: what was measured "
-        f"with it decides; declare force, as {' or '.join(f'a {pair.force} [{pair.force_unit}]' for pair in left)}"
+        f"{where} in {declared[where].unit!r} may be {' or '.join(f'a {pair.elongation}' for pair in left)}: the unit of the "
+        f"force decides; declare force, as {' or '.join(f'a {pair.force} [{pair.force_unit}]' for pair in left)}"
     )
 
 
@@ -77,6 +77,6 @@ def check_masses(where: str, pair: Pair) -> None:
     """
     if pair != ELONGATION_AND_FORCE:
         raise UserError(
-            f"{where}: the specimen is measured in {pair}; between masses that are shaken only {ELONGATION_AND_FORCE} make "
-            "sense, another pair needs a test of the specimen alone (protocol: displacement)"
+            f"{where}: the specimen is measured in {pair}; in a shaken structure only {ELONGATION_AND_FORCE} are allowed, and "
+            "another pair needs a test of the specimen alone (protocol: displacement)"
         )

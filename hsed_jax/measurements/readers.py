@@ -132,7 +132,7 @@ def _number(header: Campaign, table: Table, row: int, column: str, name: str, co
     value = header.unit(name).to_si(table.number(row, column, comma))
     if not abs(value) <= MOST:
         said = shown(table.text(row, column))
-        raise UserError(f"{table.where(row, column)}: {said} is not finite or beyond any sense; write a number")
+        raise UserError(f"{table.where(row, column)}: {said} is not finite or out of range; write a number")
     return float(value)
 
 
@@ -175,7 +175,7 @@ def _record_file(
     if len(found) > 1:
         names = ", ".join(file.name for file in found)
         raise UserError(
-            f"{table.where(row, 'id')}: {id!r} has several records ({names}); say which in a column 'record'"
+            f"{table.where(row, 'id')}: {id!r} has several records ({names}); name one in a column 'record'"
         )
     if not found and status == "completed" and (said or not has_quantities):
         expected = files[0] if said else folder / "records" / f"{id}.<{'|'.join(DEFAULT_ENDINGS)}>"

@@ -97,7 +97,7 @@ class Table:
                 raise UserError(
                     f"{self.where(row, self.columns[position])}: {shown(cell)} is {number} with a decimal "
                     f"{'comma' if comma else 'point'} and {number.replace('.', '')} with thousands separators, and no other "
-                    "number of the file tells which; write numbers without thousands separators, one at least with more or "
+                    "number of the file decides; write numbers without thousands separators, at least one of them with more or "
                     "fewer than three decimals"
                 )
         return comma
@@ -158,7 +158,7 @@ class Table:
         if comma and NUMBER_WITH_POINT.fullmatch(cell):
             return f"{said} has a decimal point where other cells have a decimal comma; use one of them throughout"
         if _SPREADSHEET_ERROR.fullmatch(cell):
-            return f"{said} is an error of the spreadsheet; mend its formula or write a number"
+            return f"{said} is an error of the spreadsheet; correct its formula or write a number"
         if NUMBER_WITH_COMMA.fullmatch(cell) or _THOUSANDS.fullmatch(cell):
             return (
                 f"{said} has a decimal comma or thousands separators; write a decimal point and no thousands "

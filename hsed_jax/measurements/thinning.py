@@ -39,8 +39,8 @@ class Loss(NamedTuple):
         """Return the loss in words."""
         energy = f"the dissipated energy changes by {100 * self.energy:.2g} %"
         return (
-            f"thinned from {self.rows} to {self.kept} samples along the path, reversals kept; what is left out lies within "
-            f"{100 * self.deviation:.2g} % of the range of a line through the others (RMS), {energy}"
+            f"thinned from {self.rows} to {self.kept} samples along the path, reversals kept; the omitted samples are within "
+            f"{100 * self.deviation:.2g} % of the range from a line through the others (RMS), {energy}"
         )
 
 

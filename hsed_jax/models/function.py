@@ -126,9 +126,7 @@ def outputs_of(returned: Any, time: np.ndarray | None, wanted: tuple[str, ...]) 
             shape, words = (), "a quantity is one number"
             array = array.reshape(()) if array.size == 1 else array
         elif time is None:
-            raise UserError(
-                f"it returned the channel {name}, and there is no excitation and no record that it has times of"
-            )
+            raise UserError(f"it returned the channel {name}, but no excitation and no record gives its times")
         else:
             shape, words = time.shape, f"a channel has the shape of the times, {time.shape}"
         if array.shape != shape:

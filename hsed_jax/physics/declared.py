@@ -116,7 +116,7 @@ def _amplitudes_or_protocol(settings: Mapping[str, Any]) -> tuple[str, str] | No
     if "amplitudes" in given:
         return next(((name, f"leave out amplitudes, or {name}") for name in _OF_PROTOCOLS if name in given), None)
     if "cycles" in given:
-        return "cycles", "leave it out: the protocol tells how many there are"
+        return "cycles", "leave it out: the protocol determines the number of cycles"
     known = PROTOCOLS[settings["protocol"]]
     if "reference" not in given:
         return "reference", f"this key is required with a protocol; amplitudes are relative to it: {known.relative_to}"

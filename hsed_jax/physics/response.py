@@ -40,7 +40,7 @@ class Response(NamedTuple):
         failed = int(self.ok.size - np.sum(self.ok))
         sentence = f"response of {self.ok.size} experiments" if batch else "response of one experiment"
         heads = ("", "", *(("least peak", "greatest peak") if batch else ("peak",)), "unit")
-        return Table(sentence + (f"; {failed} diverged and mean nothing" if failed else ""), heads, rows)
+        return Table(sentence + (f"; {failed} diverged and have no meaning" if failed else ""), heads, rows)
 
     def __repr__(self) -> str:
         leaves = jax.tree.leaves(tuple(self))

@@ -150,7 +150,9 @@ def _missing(written: Iterable[str], law: type[AbstractSpringLaw]) -> str:
     missing = [slot for slot in written if slot not in served]
     if not missing:
         return ""
-    return f"it writes to the slot {missing[0]}, which the law {law.name} has no place for; its slots are {', '.join(served)}"
+    return (
+        f"it writes to the slot {missing[0]}, which the law {law.name} does not have; its slots are {', '.join(served)}"
+    )
 
 
 def _beyond(elongation: Scalar, slots: Slots) -> Scalar:

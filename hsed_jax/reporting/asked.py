@@ -147,9 +147,9 @@ def _error(entry: Mapping[str, Any], observe: str) -> str:
     else:
         said = "the noise that the campaign declares, inferred where it declares none"
     if entry.get("inflate"):
-        said += ", and what the model leaves beyond it"
+        said += ", and the residual beyond it"
     if entry.get("discrepancy"):
-        said += ", and a discrepancy of the model that is learned"
+        said += ", and a learned model discrepancy"
     return said
 
 

@@ -71,17 +71,17 @@ def _of_quantities(split: str, prediction: Prediction, pair: Pair) -> Picture:
                          linewidth=1.0, label="90 % band without discrepancy", zorder=3)  # fmt: skip
         panel.plot(at, measured / divisor, "o", ms=3.5, mfc="white", mec=style.BLACK, zorder=4, label="measured")
         panel.axhline(0.0, color=style.BLACK, linewidth=0.8, zorder=2, label="model alone")
-        panel.set_ylabel(f"{pair.called(name).capitalize()}\nless the model's [{style.unit_text(unit)}]")
+        panel.set_ylabel(f"{pair.called(name).capitalize()}\nminus model [{style.unit_text(unit)}]")
         inside = np.abs(measured - middle) <= widths["noise"]
         said.append(f"{pair.called(name)}: {int(inside.sum())} of {rows.size} measurements inside")
-    panels[-1].set_xlabel("Experiments, by what the model predicts")
+    panels[-1].set_xlabel("Experiments, ordered by the prediction")
     figure.align_ylabels(panels)
     style.panel_titles(panels)
     style.legend(figure, panels[0])
     return Picture(
         figure,
-        f"90 % predictive bands ({split}) with their parts, less what the model alone predicts at the MAP: "
-        f"{style.lettered([*map(pair.called, names)])}.  Each shade holds those inside it.",
+        f"90 % predictive bands ({split}) with their parts, minus the prediction of the model alone at the MAP: "
+        f"{style.lettered([*map(pair.called, names)])}.  Each shade contains the shades inside it.",
         f"Bars around a line at zero, which is the model alone. {'; '.join(said)}.",
     )
 
@@ -116,7 +116,7 @@ def _of_histories(split: str, prediction: Prediction, row: int, campaign: Campai
     return Picture(
         figure,
         f"90 % predictive band of experiment {which} ({split}) with its parts: {style.lettered([*map(pair.called, names)])}.  "
-        "Each shade holds those inside it.",
+        "Each shade contains the shades inside it.",
         f"Histories of {', '.join(map(pair.called, names))} as measured, in nested bands.",
     )
 

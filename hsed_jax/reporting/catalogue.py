@@ -47,10 +47,10 @@ def entry(name: str, effects: Catalogue, curves_of: Callable[[type[AbstractSprin
     if effect.forms:
         # An effect outside the spring has no state to be drawn over.
         curves = curves_of(effect) if issubclass(effect, AbstractSpringEffect) else None
-        lines += ["", "forms (`form: NAME`; the first is meant where none is named):"]
+        lines += ["", "forms (`form: NAME`; the first is the default):"]
         lines += _forms(effect, curves.values if curves else {})
         if curves:
-            lines += [f"  pictures: {curves.what}, over {curves.across}, each over its own range"]
+            lines += [f"  pictures: {curves.what} against {curves.across}; each curve has its own scale"]
         freed = {key for form in forms_of(effect).values() for key in form.free}
         if freed:
             lines += [
@@ -59,7 +59,7 @@ def entry(name: str, effects: Catalogue, curves_of: Callable[[type[AbstractSprin
                 *(line for key in known if key in freed for line in _parameter(known[key])),
             ]
     if effect.drivers:
-        lines += ["", "what drives it, x (`driver: NAME`; the first is meant where none is named):"]
+        lines += ["", "drivers x (`driver: NAME`; the first is the default):"]
         lines += [f"  {key}: {DRIVERS[key].words}, {in_text(DRIVERS[key].measure)}" for key in effect.drivers]
     return "\n".join([*lines, "", f"reference: {effect.reference}"])
 
@@ -76,15 +76,14 @@ def _parameter(known: Parameter) -> list[str]:
 
 
 def _forms(effect: type[AbstractEffect], curves: Mapping[str, Float[np.ndarray, " n"]]) -> list[str]:
-    """Each form in a few lines: its name and equation, a picture, what it frees or holds, and where it comes from."""
+    """Each form in a few lines: its name and equation, its free and fixed parameters, its source, and a picture."""
     known = parameters_of(effect)
     width = max(len(form.name) for form in effect.forms)
     lines = []
     for form in effect.forms:
         held = [f"{key} = {value:g}" for key, value in form.held.items() if not known[key].shapes]
-        more = [words for words, names in (("frees", form.free), ("holds", held)) if names]
-        said = [f"{words} {', '.join(form.free if words == 'frees' else held)}" for words in more]
-        said += [form.reference] if form.reference else []
+        given = (("free", form.free), ("fixed", held), ("source", [form.reference] if form.reference else []))
+        said = [f"{word}: {', '.join(names)}" for word, names in given if names]
         lines.append(f"  {form.name:{width}}  {in_text(form.equation) or 'as above'}")
         lines += [f"  {'':{width}}    {'; '.join(said)}"] if said else []
         lines += [f"  {'':{width}}    {_spark(curves[form.name])}"] if form.name in curves else []

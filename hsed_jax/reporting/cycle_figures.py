@@ -71,9 +71,9 @@ def cycles(comparison: Comparison, campaign: Campaign, before: Comparison | None
     rest = len(found) - len(shown)
     return Picture(
         figure,
-        "What a cycle absorbs (left), its secant stiffness from peak to peak (middle), and the backbone through the peaks that "
-        f"exceed all before (right), measured and predicted, over the cycles of the measured {pair.elongation}; a row per "
-        "experiment.  "
+        "Absorbed energy of each cycle (left), its secant stiffness from peak to peak (middle), and the backbone through the "
+        f"peaks that exceed all earlier ones (right), measured and predicted, over the cycles of the measured {pair.elongation}; "
+        "one row per experiment.  "
         "The stiffness of a cycle that hardly exceeds the noise is as uncertain as its peaks."
         + (f"  {rest} more are not shown." if rest else ""),
         f"{3 * len(shown)} panels of curves. {'. '.join(said).replace('$', '')}.",

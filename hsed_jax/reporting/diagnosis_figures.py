@@ -47,7 +47,12 @@ def ranking(diagnosis: Diagnosis) -> Picture:
     panel = figure.subplots()
     looks: dict[str, dict] = {
         "named": {"color": style.BLUE},
-        "look-alike of what is named": {"facecolor": _PALE, "edgecolor": style.BLUE, "hatch": "////", "linewidth": 0.5},
+        "look-alike of a named effect": {
+            "facecolor": _PALE,
+            "edgecolor": style.BLUE,
+            "hatch": "////",
+            "linewidth": 0.5,
+        },
         "other candidates": {"color": "#c8c8c8"},
     }
     kinds = [_kind(candidate, diagnosis, alike) for candidate in shown]
@@ -74,7 +79,7 @@ def ranking(diagnosis: Diagnosis) -> Picture:
         tick.set_fontweight("bold" if kind == 0 else "normal")
     panel.grid(False, axis="y")
     panel.set_ylim(places[-1] - 0.6, 0.6)
-    panel.set_xlabel("Log density of what was left out, behind the best [nats]")
+    panel.set_xlabel("Score below the best [nats]")
     for place, *texts in [
         (0.9, "behind", "probability"),
         *(
@@ -94,10 +99,10 @@ def ranking(diagnosis: Diagnosis) -> Picture:
     first = shown[0]
     return Picture(
         figure,
-        "Candidates for what is missing: how much worse than the best one the model with each predicts what was left out (log "
-        f"density; the best one gains {style.amount(best)} nats), and the probability that it takes part.  {EXPLAINED}"
+        "Candidates for the missing effect: how far the score of the model with each candidate is below the best score (log "
+        f"density of held-out data; the best one gains {style.amount(best)} nats), and its probability.  {EXPLAINED}"
         + (f"  Arrows: more than {_BEHIND:.0f} nats behind." if cut.any() else "")
-        + (f"  The noise hides from one another: {groups}." if groups else "")
+        + (f"  The measurements do not distinguish: {groups}." if groups else "")
         + (f"  {rest} candidates that fit worse are not shown." if rest else ""),
         f"{len(shown)} horizontal bars. Verdict: {diagnosis.verdict.replace('_', ' ')}. First is "
         f"{first.effect.replace('_', ' ')} with a gain of {style.amount(gains[0])} nats and a probability of "
@@ -149,7 +154,7 @@ def error_fall(trail: Trail) -> Picture:
     return Picture(
         figure,
         "Normalised error of the model as it was and after each added effect, on the experiments that were fitted and on "
-        "those that were not used, against what the noise alone leaves (shaded).",
+        "those that were not used, against the error of the noise alone (shaded).",
         f"A falling staircase of {len(steps)} steps. {'; '.join(said)}; noise floor {style.amount(trail.noise_floor)}.",
     )
 

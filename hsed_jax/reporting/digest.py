@@ -43,22 +43,16 @@ def _found(run: FinishedRun) -> str:
         comparison = summary["comparison"]
         error, floor = error_text(comparison["train"]), comparison["train"]["noise_floor"]
         if comparison["adequate"]:
-            return f"The noise explains what the model leaves: error {error}, noise {floor:.3f}."
+            return f"The noise explains the residual: error {error}, noise {floor:.3f}."
         if "p_value" not in comparison:
-            return (
-                f"Whether the noise explains what the model leaves cannot be said: no noise is declared; error {error}."
-            )
-        return f"The noise does not explain what the model leaves: error {error}, noise {floor:.3f}."
+            return f"No noise is declared, so it is unknown whether the noise explains the residual; error {error}."
+        return f"The noise does not explain the residual: error {error}, noise {floor:.3f}."
     if "calibration" in summary:
         said = ", ".join(f"{name} = {value:.4g}" for name, value in summary["calibration"]["map"].items())
-        only = (
-            ""
-            if "compare" in run.study["steps"]
-            else " Whether the model is right was not asked (steps: compare, diagnose)."
-        )
+        only = "" if "compare" in run.study["steps"] else " The model was not checked (steps: compare, diagnose)."
         count = len(run.campaign.train)
         return f"Calibrated on {count} experiment{'s' if count > 1 else ''}: {said} (SI).{only}"
-    return "There is nothing to judge yet."
+    return "There is no result yet."
 
 
 def diagnosed(run: FinishedRun) -> str:
@@ -81,8 +75,8 @@ def _improved(summary: Mapping[str, Any]) -> str:
     errors = f"{error_text(first, key)} to {error_text(last, key)}"
     said = f"With {added} the error on {which} goes from {errors} (noise {improvement['noise_floor']:.3f})."
     if "p_value" not in comparison:
-        return f"{said} Whether noise is what is left cannot be said: no noise is declared."
-    return f"{said} What is left is {'noise' if comparison['adequate'] else 'more than noise'}."
+        return f"{said} No noise is declared, so it is unknown whether the noise explains the rest."
+    return f"{said} The noise {'explains' if comparison['adequate'] else 'does not explain'} the rest."
 
 
 def by_channel(comparisons: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -147,7 +141,7 @@ def key_figures(run: FinishedRun) -> list[dict[str, Any]]:
 def warnings(run: FinishedRun) -> Iterator[str]:
     """What a reader must know before believing the rest."""
     if run.summary["status"] != "complete":
-        yield f"The run is not complete ({run.summary['status']}); what follows is what there was when it stopped."
+        yield f"The run is not complete ({run.summary['status']}); the report shows the results until it stopped."
     yield from (f"{words}: {text}." for words, texts in diverged(run).items() for text in texts)
     first = "the model as it was" if "improvement" in run.summary else "the model"
     for model, part in ((first, "calibration"), ("the improved model", "improvement")):

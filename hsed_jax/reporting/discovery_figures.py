@@ -50,8 +50,8 @@ def learned(discovery: Discovery, campaign: Campaign) -> Picture:
     found = f"{pair.words(place.words)}: {discovery.formula}"
     return Picture(
         figure,
-        f"What was learned: {found}.  The curve is that of a Gaussian process, the formula was fitted inside the simulation.  "
-        "The 90 % band holds what the law's own parameters could take over, too.",
+        f"Learned effect: {found}.  The curve is that of a Gaussian process, the formula was fitted inside the simulation.  "
+        "The 90 % band includes the part that the parameters of the law could replace.",
         f"A curve with a band over {words}. {found}.",
     )
 

@@ -38,7 +38,7 @@ def histories(channel: str, times: Float[np.ndarray, "n m"], values: Float[np.nd
     what = pair.output(channel).meaning
     return Picture(
         figure,
-        f"What drives the experiments: {what}.  Grey: {count} random realisations of the inputs; red: central inputs.",
+        f"Excitation of the experiments: {what}.  Grey: {count} random realisations of the inputs; red: central inputs.",
         f"One panel of curves. Largest {what}: {np.abs(scaled[0]).max():.4g} {unit} at the central inputs, "
         f"{np.abs(scaled[1:]).max():.4g} {unit} among {count} realisations.",
     )

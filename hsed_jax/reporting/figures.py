@@ -138,7 +138,7 @@ def estimate_maps(
         figure,
         "MAP estimates of the parameters from a single experiment, over the domain of the inputs: "
         + style.lettered(names)
-        + ".  A sound model would give the same estimate everywhere.",
+        + ".  A correct model would give the same estimate everywhere.",
         f"Contour maps over {x_name} and {y_name}: {'; '.join(said)}.",
     )
 

@@ -277,7 +277,7 @@ def error_table(comparison: Comparison, campaign: Campaign) -> Picture | None:
     rest = len(found) - len(shown)
     return Picture(
         figure,
-        "Errors of each experiment, worst first: RMS residual over RMS of what was measured, the same of the noise, mean "
+        "Errors of each experiment, worst first: RMS residual over RMS of the measurement, the same for the noise, mean "
         "residual over that RMS, error of the peak and of the energy per cycle, coverage of the 90 % band."
         + (f"  {rest} more are not shown." if rest else ""),
         f"A table of {len(shown)} rows. Largest error {style.amount(shown[0][3]['nrmse'])} in "

@@ -68,11 +68,11 @@ def residual_coordinates(location: Location, campaign: Campaign) -> Picture | No
         panels[0].plot([], [], "s", color=colour, alpha=_ALPHA, ms=8, label=text)
     style.panel_titles(panels)
     style.legend(figure, panels[0])
-    said = "; ".join(location.sentences) or "the misfit is nowhere in particular"
+    said = "; ".join(location.sentences) or "the misfit is not concentrated in any part of the data"
     return Picture(
         figure,
         "Where the squared error of the training experiments lies: bars, by the coordinates of the samples, ordered "
-        "coordinates in tenths of the samples; black, the share that the samples themselves have.  Red: the part "
+        "coordinates in tenths of the samples; black, the share of the samples.  Red: the part "
         "where the residual differs most, by rank, with its share of the error.",
         f"Bar charts over {', '.join([*numbers, *words])}. Ranked: {said}.",
     )
@@ -180,7 +180,7 @@ def error_map(found: xr.Dataset) -> Picture:
     told = "squared_error_mean" in found
     return Picture(
         figure,
-        "Squared error of each experiment, relative to the variance of what was measured, over the inputs; the largest "
+        "Squared error of each experiment, relative to the variance of the measurement, over the inputs; the largest "
         "are named."
         + ("  Between the experiments, the mean and the standard deviation of a Kriging model." if told else ""),
         f"{len(ids)} experiments over {', '.join(names)}; squared error between {style.amount(float(errors.min()))} "

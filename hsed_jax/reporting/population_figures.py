@@ -28,7 +28,7 @@ def population(level: str, parameters: Mapping[str, Mapping[str, Any]], units: M
         numbers = [v[key] for v in (*of, center, untested) for key in ("q05", "q95")]
         scale, unit = display.readable(units.get(name, "1"), numbers)
         panel.axvspan(untested["q05"] / scale, untested["q95"] / scale, color=style.GREY, alpha=0.3, linewidth=0,
-                      label=f"a {level} that was never tested, 90 %")  # fmt: skip
+                      label=f"a {level} that was not tested, 90 %")  # fmt: skip
         panel.axvline(center["mean"] / scale, color=style.DARK_GREY, linewidth=1.0, label="centre of the population")
         panel.errorbar(
             [v["mean"] / scale for v in of],
@@ -53,7 +53,7 @@ def population(level: str, parameters: Mapping[str, Mapping[str, Any]], units: M
     )
     return Picture(
         figure,
-        f"What varies between the {len(members)} members of {level}: mean and 90 % interval of each, beside the population that "
-        "they come from.",
+        f"Parameters that vary between the {len(members)} members of {level}: mean and 90 % interval of each, beside those of "
+        "the population.",
         f"A panel for each of {', '.join(names)}: {said}.",
     )

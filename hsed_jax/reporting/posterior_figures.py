@@ -60,7 +60,7 @@ def posterior(fit: Fit, before: Fit | None, truth: Mapping[str, float]) -> Pictu
     )
     return Picture(
         figure,
-        "Posterior of the parameters: histograms of the draws, each to its own height, and the draws of every pair; marked is "
+        "Posterior of the parameters: histograms of the draws, each with its own scale, and the draws of every pair; marked is "
         "the MAP."
         + ("  Red: the model as it was." if before is not None else "")
         + ("  Dashed: true values." if truth else "")

@@ -29,7 +29,7 @@ def expected_response(
         known = None if measured is None else measured.channels.get(name)
         divisor, unit = display.shown(pair, name, low, high)
         band = {"color": style.PREDICTED["color"], "alpha": 0.2, "linewidth": 0}
-        panel.fill_between(time, low / divisor, high / divisor, **band, label="90 % of what is expected")
+        panel.fill_between(time, low / divisor, high / divisor, **band, label="90 % band of the expectation")
         panel.plot(time, middle / divisor, **{**style.PREDICTED, "label": "expected"})
         if measured is not None and known is not None:
             panel.plot(measured.time, known / divisor, **{**style.MEASURED, "label": "measured"})

@@ -42,7 +42,7 @@ class AskTell(Tabular):
                 raise UserError("give a study, or the folder of a run")
             study = load_study(Path(output) / "study.yaml")
         if "design" not in study.steps:
-            raise UserError(f"steps: they are {', '.join(study.steps)}; only a design is asked and told")
+            raise UserError(f"steps: they are {', '.join(study.steps)}; hsed ask and hsed tell need the step design")
         self.path = Path(output) if output is not None else Path("runs") / study.study
         self.built = Built(study, workspace=laboratory_folder(self.path))
         self.built.check(performs=False)
@@ -89,11 +89,11 @@ class AskTell(Tabular):
             UserError: so many cannot be out before something is told, or the design cannot go on, see `Conduct.ask`.
         """
         if count < 1:
-            raise UserError(f"{count} experiments cannot be asked; ask at least 1")
+            raise UserError(f"{count} experiments cannot be requested; ask for at least 1")
         if (most := self.conduct.most_out) is not None and count > most:
             raise UserError(
-                f"{count} experiments cannot be out now: the first {most} are those of design.initial, and further ones are "
-                f"chosen by what these tell; ask at most {most}"
+                f"{count} experiments cannot be pending now: the first {most} are those of design.initial, and their results "
+                f"choose the next ones; ask for at most {most}"
             )
         while len(self.conduct.pending) < count:
             self.conduct.choose()
@@ -216,7 +216,7 @@ class AskTell(Tabular):
         here = 1.0
         if (cost := self.built.design.sequential.cost) is not None:
             (here,) = cost(np.asarray([list(asked.inputs.values())]))
-            lines.append(f"  costs {here:.3g}; the dearest would cost {cost.bounds[1]:.3g}")
+            lines.append(f"  costs {here:.3g}; the most expensive experiment would cost {cost.bounds[1]:.3g}")
         if (step := self._step_of(asked)) is not None:
             # A step knows the value over the cost.
             value, of = here * step["acquisition"], self.built.study.design.acquisition

@@ -51,7 +51,7 @@ def add_command(commands: Any) -> None:
         "of a campaign: the study (default: CAMPAIGN/study.yaml); of files: the folder (default: beside the first file)"
     )
     init.add_argument("--output", metavar="STUDY.yaml|DIR", help=where)
-    add_force(init, "replace a study or folder that is there")
+    add_force(init, "replace an existing study or folder")
     init.add_argument(
         "--masses", metavar="M1,M2,...", help="of a shaken frame: masses of its floors [kg], from the lowest up"
     )
@@ -70,18 +70,18 @@ def add_force(parser: Any, replace: str) -> None:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add what may be said of files, where they do not tell it themselves."""
     column = (
-        "of files: the column of the elongation; its position where the file names none; 'd1 - d0' subtracts columns"
+        "of files: the column of the elongation; its position if the columns have no names; 'd1 - d0' subtracts columns"
     )
     parser.add_argument("--elongation", metavar="COLUMN", help=column)
     parser.add_argument("--time", metavar="COLUMN", help="of files: the column of the time")
-    text = "of files: the column of another channel, such as ground_acceleration; say it for each"
+    text = "of files: the column of another channel, such as ground_acceleration; one option for each"
     parser.add_argument("--channel", action="append", default=[], metavar="NAME=COLUMN", help=text)
-    text = "of files: unit of a column or channel; say it for each"
+    text = "of files: unit of a column or channel; one option for each"
     parser.add_argument("--unit", action="append", default=[], metavar="COLUMN=UNIT", help=text)
     parser.add_argument("--sheet", metavar="NAME", help="of a workbook: the sheet to read")
     text = "share of each record, its end, that is held out and never fitted (default: a third; 0 holds out nothing)"
     parser.add_argument("--split", type=float, metavar="FRACTION", help=text)
-    text = "a number that says that a sample is missing, such as -9999; none where such numbers were measured"
+    text = "a number that marks a missing sample, such as -9999; none if such numbers were measured"
     parser.add_argument("--missing", action="append", metavar="NUMBER", help=text)
     text = "leave out samples inside a record that lack a channel"
     parser.add_argument("--drop-missing", action="store_true", help=text)
@@ -193,7 +193,7 @@ def _study_of_campaign(folder: Path, options: Any) -> Path:
                 if getattr(options, flag)]:  # fmt: skip
         flag = said[0].removesuffix("_column")
         raise UserError(
-            f"--{flag} is said of files; {folder} is a campaign, whose campaign.yaml and experiments.csv say it"
+            f"--{flag} is an option for files; {folder} is a campaign, whose campaign.yaml and experiments.csv give it"
         )
     campaign = read_campaign(folder)
     _tell_findings(campaign, str(folder))

@@ -96,7 +96,7 @@ class Requests:
         channels, quantities, ok = self._respond(inputs, self.conduct.draws)
         good = np.asarray(ok) > 0
         if not good.any():
-            raise UserError(f"experiment {asked.id}: every simulation of what is expected diverges")
+            raise UserError(f"experiment {asked.id}: every simulation of the expected response diverges")
 
         def band(values: Any) -> np.ndarray:
             return np.quantile(np.asarray(values)[good], BAND, axis=0)

@@ -296,8 +296,8 @@ class Run:
             return measured
         inputs = ", ".join(f"{n} {v:.4g} {self.built.experiments.space.units[n]}" for n, v in asked.inputs.items())
         raise Waiting(
-            f"experiment {asked.id} is asked: {inputs}; its request is in {requests.folder(asked.id)}; leave there what is "
-            "measured and say --resume, or say hsed tell"
+            f"experiment {asked.id} is asked: {inputs}; its request is in {requests.folder(asked.id)}; put the measurements "
+            "there and say --resume, or use hsed tell"
         )
 
     def _postfix(self) -> str:

@@ -49,7 +49,7 @@ def frequency_doubts(mechanics: AbstractMechanics, campaign: Campaign) -> list[s
     factor = (floors.frequency / middle) ** 2
     return [
         f"the sensors show a first frequency of {floors.frequency:.3g} Hz; {what} it lies between {low:.3g} and {high:.3g} Hz "
-        f"(95 %): where masses are changed, stiffnesses change with them, here by a factor of about {factor:.2g}"
+        f"(95 %): other masses need other stiffnesses, here by a factor of about {factor:.2g}"
         f"{_remedy(mechanics, priors, factor)}"
     ]
 
@@ -90,7 +90,7 @@ def forecast(inference: Inference, campaign: Campaign) -> str:
     """Time and memory that a run of measured experiments will take, in a sentence."""
     model, asked, count = inference.study.model, inference.study.steps, len(campaign.completed)
     if isinstance(model, FunctionEntry):
-        return f"{count} experiments; how long they take is up to the model's {model.described[0]}"
+        return f"{count} experiments; their time depends on the model's {model.described[0]}"
     timeline = inference.simulation.timeline
     assert timeline is not None
     steps, columns = timeline.steps, len(inference.observation.groups)

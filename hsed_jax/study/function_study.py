@@ -135,9 +135,7 @@ class FunctionMechanics(AbstractMechanics):
             (design.stop.verdict, "stop.verdict"),
         ):
             if asked:
-                raise UserError(
-                    f"design.{key}: this needs a diagnosis, and the model has no spring law to look for effects in"
-                )
+                raise UserError(f"design.{key}: this needs a diagnosis, but the model has no spring law")
 
 
 @dataclass(frozen=True)

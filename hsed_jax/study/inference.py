@@ -145,8 +145,8 @@ class Inference:
         if wrong and 0 < experiments < _LEAST_SHAKEN and not self.experiments.component_test:
             many = "one experiment does" if experiments == 1 else "two experiments do"
             raise UserError(
-                f"error.discrepancy: {many} not tell how far another one would be from the model, and bands and intervals would "
-                f"be too narrow; give at least {_LEAST_SHAKEN} experiments, or say inflate: true in place of discrepancy: true"
+                f"error.discrepancy: {many} not show how much the error of the model differs between experiments, and bands and "
+                f"intervals would be too narrow; give at least {_LEAST_SHAKEN} experiments, or use inflate: true instead"
             )
 
     @property
@@ -168,7 +168,7 @@ class Inference:
 
         def cube(inputs: Mapping[str, Array]) -> np.ndarray:
             if missing := [name for name in space.names if name not in inputs]:
-                raise UserError(f"error.discrepancy: the experiments do not say their input {missing[0]}")
+                raise UserError(f"error.discrepancy: the experiments do not give their input {missing[0]}")
             return space.cube(
                 np.stack([np.asarray(inputs[name]) / space.factors[name] for name in space.names], axis=1)
             )

@@ -37,7 +37,7 @@ def levels_of(
         return ()
     if campaign is None:
         raise UserError(
-            "model.levels: members are told by a column of experiments.csv, and this study has no campaign of measurements; "
+            "model.levels: a column of experiments.csv gives the members, but this study has no campaign of measurements; "
             "leave the levels out, or give experiments.campaign"
         )
     found = []
@@ -63,7 +63,7 @@ def member_of(experiment: Experiment, column: str, campaign: Campaign) -> str:
         known = ["id", *dict.fromkeys(name for e in campaign for name in e.metadata)]
         if column not in known:
             raise UserError(
-                f"model.levels.{column}: experiments.csv has no such column; it has {', '.join(known)} to tell specimens apart"
+                f"model.levels.{column}: experiments.csv has no such column; it has {', '.join(known)} to distinguish specimens"
             )
         raise UserError(f"model.levels.{column}: experiment {experiment.id!r} has no {column}; fill its cell")
     return value

@@ -46,17 +46,17 @@ def _check_discrepancy(study: Study, name: str, size: NoiseEntry) -> None:
     """
     if getattr(study.model, "levels", {}):
         raise UserError(
-            "error.discrepancy: it is not told from the scatter between specimens (model.levels); say one of the two"
+            "error.discrepancy: it cannot be distinguished from the scatter between specimens (model.levels); use one of the two"
         )
     if study.observe == "quantities" and not study.inputs:
         raise UserError(
-            "error.discrepancy: of quantities it is learned over the inputs, and the study has none; give them with their "
+            "error.discrepancy: for quantities it is learned over the inputs, but the study has none; give them with their "
             "distributions, such as inputs: {V_P: {uniform: [1.5, 3.0], unit: m/s}}"
         )
     if size.unknown:
         raise UserError(
-            f"error.discrepancy: no noise of {name} is declared, and of an unknown one nobody could tell what is noise and what "
-            f"is the model; give it, such as error: {{{name}: {{relative: 0.02, discrepancy: true}}}}"
+            f"error.discrepancy: no noise of {name} is declared, and with an unknown noise, noise and model cannot be "
+            f"distinguished; give it, such as error: {{{name}: {{relative: 0.02, discrepancy: true}}}}"
         )
 
 
@@ -82,7 +82,7 @@ def _error(name: str, size: float | Prior, is_relative: bool, entry: ErrorEntry,
     """
     if is_relative and is_quantity(name) and quantity(name).is_signed:
         raise UserError(
-            f"error.{name}: {name} may be negative or zero, and no error is relative to that; give it an absolute one "
+            f"error.{name}: {name} may be negative or zero, so its error cannot be relative; give an absolute error "
             f"[{pair.output(name).unit}], such as error: {{{name}: {{absolute: 0.001}}}}"
         )
     return Error(size, is_relative, entry.correlated, entry.inflate, entry.discrepancy, entry.of == "measured")

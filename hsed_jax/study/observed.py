@@ -146,7 +146,7 @@ def _check_quantities(
             each = ", ".join(of_each(owners, (own_name(name),)))
             raise UserError(f"quantities: there is no {name}; the structure has {each}")
         if not known.channels(masses_of(structure)):
-            raise UserError(f"quantities: {name} is one of masses, and a component test has none; leave it out")
+            raise UserError(f"quantities: {name} needs masses, but a component test has none; leave it out")
         if known.until > duration:
             raise UserError(f"quantities: {name} lies beyond the end of the experiments, which last {duration:g} s")
 

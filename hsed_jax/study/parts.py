@@ -22,7 +22,7 @@ def within(where: str, value: float, known: Parameter) -> float:
     if is_physical:
         low, high = (0.0 if low == 0 else -float("inf")), (0.0 if high == 0 else float("inf"))
     if not low <= value <= high:
-        raise UserError(f"{where}: {value:g} is outside what is possible, {possible(known)}")
+        raise UserError(f"{where}: {value:g} is outside the allowed range, {possible(known)}")
     return value
 
 

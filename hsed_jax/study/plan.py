@@ -35,11 +35,9 @@ def check_plan(study: Study, space: InputSpace) -> None:
     if {"diagnose", "improve"} & set(steps) and "compare" not in steps:
         raise UserError("steps: diagnose and improve need the comparison; put calibrate, compare before them")
     if "discover" in steps and "diagnose" not in steps:
-        raise UserError("steps: discover looks for what the catalogue does not hold; put diagnose before it")
+        raise UserError("steps: discover needs a diagnosis; put diagnose before it")
     if "discover" in steps and study.structure is not None and study.structure.specimens is not None:
-        raise UserError(
-            "steps: discover looks into one specimen, and this study has specimens with names; leave it out"
-        )
+        raise UserError("steps: discover works with one specimen, but this study has named specimens; leave it out")
     if "improve" in steps and "diagnose" not in steps and study.improve.add is None:
         raise UserError("steps: improve needs diagnose before it, or improve.add with the effects to add")
     if study.model.levels and "design" in steps:
@@ -47,15 +45,15 @@ def check_plan(study: Study, space: InputSpace) -> None:
             "model.levels: a design plans experiments of one specimen; leave the levels out, or the step design"
         )
     if study.experiments.folder is not None and "design" not in steps:
-        raise UserError("steps: experiments.folder is asked by the step design; put design first")
+        raise UserError("steps: experiments.folder needs the step design; put design first")
     _check_sizes(study)
     if study.experiments.laboratory is not None or "design" in steps:
         _check_design(study)
     if study.design.cost is not None:
         if study.design.acquisition in ("sobol", "random"):
             raise UserError(
-                f"design.cost: {study.design.acquisition} takes experiments in an order that no cost changes; leave it out, or "
-                "choose another acquisition"
+                f"design.cost: a cost does not change the order of the experiments of {study.design.acquisition}; leave it "
+                "out, or choose another acquisition"
             )
         Cost(study.design.cost.fixed, study.design.cost.per, space)
 

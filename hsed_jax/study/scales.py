@@ -62,7 +62,7 @@ def simulated_scales(plain: Simulator, middle: Mapping[str, float], experiments:
     found = [float(f"{value:.2g}") for value in np.median(rows, axis=0)]
     if not all(math.isfinite(value) and value > 0 for value in found):
         raise UserError(
-            "scales: in the middle of its priors the model without effects stays at rest or diverges, so nothing tells "
-            "the characteristic values of effects; check structure and priors, or give scales"
+            "scales: in the middle of its priors the model without effects stays at rest or diverges, so "
+            "the characteristic values of effects are unknown; check structure and priors, or give scales"
         )
     return Scales(*found)

@@ -133,12 +133,12 @@ def _virtual(site: Site) -> VirtualLaboratory:
 
 def _opensees(site: Site, entry: OpenSeesEntry) -> OpenSeesLaboratory:
     if driver_of(site.study) != "ground_acceleration":
-        raise UserError("experiments.opensees: it shakes the ground, and the excitation of the study is another")
+        raise UserError("experiments.opensees: it needs a ground motion, but the study has another excitation")
     assert site.study.structure is not None
     assert site.mechanics.structure is not None
     if len(site.mechanics.structure.specimens) > 1:
         raise UserError(
-            "experiments.opensees: it performs tests of one specimen; several are for the laboratory virtual"
+            "experiments.opensees: it performs tests of one specimen; use the laboratory virtual for several"
         )
     if site.study.structure.damping.specimen_stiffness == "model":
         raise UserError(

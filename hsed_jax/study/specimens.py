@@ -106,7 +106,7 @@ class Naming:
             if self.unserved(name):
                 by_law[self.laws_with(name)[0].name].append(name)
         return [
-            f"not looked for, as the law {law} has no place for them: {', '.join(names)}"
+            f"not considered, because the law {law} has no place for them: {', '.join(names)}"
             for law, names in by_law.items()
         ]
 
@@ -314,7 +314,7 @@ class Naming:
         form = self.form(where, effect, entries)
         if is_of_specimen(self.catalogue[effect]) and not self.laws_with(effect):
             each = ", ".join(named(element.name, effect) for element in self.elements)
-            raise UserError(f"{where}.{effect}: no specimen shares the model of the study; say of which one, {each}")
+            raise UserError(f"{where}.{effect}: no specimen shares the model of the study; name the specimen, {each}")
         allowed = self.parameters(effect, form)
         names = [name for name in entries if name not in (FORM, DRIVER)]
         check_names(f"{where}.{effect}", dict.fromkeys(names), allowed)

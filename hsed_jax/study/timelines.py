@@ -62,7 +62,7 @@ def required(experiments: Experiments) -> tuple[ExcitationEntry, Parametrised[Ab
         known = ", ".join(
             name for name in type(entry or ExcitationEntry()).model_fields if name not in ("duration", "step")
         )
-        raise UserError(f"excitation: give one of {known}, where no record tells what drives an experiment")
+        raise UserError(f"excitation: give one of {known}, because no record gives the excitation")
     return entry, excitation
 
 
@@ -106,7 +106,7 @@ def imposed_timeline(
         per_branch = every * math.ceil(per_branch / every)
     steps = _checked(
         per_branch * largest.branches,
-        f"steps are too many (at most {_MOST_STEPS}), which the largest amplitude takes with the spring that yields soonest; "
+        f"steps are too many (at most {_MOST_STEPS}) for the largest amplitude and the spring of smallest yield elongation; "
         "narrow the distributions of both",
     )
     return Timeline(None, steps, every)

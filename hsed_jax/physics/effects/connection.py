@@ -20,8 +20,8 @@ _SMALL = 0.02
 class Gap(AbstractSpringEffect):
     r"""A slack: no force within $\delta u_c$ to either side of the origin.
 
-    In series it is the play of a connection, which goes along with the element and opens at every reversal: $\delta u_c$ are
-    gone through, to either side of no force, while the force stays below $w_z z_u$.
+    In series it is the play of a connection, which moves with the element and opens at every reversal.  While the force stays
+    below $w_z z_u$, the element passes through $\delta u_c$ to either side of zero force.
     """
 
     name: ClassVar[str] = "gap"
@@ -68,12 +68,12 @@ class Gap(AbstractSpringEffect):
         prior={"half_normal": 0.2},
         physical=PhysicalForm("width", "m", lambda scales: scales.elongation),
     )
-    of_largest: Scalar = share_parameter("w", "whether it widens with the largest elongation")
-    of_energy: Scalar = share_parameter("w_e", "whether it widens with the absorbed energy")
-    in_series: Scalar = share_parameter("w_s", "whether it goes along with the element")
+    of_largest: Scalar = share_parameter("w", "whether the slack grows with the largest elongation")
+    of_energy: Scalar = share_parameter("w_e", "whether the slack grows with the absorbed energy")
+    in_series: Scalar = share_parameter("w_s", "whether the slack moves with the element")
     play: Scalar = shape_parameter(
         "w_z",
-        "force that closes it, over characteristic force",
+        "force that closes the slack, over characteristic force",
         neutral=0.05,
         lower=0.01,
         # One that takes more force to close is no play, but a support that has yet to bed.
@@ -81,7 +81,7 @@ class Gap(AbstractSpringEffect):
         prior={"lognormal": [-3.0, 0.7]},
     )
     abruptness: Scalar = shape_parameter(
-        "m", "how abruptly it closes", neutral=2.0, lower=1.0, upper=6.0, prior={"lognormal": [0.7, 0.3]}
+        "m", "how abruptly the slack closes", neutral=2.0, lower=1.0, upper=6.0, prior={"lognormal": [0.7, 0.3]}
     )
 
     @property
@@ -110,10 +110,10 @@ class Gap(AbstractSpringEffect):
 @register
 @final
 class SupportFlexibility(AbstractWornEffect):
-    r"""A spring in series with the specimen, u its elongation: a linear one of compliance $\delta u_c/F_c$, or another one.
+    r"""A spring in series with the specimen, u its elongation: linear with the compliance $\delta u_c/F_c$, or nonlinear.
 
-    Where it is not linear, and where it loosens, its form is that of the compliance $du/dF$: what has loosened gives way more
-    from then on, and a force that stays moves nothing.
+    The formula of a nonlinear or loosening form is that of the compliance $du/dF$.  A support that has loosened stays softer, and
+    a constant force moves nothing.
     """
 
     name: ClassVar[str] = "support_flexibility"
@@ -151,18 +151,23 @@ class SupportFlexibility(AbstractWornEffect):
         "p", "power of the force", neutral=1.0, lower=0.3, upper=6.0, prior={"lognormal": [0.0, 0.6]}
     )
     bedding: Scalar = shape_parameter(
-        "b", "how much softer it is before it is bedded", neutral=0.0, lower=0.0, upper=50.0, prior={"half_normal": 3.0}
+        "b",
+        "how much softer the support is before bedding",
+        neutral=0.0,
+        lower=0.0,
+        upper=50.0,
+        prior={"half_normal": 3.0},
     )
     bedded: Scalar = shape_parameter(
         "w",
-        "force at which it is bedded, over characteristic force",
+        "force of bedding over characteristic force",
         neutral=0.4,
         # One that is bedded by less force is play, which the gap in series is.
         lower=0.2,
         prior={"lognormal": [-0.9, 0.5]},
     )
     abruptness: Scalar = shape_parameter(
-        "m", "how abruptly it is bedded", neutral=1.0, lower=1.0, upper=6.0, prior={"uniform": [1.0, 6.0]}
+        "m", "how abruptly the support beds", neutral=1.0, lower=1.0, upper=6.0, prior={"uniform": [1.0, 6.0]}
     )
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:

@@ -86,7 +86,7 @@ COORDINATES: Mapping[str, Coordinate] = {
         lambda p: p.memory["recent_path"], fades=True, needs_time=True,
     ),
     "lagged_elongation": Coordinate(
-        "the elongation as it was, fading with time", "l/u_c", "l/u_c", "m", lambda s: s.elongation,
+        "the elongation with a first-order time lag", "l/u_c", "l/u_c", "m", lambda s: s.elongation,
         lambda p: p.memory["lagged_elongation"], fades=True, needs_time=True,
     ),
 }  # fmt: skip

@@ -35,18 +35,18 @@ class AbstractDegradation(AbstractDamagedEffect):
              free=("soonness", "power", "onset"), in_units=False),
     )  # fmt: skip
 
-    growth: Scalar = share_parameter("g", "whether it grows exponentially")
+    growth: Scalar = share_parameter("g", "whether the growth is exponential")
     saturation: Scalar = shape_parameter(
-        "s", "inverse of what it gains at most", neutral=0.0, lower=0.0, prior={"half_normal": 1.5}
+        "s", "inverse of the largest gain", neutral=0.0, lower=0.0, prior={"half_normal": 1.5}
     )
     power: Scalar = shape_parameter("p", "power of the driver", neutral=1.0, lower=0.1, upper=6.0,
                                     prior={"truncated_normal": {"loc": 1.0, "scale": 1.0, "low": 0.1, "high": 6.0}})  # fmt: skip
     soonness: Scalar = shape_parameter(
-        "q", "inverse of the driver by which two thirds of it have come", neutral=0.0, lower=0.0, upper=50.0,
+        "q", "inverse of the driver at which two thirds are reached", neutral=0.0, lower=0.0, upper=50.0,
         prior={"half_normal": 3.0},
     )  # fmt: skip
     onset: Scalar = shape_parameter(
-        "x_0", "driver at which it begins", neutral=0.0, lower=0.0, prior={"half_normal": 0.4}
+        "x_0", "driver at which the effect begins", neutral=0.0, lower=0.0, prior={"half_normal": 0.4}
     )
 
     def factor(self, delta: Scalar, point: SpringPoint) -> Scalar:
@@ -77,7 +77,7 @@ class AbstractDegradation(AbstractDamagedEffect):
 class StiffnessDegradation(AbstractDegradation):
     r"""Stiffness falls with absorbed energy: $\eta = 1 + \delta\,e/E_c$, and $\dot z \propto 1/\eta$.
 
-    In the paper's form $\eta_{ref} = \delta/E_c$ [1/J] (Eq. 15), with e = ∫ r dΔu, the total work of the spring.
+    In the units of the paper $\eta_{ref} = \delta/E_c$ [1/J] (Eq. 15), with e = ∫ r dΔu, the total work of the spring.
     """
 
     name: ClassVar[str] = "stiffness_degradation"
@@ -129,7 +129,7 @@ class StrengthDegradation(AbstractDegradation):
 @register
 @final
 class PeakSoftening(AbstractDegradation):
-    r"""Stiffness, and with it strength, falls with the largest elongation reached: $a = 1/(1+\delta\max|\Delta u|/u_c)$."""
+    r"""Stiffness and strength fall with the largest elongation reached: $a = 1/(1+\delta\max|\Delta u|/u_c)$."""
 
     name: ClassVar[str] = "peak_softening"
     family: ClassVar[str] = "stiffness"

@@ -22,7 +22,7 @@ _SLID = 3.0
 def _sticking() -> Any:
     """The parameter that says how sharply friction turns over."""
     return shape_parameter(
-        "w", "rate at which it turns over, over characteristic rate", neutral=_STICKING, lower=0.005,
+        "w", "rate at which the force changes sign, over characteristic rate", neutral=_STICKING, lower=0.005,
         upper=_SLOWEST, prior={"lognormal": [-3.5, 0.7]},
     )  # fmt: skip
 
@@ -30,13 +30,13 @@ def _sticking() -> Any:
 def _length() -> Any:
     """The parameter that says how long a bristle is."""
     return shape_parameter(
-        "b", "elongation at which it slides over characteristic elongation", neutral=0.05, lower=0.005,
+        "b", "elongation at which it slides, over characteristic elongation", neutral=0.05, lower=0.005,
         prior={"lognormal": [-3.0, 0.8]},
     )  # fmt: skip
 
 
 def _whether_of_bristle() -> Any:
-    return share_parameter("w_b", "whether it is a bristle's")
+    return share_parameter("w_b", "whether the force is that of a bristle")
 
 
 @register
@@ -73,14 +73,14 @@ class ViscousDamping(AbstractWornEffect):
     side: Scalar = one_side()
     bend: Scalar = shape_parameter(
         "b",
-        "how soon it thins",
+        "how soon the force grows more slowly than the rate",
         neutral=0.0,
         lower=0.0,
         # One that thins more is a power damper.
         upper=0.5,
         prior={"half_normal": 0.3},
     )
-    of_elongation: Scalar = share_parameter("w_u", "whether it grows with the elongation")
+    of_elongation: Scalar = share_parameter("w_u", "whether the force is proportional to the elongation too")
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""
@@ -122,7 +122,7 @@ class QuadraticDamping(AbstractSpringEffect):
         "p", "power of the rate", neutral=2.0, lower=1.1, upper=6.0, prior={"lognormal": [0.6, 0.4]}
     )
     bend: Scalar = bend_parameter()
-    passing: Scalar = share_parameter("r", "how it goes on once it has bent: straight (0), or as before (1)")
+    passing: Scalar = share_parameter("r", "growth after saturation: linear (0), or as before (1)")
     side: Scalar = one_side()
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
@@ -140,7 +140,7 @@ class QuadraticDamping(AbstractSpringEffect):
 class PowerDamping(AbstractWornEffect):
     r"""A fluid damper in parallel: $\delta\,F_c\,|\Delta\dot u/v_c|^\alpha\,\mathrm{sign}\,\Delta\dot u$.
 
-    Below $10^{-3} v_c$ it is linear, as the power has no derivative at rest.
+    Below $10^{-3} v_c$ it is linear, because the power has no derivative at rest.
     """
 
     name: ClassVar[str] = "power_damping"
@@ -168,9 +168,9 @@ class PowerDamping(AbstractWornEffect):
         r"\alpha", "1", "exponent of the rate", neutral=0.5, lower=0.1, upper=2.0, prior={"uniform": [0.1, 1.0]}
     )
     bend: Scalar = bend_parameter()
-    passing: Scalar = share_parameter("r", "share that goes on as before once it has bent")
+    passing: Scalar = share_parameter("r", "share that grows as before after saturation")
     abruptness: Scalar = shape_parameter(
-        "m", "how abruptly it bends", neutral=1.0, lower=0.5, upper=12.0, prior={"lognormal": [0.4, 0.7]}
+        "m", "how abruptly the growth saturates", neutral=1.0, lower=0.5, upper=12.0, prior={"lognormal": [0.4, 0.7]}
     )
     side: Scalar = one_side()
 
@@ -192,8 +192,8 @@ class PowerDamping(AbstractWornEffect):
 class CoulombFriction(AbstractBristledEffect, AbstractWornEffect):
     r"""Dry friction in parallel: $\delta\,F_c\,\tanh(\Delta\dot u/v_s)$, $v_s = 0.02\,v_c$.
 
-    As the force of a bristle it is $\delta F_c q$, $dq/d\Delta u = (1 - q\,\mathrm{sign}\,\Delta\dot u)/b u_c$: a spring of that
-    stiffness until it slides.
+    The form of a bristle is $\delta F_c q$, $dq/d\Delta u = (1 - q\,\mathrm{sign}\,\Delta\dot u)/b u_c$: a spring until it
+    slides.
     """
 
     name: ClassVar[str] = "coulomb_friction"
@@ -221,7 +221,7 @@ class CoulombFriction(AbstractBristledEffect, AbstractWornEffect):
     sticking: Scalar = _sticking()
     roundness: Scalar = shape_parameter(
         "p",
-        "power of the rate that it turns over with",
+        "power of the rate in this change of sign",
         neutral=1.0,
         lower=0.6,
         upper=3.0,
@@ -243,8 +243,8 @@ class CoulombFriction(AbstractBristledEffect, AbstractWornEffect):
 class StribeckFriction(AbstractBristledEffect):
     r"""Friction that falls with speed: $\delta\,F_c\,[\mu + (1-\mu)e^{-|\Delta\dot u|/v_r}]\tanh(\Delta\dot u/v_s)$.
 
-    $v_s = 0.02\,v_c$; the share μ remains at high speed, $v_r = 0.2\,v_c$.  As the force of a bristle it is $\delta F_c q$, and q
-    comes to the expression in brackets, as long as the speed stays.
+    $v_s = 0.02\,v_c$ and $v_r = 0.2\,v_c$; the share μ remains at high speed.  The form of a bristle is $\delta F_c q$; at
+    constant speed q tends to the expression in brackets.
     """
 
     name: ClassVar[str] = "stribeck_friction"
@@ -288,11 +288,11 @@ class StribeckFriction(AbstractBristledEffect):
         prior={"uniform": [0.0, 1.0]},
     )
     falling: Scalar = shape_parameter(
-        "r", "speed at which it falls over characteristic rate", neutral=0.2, lower=0.02,
+        "r", "speed at which the force falls, over characteristic rate", neutral=0.2, lower=0.02,
         prior={"lognormal": [-1.6, 0.8]},
     )  # fmt: skip
     steepness: Scalar = shape_parameter(
-        "m", "power of the speed that it falls with", neutral=1.0, lower=0.3, upper=4.0, prior={"lognormal": [0.0, 0.5]}
+        "m", "power of the speed in the fall", neutral=1.0, lower=0.3, upper=4.0, prior={"lognormal": [0.0, 0.5]}
     )
     sticking: Scalar = _sticking()
     bristle: Scalar = _length()

@@ -13,12 +13,12 @@ from hsed_jax.physics.states import TRAVEL, SharedState
 
 def index_share() -> Any:
     """The parameter that says what a driver of two measures is made of."""
-    return share_parameter("w_d", "share of the largest elongation in what drives it", neutral=0.5)
+    return share_parameter("w_d", "share of the largest elongation in the driver", neutral=0.5)
 
 
 def power_of(symbol: str, of: str) -> Any:
     """The parameter that says how a measure counts in a driver of two."""
-    return shape_parameter(symbol, f"power of {of} in what drives it", neutral=1.0, lower=0.2, upper=4.0,
+    return shape_parameter(symbol, f"power of {of} in the driver", neutral=1.0, lower=0.2, upper=4.0,
                            prior={"lognormal": [0.0, 0.7]})  # fmt: skip
 
 
@@ -101,14 +101,14 @@ class AbstractWornEffect(AbstractSpringEffect):
     """
 
     worn: Scalar = shape_parameter(
-        r"\rho", "what it has gained in the end, over what it was", neutral=0.0, lower=-0.95, upper=5.0,
+        r"\rho", "final change over the initial value", neutral=0.0, lower=-0.95, upper=5.0,
         prior={"truncated_normal": {"loc": 0.0, "scale": 0.5, "low": -0.95, "high": 5.0}},
     )  # fmt: skip
     wears: Scalar = shape_parameter(
-        "x_w", "path, or energy, by which two thirds of that have come", neutral=0.5, lower=0.02,
+        "x_w", "path, or energy, at which two thirds of this change are reached", neutral=0.5, lower=0.02,
         prior={"lognormal": [-0.7, 1.0]},
     )  # fmt: skip
-    heats: Scalar = share_parameter("w_h", "whether it changes with absorbed energy in place of the path")
+    heats: Scalar = share_parameter("w_h", "whether the change depends on absorbed energy instead of the path")
 
     @property
     def needs(self) -> tuple[SharedState, ...]:

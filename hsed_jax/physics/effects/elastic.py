@@ -15,7 +15,7 @@ from hsed_jax.physics.states import LARGEST_COMPRESSION, LARGEST_TENSION, Shared
 _BENT = Form(
     FREE,
     r"\delta F_c\frac{|x|^p}{(1 + b|x|^p)^{1-r}}\mathrm{sign}\,x,\ x = \Delta u/u_c,\ "
-    r"\text{times } 1 - |w| \text{ to the side that } w \text{ is not of}",
+    r"\text{times } 1 - |w| \text{ on the side opposite to the sign of } w",
     free=("power", "bend", "passing", "side"),
     in_units=False,
 )
@@ -26,7 +26,7 @@ _BLUNTEST = 2.5
 @register
 @final
 class Hardening(AbstractWornEffect):
-    r"""A linear spring in parallel: $\delta\,\frac{F_c}{u_c}\,\Delta u$; negative is P-Δ."""
+    r"""A linear spring in parallel: $\delta\,\frac{F_c}{u_c}\,\Delta u$; a negative δ is P-Δ."""
 
     name: ClassVar[str] = "hardening"
     family: ClassVar[str] = "post-yield"
@@ -113,7 +113,7 @@ class CubicStiffness(AbstractSpringEffect):
 @register
 @final
 class QuadraticStiffness(AbstractSpringEffect):
-    r"""A quadratic spring in parallel, which pulls both ways alike: $\delta\,F_c\,(\Delta u/u_c)^2$."""
+    r"""A quadratic spring in parallel with the same sign of force on both sides: $\delta\,F_c\,(\Delta u/u_c)^2$."""
 
     name: ClassVar[str] = "quadratic_stiffness"
     family: ClassVar[str] = "asymmetry"
@@ -155,7 +155,7 @@ class QuadraticStiffness(AbstractSpringEffect):
 class ContactStiffening(AbstractSpringEffect):
     r"""A stop behind a clearance: $\delta\,\frac{F_c}{u_c}\,\mathrm{sign}(\Delta u)\max(|\Delta u| - c\,u_c, 0)$.
 
-    One that is crushed keeps a share k of the deepest dent, so that it touches later from then on.
+    A crushed stop keeps a share k of the deepest dent, and later contact starts at a larger elongation.
     """
 
     name: ClassVar[str] = "contact_stiffening"
@@ -175,7 +175,7 @@ class ContactStiffening(AbstractSpringEffect):
         ),
         Form(
             FREE,
-            r"\delta F_c\,b^p,\ \text{times } 1 - |w| \text{ to the side that } w \text{ is not of}",
+            r"\delta F_c\,b^p,\ \text{times } 1 - |w| \text{ on the side opposite to the sign of } w",
             free=("power", "side"),
             in_units=False,
         ),
@@ -202,7 +202,7 @@ class ContactStiffening(AbstractSpringEffect):
     )
     power: Scalar = shape_parameter(
         "p",
-        "power of what is beyond the clearance",
+        "power of the elongation beyond the clearance",
         neutral=1.0,
         lower=0.3,
         upper=_BLUNTEST,
@@ -210,7 +210,12 @@ class ContactStiffening(AbstractSpringEffect):
     )
     side: Scalar = one_side()
     kept: Scalar = shape_parameter(
-        "k", "share of the deepest dent that stays", neutral=0.0, lower=0.0, upper=0.95, prior={"uniform": [0.0, 0.95]}
+        "k",
+        "share of the deepest dent that is permanent",
+        neutral=0.0,
+        lower=0.0,
+        upper=0.95,
+        prior={"uniform": [0.0, 0.95]},
     )
 
     @property

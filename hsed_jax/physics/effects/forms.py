@@ -100,14 +100,14 @@ DRIVERS = {
     "energy": Driver("absorbed energy", "e/E_c", _energy),
     "path": Driver("length of the path of the elongation", "sF_c/E_c", _path, (TRAVEL,)),
     "largest_elongation": Driver(
-        "largest elongation reached, to either side", r"\max|\Delta u|/u_c", _largest, (LARGEST_ELONGATION,)
+        "largest elongation reached on either side", r"\max|\Delta u|/u_c", _largest, (LARGEST_ELONGATION,)
     ),
     "hysteretic_energy": Driver(
-        "absorbed energy less what the virgin element would give back", r"(e - z^2/2k_0)/E_c", _dissipated
+        "absorbed energy minus the elastic energy of the virgin element", r"(e - z^2/2k_0)/E_c", _dissipated
     ),
     "reversals": Driver("number of reversals", rf"N/{_REVERSALS:.0f}", _reversals, (REVERSALS,)),
     "fatigue": Driver(
-        "sum of the squares of what was gone through (Coffin 1954; Miner 1945, with an exponent of two)",
+        "sum of the squares of the elongations passed through (Coffin 1954; Miner 1945, with an exponent of two)",
         r"\int|\Delta u|\,|d\Delta u|\,F_c/E_c u_c",
         _fatigue,
         (FATIGUE,),
@@ -120,14 +120,14 @@ DRIVERS = {
         ("driver_share",),
     ),
     "path_and_elongation": Driver(
-        "length of the path and largest elongation together, each with a power of its own",
+        "length of the path and largest elongation together, each with its own power",
         r"(1-w_d)(sF_c/E_c)^{p_s} + w_d(\max|\Delta u|/u_c)^{p_u}",
         _worn_and_stretched,
         (TRAVEL, LARGEST_ELONGATION),
         ("driver_share", "driver_power", "driver_other"),
     ),
     "excursion": Driver(
-        "largest elongation reached to the side that the force is of: each has a damage of its own (Lowes & Altoontash 2003)",
+        "largest elongation on the side of the force; each side has its own damage (Lowes & Altoontash 2003)",
         r"\max(\pm\Delta u)/u_c",
         _to_this_side,
         (LARGEST_TENSION, LARGEST_COMPRESSION),
@@ -171,12 +171,14 @@ def sided(value: Scalar, side: Scalar) -> Scalar:
 
 def bend_parameter() -> Any:
     """The parameter that says how soon a force saturates."""
-    return shape_parameter("b", "how soon it saturates", neutral=0.0, lower=0.0, upper=50.0, prior={"half_normal": 3.0})
+    return shape_parameter(
+        "b", "how soon the growth saturates", neutral=0.0, lower=0.0, upper=50.0, prior={"half_normal": 3.0}
+    )
 
 
 def passing_parameter() -> Any:
     """The parameter that says what a force goes on with once it has bent."""
-    return share_parameter("r", "power that it goes on with once it has bent, over the first")
+    return share_parameter("r", "power after saturation over the first power")
 
 
 def saturated(value: Scalar, bend: Scalar, passing: Scalar = 0.0) -> Scalar:

@@ -97,7 +97,7 @@ class AbstractFreeFunction(AbstractSpringEffect):
         return needs_of(_NAMES)
 
     def flow(self, point: SpringPoint) -> dict[str, Scalar]:
-        """Rates of what fades."""
+        """Rates of the states that fade."""
         return fading(_NAMES, point, self._number("fade"))
 
     def value(self, point: SpringPoint) -> Scalar:

@@ -19,11 +19,11 @@ _LINEAR, _FASTEST = 1e-4, 6.0
 @register
 @final
 class Slip(AbstractDrivenEffect):
-    r"""A slip-lock element in series, which opens with the largest elongation.
+    r"""A slip-lock element in series, whose slip grows with the largest elongation.
 
-    Its compliance is $c(z) = \sqrt{2/\pi}\,\frac{\delta\max|\Delta u|}{\sigma}e^{-z^2/2\sigma^2}$ with $\sigma = w z_u$,
-    $z_u$ the strength of the element: δ max|Δu| is the length of slip near zero force, $\delta u_c x$ with another driver x.
-    Every form is a profile of force over which that length is slipped through.
+    Its compliance is $c(z) = \sqrt{2/\pi}\,\frac{\delta\max|\Delta u|}{\sigma}e^{-z^2/2\sigma^2}$ with $\sigma = w z_u$ and the
+    strength $z_u$ of the element.  δ max|Δu| is the length of slip near zero force, or $\delta u_c x$ with another driver x.
+    Each form is another distribution of this length over the force.
     """
 
     name: ClassVar[str] = "slip"
@@ -60,10 +60,10 @@ class Slip(AbstractDrivenEffect):
 
     # Below one it has tails, and little by little locks.
     abruptness: Scalar = shape_parameter(
-        "m", "how abruptly it locks", neutral=2.0, lower=0.5, upper=8.0, prior={"lognormal": [0.7, 0.6]}
+        "m", "how abruptly the slip locks", neutral=2.0, lower=0.5, upper=8.0, prior={"lognormal": [0.7, 0.6]}
     )
     onset: Scalar = shape_parameter(
-        "x_0", "driver at which it begins", neutral=0.0, lower=0.0, prior={"half_normal": 0.2}
+        "x_0", "driver at which the effect begins", neutral=0.0, lower=0.0, prior={"half_normal": 0.2}
     )
     # One that hardly grows is play, from the first reversal on.
     power: Scalar = shape_parameter(
@@ -86,9 +86,9 @@ class Slip(AbstractDrivenEffect):
 @register
 @final
 class Scragging(AbstractSpringEffect):
-    r"""A spring in parallel that is stiff up to the largest elongation only once: $\delta F_c x\,|x/x_m|^p$, $x = \Delta u/u_c$.
+    r"""A spring in parallel that is stiff only on first loading: $\delta F_c x\,|x/x_m|^p$, $x = \Delta u/u_c$.
 
-    $x_m$ is the largest elongation reached to either side.  A cycle that goes no farther than those before meets a softer spring.
+    $x_m$ is the largest elongation reached on either side.  A cycle within earlier elongations has a softer spring.
     """
 
     name: ClassVar[str] = "scragging"
@@ -105,7 +105,7 @@ class Scragging(AbstractSpringEffect):
         physical=PhysicalForm("k", "N/m", lambda scales: scales.force / scales.elongation),
     )
     power: Scalar = parameter(
-        "p", "1", "how much softer it is within what was reached", neutral=1.0, lower=0.1, upper=8.0,
+        "p", "1", "how much softer the spring is within earlier elongations", neutral=1.0, lower=0.1, upper=8.0,
         prior={"lognormal": [0.0, 0.7]},
     )  # fmt: skip
 
@@ -127,7 +127,7 @@ class Scragging(AbstractSpringEffect):
 class Fracture(AbstractDrivenEffect):
     r"""Part of the element is lost at a critical path: $-\delta z\,\mathrm{logistic}((s-s_c)/0.02 s_c)$.
 
-    In terms of a driver x it is lost at $x_c = s_c F_c u_c/E_c$, with the number $s_c$ below, whatever the driver.
+    With another driver x the loss is at $x_c = s_c F_c u_c/E_c$, with the number $s_c$ of the table.
     """
 
     name: ClassVar[str] = "fracture"
@@ -239,7 +239,7 @@ class Relaxation(AbstractSpringEffect):
 
     power: Scalar = shape_parameter(
         "p",
-        "power of the force that it creeps with",
+        "power of the force in the creep rate",
         neutral=1.0,
         lower=0.3,
         upper=5.0,

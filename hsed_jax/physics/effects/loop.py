@@ -16,7 +16,7 @@ _SHARP = 1e-9
 
 
 def _whether(place: str, symbol: str, neutral: float = 1.0) -> Any:
-    return share_parameter(symbol, f"share that goes to {place}", neutral)
+    return share_parameter(symbol, f"share of the change in {place}", neutral)
 
 
 @register
@@ -24,8 +24,8 @@ def _whether(place: str, symbol: str, neutral: float = 1.0) -> Any:
 class YieldSharpness(AbstractSpringEffect):
     r"""The exponent differs from the assumed one: $|z|^n \to |z|^n(|z|/z_u)^\delta$; a larger one yields more sharply.
 
-    $z_u$ is the strength of the element, which stays: with $|z|^{n+\delta}$ and the same β the strength would fall, too. The free
-    form takes no less than $10^{-3}$ for $|z|/z_u$.
+    The strength $z_u$ of the element stays the same; with $|z|^{n+\delta}$ and the same β it would fall.  The form `free` uses at
+    least $10^{-3}$ for $|z|/z_u$.
     """
 
     name: ClassVar[str] = "yield_sharpness"
@@ -41,7 +41,7 @@ class YieldSharpness(AbstractSpringEffect):
     delta: Scalar = parameter(
         r"\delta_n",
         "1",
-        "exponent less the assumed one",
+        "exponent minus the assumed one",
         neutral=0.0,
         lower=-0.5,
         prior={"truncated_normal": {"loc": 0.0, "scale": 1.0, "low": -0.5, "high": 6.0}},
@@ -64,7 +64,7 @@ class YieldSharpness(AbstractSpringEffect):
 @register
 @final
 class LoopShape(AbstractSpringEffect):
-    r"""γ differs from the assumed one: $\gamma + \delta\beta$; positive makes the loop thinner on loading, negative fuller."""
+    r"""γ differs from the assumed one: $\gamma + \delta\beta$; δ > 0 makes the loop thinner on loading, δ < 0 fuller."""
 
     name: ClassVar[str] = "loop_shape"
     family: ClassVar[str] = "hysteresis"
@@ -83,7 +83,7 @@ class LoopShape(AbstractSpringEffect):
     delta: Scalar = parameter(
         r"\delta_\gamma",
         "1",
-        "γ less the assumed one, over β",
+        "γ minus the assumed one, over β",
         neutral=0.0,
         lower=-0.95,
         # Up to what hardly yields on loading more than on unloading: a law of Ramberg and Osgood's kind.
@@ -96,12 +96,12 @@ class LoopShape(AbstractSpringEffect):
     )
     width: Scalar = shape_parameter(
         "w",
-        "force by which most of it has come, over strength",
+        "force at which most of the change is reached, over strength",
         neutral=1.0,
         lower=0.05,
         prior={"lognormal": [0.0, 1.0]},
     )
-    kept: Scalar = share_parameter("w_s", "whether the strength is kept, so that unloading alone differs")
+    kept: Scalar = share_parameter("w_s", "whether the strength stays, so that only unloading changes")
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `gamma`, in units of β; where the strength is kept, a factor on `nu` as well."""
@@ -153,7 +153,7 @@ class Asymmetry(AbstractSpringEffect):
     of_stiffness: Scalar = _whether("η", r"w_\eta", 0.0)
     of_both: Scalar = _whether("a", "w_a", 0.0)
     rounding: Scalar = shape_parameter(
-        r"\rho", "force over strength within which the one side goes over into the other", neutral=0.0, lower=0.0, upper=1.0,
+        r"\rho", "force over strength within which one side changes into the other", neutral=0.0, lower=0.0, upper=1.0,
         prior={"half_normal": 0.2},
     )  # fmt: skip
 
@@ -213,7 +213,7 @@ class IsotropicHardening(AbstractDamagedEffect):
 
     power: Scalar = shape_parameter("p", "power of the driver", neutral=1.0, lower=0.1, upper=6.0,
                                     prior={"truncated_normal": {"loc": 1.0, "scale": 1.0, "low": 0.1, "high": 6.0}})  # fmt: skip
-    steady: Scalar = share_parameter("g", "whether it does not saturate")
+    steady: Scalar = share_parameter("g", "whether the growth is steady")
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """A factor on `nu`."""
@@ -228,7 +228,7 @@ class IsotropicHardening(AbstractDamagedEffect):
 @register
 @final
 class RateDependence(AbstractSpringEffect):
-    r"""Stiffness, and with it strength, grows with speed: $a = 1 + \delta\ln(1+|\Delta\dot u|/v_c)$."""
+    r"""Stiffness and strength grow with speed: $a = 1 + \delta\ln(1+|\Delta\dot u|/v_c)$."""
 
     name: ClassVar[str] = "rate_dependence"
     family: ClassVar[str] = "rate"
@@ -255,7 +255,7 @@ class RateDependence(AbstractSpringEffect):
     power: Scalar = shape_parameter(
         "p", "power of the rate", neutral=0.3, lower=0.05, upper=2.0, prior={"lognormal": [-1.2, 0.7]}
     )
-    of_power: Scalar = share_parameter("w_p", "whether it is a power")
+    of_power: Scalar = share_parameter("w_p", "whether the growth is a power")
     of_both: Scalar = _whether("a", "w_a")
     of_strength: Scalar = _whether("ν", r"w_\nu", 0.0)
 
@@ -276,13 +276,13 @@ class RateDependence(AbstractSpringEffect):
 @register
 @final
 class Pinching(AbstractDrivenEffect):
-    r"""The loop narrows near zero force, more so as energy is absorbed.
+    r"""The loop narrows near zero force, and more so as energy is absorbed.
 
     $$h = 1-\zeta_1\exp\!\Big(-\frac{(z\,\mathrm{sign}\,\Delta\dot u - q z_u)^2}{\zeta_2^2 z_u^2}\Big),\quad
       \zeta_1 = \zeta_s(1-e^{-p e/E_c}),\quad \zeta_2 = (\psi_0+\delta_\psi e/E_c)(\lambda+\zeta_1)$$
 
-    with $z_u$ the strength of the element; ζ₂ is made dimensionless by it, and $x = e/E_c$ is the driver.  Where the tangent
-    drops around no elongation, max|Δu| counts $10^{-3} u_c$ more, as it is zero in a virgin specimen.
+    with the strength $z_u$ of the element, which makes ζ₂ dimensionless, and the driver $x = e/E_c$.  In the form where the
+    tangent drops around zero elongation, max|Δu| is increased by $10^{-3} u_c$, because it is zero in a virgin specimen.
     """
 
     name: ClassVar[str] = "pinching"
@@ -309,7 +309,7 @@ class Pinching(AbstractDrivenEffect):
     p: Scalar = parameter(
         "p",
         "1",
-        "how soon it develops, per characteristic energy",
+        "how soon pinching develops, per characteristic energy",
         neutral=5.0,
         lower=0.0,
         prior={"lognormal": [1.6, 1.0]},
@@ -330,7 +330,7 @@ class Pinching(AbstractDrivenEffect):
         prior={"half_normal": 0.1},
     )
     ratio: Scalar = parameter(
-        r"\lambda", "1", "share of the width that does not wait for the severity", neutral=0.5, lower=0.01, upper=1.0,
+        r"\lambda", "1", "share of the width that is independent of the severity", neutral=0.5, lower=0.01, upper=1.0,
         prior={"lognormal": [-0.7, 0.5]},
     )  # fmt: skip
 
@@ -342,7 +342,7 @@ class Pinching(AbstractDrivenEffect):
     )  # fmt: skip
     power: Scalar = shape_parameter("k", "power of the driver", neutral=1.0, lower=0.2, upper=6.0,
                                     prior={"lognormal": [0.0, 0.5]})  # fmt: skip
-    of_elongation: Scalar = share_parameter("w_u", "whether the tangent drops around no elongation")
+    of_elongation: Scalar = share_parameter("w_u", "whether the tangent drops around zero elongation")
 
     @property
     def needs(self) -> tuple[SharedState, ...]:

@@ -30,13 +30,13 @@ def _towards_peak(point: SpringPoint) -> Scalar:
 @register
 @final
 class SelfCentering(AbstractSpringEffect):
-    r"""A flag: what has opened slides back and closes before the force is gone.
+    r"""A flag-shaped loop: the element slides back and closes its opening before the force is zero.
 
     $$h = 1 - \min(10\delta, 1)\,\frac{\mathrm{clip}(w\,\mathrm{sign}\,z/0.02u_c,\, 0,\, 1)}{1 + e^{(|z| - \delta z_u)/0.03 z_u}}
       \quad\text{on unloading},\qquad w = \Delta u - z/k_0$$
 
-    with $z_u$ the strength of the element: it unloads to δ of that, slides back at this force until the opening w is closed, and
-    unloads to the origin.  1 − δ is the β of a flag.
+    with the strength $z_u$ of the element.  It unloads to $\delta z_u$, slides back at this force until the opening w is closed,
+    and unloads to the origin.  1 − δ is the β of a flag.
     """
 
     name: ClassVar[str] = "self_centering"
@@ -46,7 +46,7 @@ class SelfCentering(AbstractSpringEffect):
     delta: Scalar = parameter(
         r"\delta_o",
         "1",
-        "force at which it slides back over strength",
+        "force of sliding back over strength",
         neutral=0.0,
         lower=0.0,
         upper=1.0,
@@ -65,13 +65,14 @@ class SelfCentering(AbstractSpringEffect):
 @register
 @final
 class PeakOriented(AbstractSpringEffect):
-    r"""Reloading aims at the strength at the largest elongation that was reached on that side.
+    r"""Reloading aims at the strength at the largest elongation reached on that side.
 
     $$h = 1 - \delta(1 - s)\quad\text{on loading},\qquad
       s = \min\Big(\frac{u_y}{\max(\pm\Delta u) \mp \Delta u}, 1\Big),\quad u_y = z_u/k_0$$
 
-    with the signs of $\Delta\dot u$.  With δ = 1 it is a straight line to $z_u$ at the largest elongation: of a law that yields
-    gradually (n = 1), and in the form `sharp`, where s is $1 - |z|/z_u$ times that, of one that yields at once (n large).
+    with the signs of $\Delta\dot u$.  With δ = 1 reloading is a straight line to $z_u$ at the largest elongation, for a law that
+    yields gradually (n = 1).  For a law that yields abruptly (large n), the form `sharp` gives this line: it multiplies s by
+    $1 - |z|/z_u$.
     """
 
     name: ClassVar[str] = "peak_oriented"
@@ -111,7 +112,7 @@ class PeakOriented(AbstractSpringEffect):
 @register
 @final
 class Buckling(AbstractSpringEffect):
-    r"""The strength of one side falls at once and with the largest elongation there; the other side's stiffness comes later.
+    r"""The strength of one side falls at once and with its largest elongation; reloading of the other side is softer.
 
     $$\nu = \frac{1 + \kappa|\delta|\max(\mp\Delta u)/u_c}{1 - |\delta|}\ \text{in compression},\qquad
       h = 1 - \theta\min(4|\delta|, 1)(1 - s)\ \text{on loading in tension}$$
@@ -133,7 +134,7 @@ class Buckling(AbstractSpringEffect):
         prior={"truncated_normal": {"loc": 0.0, "scale": 0.5, "low": -0.95, "high": 0.95}},
     )
     growth: Scalar = parameter(
-        r"\kappa", "1", "how fast more of it is lost, per characteristic elongation", neutral=1.0, lower=0.0, upper=50.0,
+        r"\kappa", "1", "how fast the loss grows, per characteristic elongation", neutral=1.0, lower=0.0, upper=50.0,
         prior={"lognormal": [0.0, 1.0]},
     )  # fmt: skip
     late: Scalar = parameter(

@@ -22,7 +22,7 @@ class _AbstractRigEffect(AbstractSetupEffect):
 @register
 @final
 class GroundMotionGain(_AbstractRigEffect):
-    r"""The ground motion was scaled: $(1+\delta)\,a_g$."""
+    r"""The ground motion has a wrong scale: $(1+\delta)\,a_g$."""
 
     name: ClassVar[str] = "ground_motion_gain"
     family: ClassVar[str] = "test rig"
@@ -42,7 +42,7 @@ class GroundMotionGain(_AbstractRigEffect):
 @register
 @final
 class ForceGain(_AbstractRigEffect):
-    r"""The calibration factor of the load cell is off: $(1+\delta)\,r$, in histories and quantities, in energy as well."""
+    r"""The calibration factor of the load cell is wrong: $(1+\delta)\,r$, in histories and quantities, also in energy."""
 
     name: ClassVar[str] = "force_gain"
     family: ClassVar[str] = "test rig"
@@ -60,9 +60,9 @@ class ForceGain(_AbstractRigEffect):
 @register
 @final
 class ElongationGain(_AbstractRigEffect):
-    r"""The calibration factor of the elongation is off: $(1+\delta)\,\Delta u$, in histories and quantities, energy as well.
+    r"""The calibration factor of the elongation is wrong: $(1+\delta)\,\Delta u$, in histories, quantities and energy.
 
-    In a component test the imposed elongation is the measured one: the specimen sees $\Delta u/(1+\delta)$.
+    In a component test the imposed elongation is the measured one: the specimen has the elongation $\Delta u/(1+\delta)$.
     """
 
     name: ClassVar[str] = "elongation_gain"
@@ -86,7 +86,7 @@ class ElongationGain(_AbstractRigEffect):
 @register
 @final
 class ForceOffset(_AbstractRigEffect):
-    r"""The zero of the load cell is off: $r + \delta\,F_c$."""
+    r"""The zero of the load cell is wrong: $r + \delta\,F_c$."""
 
     name: ClassVar[str] = "force_offset"
     family: ClassVar[str] = "test rig"
@@ -107,11 +107,11 @@ class ForceOffset(_AbstractRigEffect):
         physical=PhysicalForm("offset", "N", lambda scales: scales.force),
     )
     settling: Scalar = shape_parameter(
-        r"\rho", "what it lacks at first, over what it is in the end", neutral=0.0, lower=-1.0, upper=1.0,
+        r"\rho", "initial difference from the final shift, over the final shift", neutral=0.0, lower=-1.0, upper=1.0,
         prior={"uniform": [-1.0, 1.0]},
     )  # fmt: skip
     settles: Scalar = shape_parameter(
-        "x_w", "time by which two thirds of that have come, over 100 characteristic times", neutral=0.03, lower=0.005,
+        "x_w", "time at which two thirds of it are over, over 100 characteristic times", neutral=0.03, lower=0.005,
         # What takes longer is a drift.
         upper=0.1, prior={"lognormal": [-3.5, 0.7]},
     )  # fmt: skip
@@ -130,7 +130,7 @@ class ForceOffset(_AbstractRigEffect):
 class ForceDrift(_AbstractRigEffect):
     r"""The zero of the load cell drifts: $r + \delta\,F_c\,x$, $x = \frac{t}{100\,u_c/v_c}$.
 
-    Of a record without a time, rows stand for it: a row for a second.
+    In a record without a time, one row counts as one second.
     """
 
     name: ClassVar[str] = "force_drift"
@@ -152,11 +152,11 @@ class ForceDrift(_AbstractRigEffect):
         physical=PhysicalForm("drift", "N/s", lambda scales: scales.force / (_DRIFTING * _time(scales))),
     )
     onset: Scalar = shape_parameter(
-        "x_0", "when it begins, over 100 characteristic times", neutral=0.0, lower=0.0, prior={"half_normal": 0.3}
+        "x_0", "start of the drift, over 100 characteristic times", neutral=0.0, lower=0.0, prior={"half_normal": 0.3}
     )
 
     slowing: Scalar = shape_parameter(
-        "s", "inverse of the time by which it slows down, over 100 characteristic times", neutral=0.0, lower=0.0,
+        "s", "inverse of the time in which the drift slows down, over 100 characteristic times", neutral=0.0, lower=0.0,
         prior={"half_normal": 30.0},
     )  # fmt: skip
 
@@ -205,7 +205,7 @@ class ActuatorDelay(_AbstractRigEffect):
 class TimeOffset(_AbstractRigEffect):
     r"""The clock of the force differs from that of the elongation: $r(t-\tau)$, $\tau = \delta\,u_c/v_c$, either sign.
 
-    Of a record without a time, rows stand for it: a row for a second.
+    In a record without a time, one row counts as one second.
     """
 
     name: ClassVar[str] = "time_offset"

@@ -34,7 +34,7 @@ class DampingError(AbstractSetupEffect):
 class MassError(AbstractSetupEffect):
     r"""Masses differ from the assumed ones: $m_i\,(1 + \delta + \tau x_i)$.
 
-    $x_i$ goes evenly from −1 at the first mass to 1 at the last (0 where there is one); C stays what it is.
+    $x_i$ runs evenly from −1 at the first mass to 1 at the last one (0 for a single mass); C does not change.
     """
 
     name: ClassVar[str] = "mass_error"
@@ -67,7 +67,7 @@ class MassError(AbstractSetupEffect):
 class SupportStiffnessError(AbstractSetupEffect):
     r"""Springs to the ground differ from the assumed ones: $k_i\,(1 + \delta + \tau x_i)$.
 
-    $x_i$ goes evenly from −1 at the first such spring to 1 at the last (0 where there is one); C stays what it is.
+    $x_i$ runs evenly from −1 at the first such spring to 1 at the last one (0 for a single spring); C does not change.
     """
 
     name: ClassVar[str] = "support_stiffness_error"

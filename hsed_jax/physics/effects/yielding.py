@@ -16,12 +16,12 @@ from hsed_jax.physics.scales import is_zero
 class Yielding(AbstractSpringEffect):
     r"""A linear spring yields: $f = k\,\epsilon$ with the elastic elongation $\epsilon = \Delta u - \delta q$.
 
-    $\dot q = (1 - \phi + \phi\,\mathrm{sign}\,\epsilon\Delta\dot u)\,|\epsilon|\,\Delta\dot u/u_c$: the force comes to its bound
-    at $\epsilon = u_c/\delta$, as that of Bouc–Wen with n = 1 and φ = β/(β + γ), whose unloading is elastic at φ = 1/2.
+    $\dot q = (1 - \phi + \phi\,\mathrm{sign}\,\epsilon\Delta\dot u)\,|\epsilon|\,\Delta\dot u/u_c$: the force tends to its bound
+    at $\epsilon = u_c/\delta$, as in a Bouc–Wen law with n = 1 and φ = β/(β + γ).  Unloading is elastic for φ = 1/2.
 
-    A share ρ of the stiffness may stay elastic, $f = k[\rho\,\Delta u + (1 - \rho)\,\epsilon]$; then this is the law of Bouc and
-    Wen with its ratio α = ρ. The free form has any exponent n, and any γ: $\dot q = (\mathrm{sign}\,\epsilon\Delta\dot u - \chi)
-    |\epsilon/u_c|^n\Delta\dot u$, where β + γ < 0, a loop that hardens, is χ > 1.
+    A share ρ of the stiffness may stay elastic, $f = k[\rho\,\Delta u + (1 - \rho)\,\epsilon]$; this is the Bouc–Wen law with the
+    ratio α = ρ.  The form `free` has any exponent n and any γ: $\dot q = (\mathrm{sign}\,\epsilon\Delta\dot u - \chi)
+    |\epsilon/u_c|^n\Delta\dot u$.  χ > 1 means β + γ < 0, a loop that hardens.
     """
 
     name: ClassVar[str] = "yielding"
@@ -52,7 +52,7 @@ class Yielding(AbstractSpringEffect):
     )
     elastic: Scalar = share_parameter(r"\rho", "share of the stiffness that stays elastic")
     turned: Scalar = shape_parameter(
-        r"\chi", "by how much less it yields, whichever way it moves", neutral=0.0, prior={"normal": [0.0, 1.0]}
+        r"\chi", "reduction of yielding, equal in both directions of motion", neutral=0.0, prior={"normal": [0.0, 1.0]}
     )
     sharpness: Scalar = shape_parameter(
         "n", "sharpness of yielding", neutral=1.0, lower=0.5, upper=6.0, prior={"lognormal": [0.0, 0.4]}
@@ -78,7 +78,7 @@ class KinematicHardening(AbstractBristledEffect):
 
     $$\delta F_c\alpha,\qquad u_c\,\frac{d\alpha}{du_p} = 1 - \frac{\alpha}{\ell}\,\mathrm{sign}\,\dot u_p$$
 
-    It begins with the modulus $\delta F_c/u_c$ and comes to its bound $\delta\ell F_c$.
+    Its initial modulus is $\delta F_c/u_c$ and its bound is $\delta\ell F_c$.
     """
 
     name: ClassVar[str] = "kinematic_hardening"
@@ -97,7 +97,7 @@ class KinematicHardening(AbstractBristledEffect):
     bristle: Scalar = parameter(
         r"\ell",
         "1",
-        "plastic elongation that it recovers from, over characteristic elongation",
+        "plastic elongation of recovery, over characteristic elongation",
         neutral=0.5,
         lower=0.02,
         upper=5.0,

@@ -10,12 +10,12 @@ from hsed_jax.physics.parameters import parameter
 
 @final
 class Bilinear(AbstractYieldingLaw):
-    r"""An elastic spring beside an elastic-perfectly plastic one, by return mapping.
+    r"""An elastic spring parallel to an elastic-perfectly plastic one, by return mapping.
 
     $$f = b k\,\Delta u + f_p,\qquad f_p = \mathrm{clip}\big((1-b)k\,(\Delta u-u_p),\ \pm(1-b)F_y/\nu\big)$$
 
-    with the plastic elongation $u_p$ as it was committed; a step commits $u_p + [(1-b)k(\Delta u-u_p) - f_p]/((1-b)k)$.
-    It yields at $F_y$, then has the stiffness b k, and unloads over $2F_y$ whatever it went through.
+    with the committed plastic elongation $u_p$.  A step commits $u_p + [(1-b)k(\Delta u-u_p) - f_p]/((1-b)k)$.
+    The law yields at $F_y$ and then has the stiffness b k.  The elastic range is $2F_y$ after any history.
     """
 
     name: ClassVar[str] = "bilinear"

@@ -17,15 +17,15 @@ class BoucWen(AbstractSpringLaw):
 
     $$\dot z = h\,\frac{a A - \nu\,(\beta\,\mathrm{sign}(\Delta\dot u\,z)+\gamma)\,|z|^n}{\eta}\,\Delta\dot u$$
 
-    An element in series with compliance c turns the slope $dz/d\Delta u = g$ into $g/(1+cg)$.  With nothing in the slots
+    An element in series with compliance c turns the slope $dz/d\Delta u = g$ into $g/(1+cg)$.  Without effects
     (a = ν = η = h = 1) it is Eq. 15 of Abbiati & Marelli without the degradation.  The force z is in newtons, so A is a
     stiffness; the force tends to the strength $[A/(\beta+\gamma)]^{1/n}$.
 
-    **With β + γ < 0 it hardens**: the stiffness grows on loading, to $A + |\beta+\gamma||z|^n$, and the law has no strength.  The
-    force is finite at any elongation all the same, at most $\frac{A}{|\beta+\gamma|}(e^{|\beta+\gamma|\Delta u} - 1)$ after
-    Δu from no force (n = 1), and β ≥ 0 makes it dissipate.  Effects whose formulas have a strength z_u take the force
-    $[A/|\beta+\gamma|]^{1/n}$ at which the stiffness on loading has doubled; it goes to infinity where β + γ comes to
-    zero, as the strength does from the other side.
+    **With β + γ < 0 the law hardens**: the stiffness grows on loading, to $A + |\beta+\gamma||z|^n$, and the law has no strength.
+    The force is still finite at any elongation: from zero force and for n = 1 it is at most
+    $\frac{A}{|\beta+\gamma|}(e^{|\beta+\gamma|\Delta u} - 1)$ after Δu.  With β ≥ 0 the law dissipates energy.  Effects whose
+    formulas have a strength z_u use the force $[A/|\beta+\gamma|]^{1/n}$ instead, at which the stiffness on loading has doubled.
+    It tends to infinity where β + γ tends to zero, as the strength does from the other side.
     """
 
     name: ClassVar[str] = "bouc_wen"

@@ -11,7 +11,7 @@ from hsed_jax.physics.parameters import parameter
 
 @final
 class Elastic(AbstractSpringLaw):
-    r"""A linear spring: $f = k\,(\Delta u - p)$, with no plastic elongation p unless an effect writes to the slot `plastic`."""
+    r"""A linear spring: $f = k\,(\Delta u - p)$.  The plastic elongation p is zero unless an effect writes to `plastic`."""
 
     name: ClassVar[str] = "elastic"
     title: ClassVar[str] = "a linear elastic spring"

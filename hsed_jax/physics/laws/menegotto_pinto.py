@@ -26,16 +26,16 @@ class _Branch(NamedTuple):
 
 @final
 class MenegottoPinto(AbstractYieldingLaw):
-    r"""Steel: curves from each reversal to the next asymptote, which turn the rounder the larger the excursion was.
+    r"""Steel: curves from each reversal to the next asymptote.  A larger previous excursion gives a rounder curve.
 
     $$\frac{f-f_r}{f_0-f_r} = b\,x + \frac{(1-b)\,x}{(1+|x|^R)^{1/R}},\qquad x = \frac{\Delta u-u_r}{u_0-u_r},\qquad
       R = R_0\Big(1-\frac{c_{R1}\xi}{c_{R2}+\xi}\Big),\quad \xi = \frac{|u_m-u_0|}{u_y}$$
 
-    from the last reversal $(u_r, f_r)$ to the corner $(u_0, f_0)$ of the elastic line through it and the hardening line
-    $f = \pm s F_y + bk\,(\Delta u \mp s u_y)$, with the furthest elongation $u_m$ on the side that is loaded and
+    from the last reversal $(u_r, f_r)$ to the intersection $(u_0, f_0)$ of the elastic line through the reversal and the
+    hardening line $f = \pm s F_y + bk\,(\Delta u \mp s u_y)$.  $u_m$ is the furthest elongation on the loaded side, and
     $u_y = F_y/k$.  Isotropic hardening shifts the line of the side that is loaded next by
     $s = 1 + a_1\big[(u_{max}-u_{min})/(2 a_2 u_y)\big]^{0.8}$ on the negative side, with $a_3, a_4$ on the positive one.
-    A step commits its end, and at a change of way what the new curve starts from.
+    A step commits its end, and at a reversal the start of the new curve.
     """
 
     name: ClassVar[str] = "menegotto_pinto"
@@ -54,21 +54,17 @@ class MenegottoPinto(AbstractYieldingLaw):
         prior={"uniform": [0.8, 0.97]},
     )  # fmt: skip
     cR2: Scalar = parameter(
-        "c_{R2}", "1", "plastic excursion that takes half of it, over the yield elongation", neutral=0.15, lower=0.01,
+        "c_{R2}", "1", "plastic excursion that takes half of this share, over yield elongation", neutral=0.15, lower=0.01,
         prior={"lognormal": [-1.9, 0.5]},
     )  # fmt: skip
     a1: Scalar = parameter(
         "a_1", "1", "isotropic hardening in compression", neutral=0.0, lower=0.0, prior={"half_normal": 0.1}
     )
-    a2: Scalar = parameter(
-        "a_2", "1", "excursion after which it counts, over yield elongation", neutral=1.0, lower=0.01
-    )
+    a2: Scalar = parameter("a_2", "1", "excursion that sets its growth, over yield elongation", neutral=1.0, lower=0.01)
     a3: Scalar = parameter(
         "a_3", "1", "isotropic hardening in tension", neutral=0.0, lower=0.0, prior={"half_normal": 0.1}
     )
-    a4: Scalar = parameter(
-        "a_4", "1", "excursion after which it counts, over yield elongation", neutral=1.0, lower=0.01
-    )
+    a4: Scalar = parameter("a_4", "1", "excursion that sets its growth, over yield elongation", neutral=1.0, lower=0.01)
 
     def start(self) -> Memory:
         """At rest, with no way yet; the furthest points of a virgin element are those of yielding."""

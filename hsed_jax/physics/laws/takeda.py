@@ -11,20 +11,20 @@ from hsed_jax.physics.scales import is_zero
 
 @final
 class Takeda(AbstractYieldingLaw):
-    r"""Reloading aims at the furthest point reached on the side that is loaded; unloading gets softer with it.
+    r"""Reloading aims at the furthest point of the loaded side.  Unloading softens with the elongation of this point.
 
     $$F(u) = \frac{\min(k u,\ F_y + b k (u-u_y))}{\nu},\qquad
       k_u = k\,\Big(\frac{u_m}{u_y}\Big)^{-\alpha},\qquad
       f = \min\Big(f_c + k_u\,(\Delta u-u_c),\ F(u_m)\frac{\Delta u-u_z}{u_m-u_z}\Big)$$
 
-    for loading towards the positive side, with the backbone F, the point $(u_c, f_c)$ that was committed, the furthest elongation
-    $u_m$ of that side (at least $u_y = F_y/k$) and the elongation $u_z$ at which the force last passed zero on its way up; beyond
-    $u_m$ the second is the backbone itself.  From a negative force it first unloads with the $k_u$ of the negative side to
-    zero, at $u_z = u_c - f_c/k_u$.  The negative side mirrors it.  A step commits its end.
+    for loading towards the positive side.  F is the backbone, $(u_c, f_c)$ the committed point, $u_m$ the furthest elongation
+    of that side (at least $u_y = F_y/k$), and $u_z$ the elongation at which the force last passed zero upwards.  Beyond
+    $u_m$ the second term of the minimum is the backbone.  From a negative force the law first unloads with the $k_u$ of the
+    negative side to zero, at $u_z = u_c - f_c/k_u$.  The negative side is the mirror image.  A step commits its end.
 
-    Where reloading starts from a force, it goes with $k_u$ until it meets the line to the furthest point (Mahin & Bertero 1976).
-    α = 0 is Clough's law; Takeda, Sozen & Nielsen take 0.4 and a trilinear backbone.  OpenSees has it as Hysteretic without
-    pinching and damage.
+    Reloading that starts from a non-zero force has the stiffness $k_u$ until it meets the line to the furthest point (Mahin &
+    Bertero 1976).  α = 0 is Clough's law; Takeda, Sozen & Nielsen use 0.4 and a trilinear backbone.  In OpenSees the law is
+    Hysteretic without pinching and damage.
     """
 
     name: ClassVar[str] = "takeda"
