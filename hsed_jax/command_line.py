@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
@@ -12,6 +12,7 @@ from hsed_jax.exit_status import ended
 from hsed_jax.interruptions import Interrupted, ended_in_time
 
 if TYPE_CHECKING:
+    from hsed_jax.measurements import Finding
     from hsed_jax.runs.ask_tell import AskTell
     from hsed_jax.runs.workflow import Run
 
@@ -189,19 +190,19 @@ def _check(options: Any) -> int:
     from hsed_jax.study.build import Built
     from hsed_jax.study.excitations import sentence_of
 
-    built, accepted = Built(study), frozenset()
+    from hsed_jax.study.unit_doubts import unit_doubts
+
+    built = Built(study)
     _ = built.mechanics.catalogue  # effects of its own, which may be wrong, come before the data
+    accepted = study.measurements.accepted(built.experiments.measured)
     if built.experiments.measured is not None:
         # Before anything is computed from the data: steps of a time that is no number are none.
-        findings, accepted = (
-            check_campaign(built.experiments.measured),
-            study.measurements.accepted(built.experiments.measured),
-        )
-        for finding in findings:
-            print(f"{finding.line} (accepted)" if (finding.experiment, finding.kind) in accepted else finding)
+        findings = check_campaign(built.experiments.measured)
+        _tell_findings(findings, accepted)
         if any(finding.level == "error" for finding in findings):
             raise UserError(f"{options.study}: the data have errors, listed above; nothing is repaired silently")
     built.check()
+    _tell_findings(unit_doubts(built), accepted)
     if built.experiments.measured is not None:
         print(overview(built.experiments.measured))
         for note in (
@@ -218,6 +219,12 @@ def _check(options: Any) -> int:
             print(f"diagnose: {note}")
     print(f"{options.study}: the study is valid; its steps are {', '.join(study.steps)}")
     return 0
+
+
+def _tell_findings(findings: "Sequence[Finding]", accepted: Set[tuple[str, str]]) -> None:
+    """Print what a check found, and what of it the study accepts."""
+    for finding in findings:
+        print(f"{finding.line} (accepted)" if (finding.experiment, finding.kind) in accepted else finding)
 
 
 def _begin(options: Any) -> None:

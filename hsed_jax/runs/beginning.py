@@ -12,7 +12,7 @@ from hsed_jax.plain import is_file, is_folder, stem_of
 
 if TYPE_CHECKING:
     from hsed_jax.intake.beginning import Begun, Said
-    from hsed_jax.measurements import Campaign
+    from hsed_jax.measurements import Campaign, Finding
 
 _STUDIES = (".yaml", ".yml")
 
@@ -118,7 +118,7 @@ def check_files(files: Sequence[Path], options: Any) -> "Begun":
     made = begun(files, _said(options))
     for line in (*made.taken, *(f"note: {note}" for note in made.notes)):
         print(line)
-    _tell_findings(made.campaign, ", ".join(map(str, files[:3])))
+    _tell_findings(made.campaign, ", ".join(map(str, files[:3])), made.doubts)
     if sys.stdout.isatty():
         print(sketch(made.campaign))
     return made
@@ -204,8 +204,8 @@ def _study_of_campaign(folder: Path, options: Any) -> Path:
     return output
 
 
-def _tell_findings(campaign: "Campaign", where: str) -> None:
-    """Print what the checks find.
+def _tell_findings(campaign: "Campaign", where: str, doubts: "Sequence[Finding]" = ()) -> None:
+    """Print what the checks find, and further doubts.
 
     Raises:
         UserError: there is an error among it.
@@ -213,7 +213,7 @@ def _tell_findings(campaign: "Campaign", where: str) -> None:
     from hsed_jax.measurements import check_campaign
 
     findings = check_campaign(campaign)
-    for finding in findings:
+    for finding in (*findings, *doubts):
         print(finding)
     if any(finding.level == "error" for finding in findings):
         raise UserError(f"{where}: the data have errors, listed above; nothing is repaired silently")
