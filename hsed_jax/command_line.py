@@ -12,7 +12,7 @@ from hsed_jax.exit_status import ended
 from hsed_jax.interruptions import Interrupted, ended_in_time
 
 if TYPE_CHECKING:
-    from hsed_jax.measurements import Finding
+    from hsed_jax.measurements import Campaign, Finding
     from hsed_jax.runs.ask_tell import AskTell
     from hsed_jax.runs.workflow import Run
 
@@ -67,7 +67,7 @@ def command_line() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     text = "run the steps of a study, or of the study that hsed init writes for files"
     _add_run(commands.add_parser("run", help=text, description=_RUN), takes_files=True)
-    text = "validate a study and its data, or the files of a laboratory; run and write nothing"
+    text = "validate a study and its data, or the files of a laboratory, and run nothing; of doubts it draws pictures"
     check = commands.add_parser("check", help=text, description=text.capitalize() + ".")
     check.add_argument("study", metavar="STUDY.yaml|FILE")
     check.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="override a key by its dotted path")
@@ -180,6 +180,8 @@ def _check(options: Any) -> int:
 
     if files := files_of([options.study, *options.overrides]):
         check_files(files, options)
+        named = " ".join(quote(str(file)) for file in files)
+        print(f"the files can be read; with the same options, their study is made by: hsed init {named}")
         return 0
     from hsed_jax.config.load import load_trusted
 
@@ -189,12 +191,11 @@ def _check(options: Any) -> int:
     from hsed_jax.study.advice import forecast, frequency_doubts
     from hsed_jax.study.build import Built
     from hsed_jax.study.excitations import sentence_of
-
     from hsed_jax.study.unit_doubts import unit_doubts
 
     built = Built(study)
     _ = built.mechanics.catalogue  # effects of its own, which may be wrong, come before the data
-    accepted = study.measurements.accepted(built.experiments.measured)
+    accepted, findings = study.measurements.accepted(built.experiments.measured), []
     if built.experiments.measured is not None:
         # Before anything is computed from the data: steps of a time that is no number are none.
         findings = check_campaign(built.experiments.measured)
@@ -202,8 +203,9 @@ def _check(options: Any) -> int:
         if any(finding.level == "error" for finding in findings):
             raise UserError(f"{options.study}: the data have errors, listed above; nothing is repaired silently")
     built.check()
-    _tell_findings(unit_doubts(built), accepted)
+    _tell_findings(further := unit_doubts(built), accepted)
     if built.experiments.measured is not None:
+        _draw_doubts(built.experiments.measured, [*findings, *further], Path(options.study))
         print(overview(built.experiments.measured))
         for note in (
             *built.experiments.thinning_notes(built.experiments.measured),
@@ -225,6 +227,19 @@ def _tell_findings(findings: "Sequence[Finding]", accepted: Set[tuple[str, str]]
     """Print what a check found, and what of it the study accepts."""
     for finding in findings:
         print(f"{finding.line} (accepted)" if (finding.experiment, finding.kind) in accepted else finding)
+
+
+def _draw_doubts(campaign: "Campaign", findings: "Sequence[Finding]", study: Path) -> None:
+    """Write pictures of the doubted records into a folder beside a study, and name them."""
+    if not any(finding.level == "doubt" for finding in findings):
+        return
+    from hsed_jax.reporting.doubt_figures import write_pictures
+
+    try:
+        for id, path in write_pictures(campaign, findings, study.parent / "figures"):
+            print(f"{id}: the picture {path} marks what is doubted")
+    except UserError as error:  # a folder that only others may write is no fault of the data
+        print(f"warning: {error}", file=sys.stderr)
 
 
 def _begin(options: Any) -> None:

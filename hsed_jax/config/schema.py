@@ -141,7 +141,9 @@ class MeasurementsEntry(Section):
                 )
             ids = known if experiment == _ALL and _ALL not in known else [experiment]
             # A doubt of the structure is one of all experiments.
-            found |= {(id, kind) for id in [*ids, experiment] for kind in ([kinds] if isinstance(kinds, str) else kinds)}
+            found |= {
+                (id, kind) for id in [*ids, experiment] for kind in ([kinds] if isinstance(kinds, str) else kinds)
+            }
         return frozenset(found)
 
 

@@ -84,7 +84,8 @@ def text_of_study(
         "  spring: bouc_wen",
         "  parameters:",
         f"    # initial stiffness [{pair.unit('N/m')}]: {_round(stiffness.value)} is the {pair.words(stiffness.source)};",
-        "    # within a factor of 4 with 95 %" + (", with what gravity takes away" if frame.masses and frame.height else ""),
+        "    # within a factor of 4 with 95 %"
+        + (", with what gravity takes away" if frame.masses and frame.height else ""),
         f"    A: {{lognormal: [{math.log(stiffness.value + _of_gravity(frame)):.3f}, 0.7]}}",
         f"    # stiffness over strength [{pair.unit('1/m')}]: the strength A/beta is about {pair.words(strength.source)},",
         f"    # {_round(strength.value)} {pair.force_unit} (median over experiments); within a factor of 4 with 95 %",
@@ -134,7 +135,9 @@ def _check_frame(campaign: Campaign, folder: Path, frame: Frame) -> None:
         if frame.masses:
             raise UserError(f"{folder}: the elongation was imposed on the specimen alone; masses are of a shaken frame")
         if campaign.pair.elongation_unit != "m":
-            raise UserError(f"{folder}: --height turns an elongation into a drift; here the {campaign.pair.elongation} is measured")
+            raise UserError(
+                f"{folder}: --height is that of an elongation; here the {campaign.pair.elongation} is measured"
+            )
         return
     if frame.height and not frame.masses:
         raise UserError("--height needs --masses: gravity acts on the drift by the weight above it")

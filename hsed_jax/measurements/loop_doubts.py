@@ -127,7 +127,9 @@ def _timing(campaign: Campaign, id: str, record: Record, owner: str, found: np.n
             f"its extreme comes after the reversal of the elongation at {100 * is_late.mean():.0f} % of {lags.size} reversals: "
             f"does the force come late? A lag of about {_lag(campaign, record, lag)} would explain it"
         )
-        spans = tuple((at, at + late + 1) for at, late in zip(found[1:-1].tolist(), lags.tolist(), strict=True) if late > 0)
+        spans = tuple(
+            (at, at + late + 1) for at, late in zip(found[1:-1].tolist(), lags.tolist(), strict=True) if late > 0
+        )
         yield Finding("doubt", id, name, float(record.time[first]), message, "timing", spans=spans)
         return
     cycle = 2 * float(np.median(np.diff(found)))
@@ -139,7 +141,9 @@ def _timing(campaign: Campaign, id: str, record: Record, owner: str, found: np.n
             f"its extreme comes before the reversal of the elongation at {100 * is_early.mean():.0f} % of {lags.size} "
             f"reversals, by {early:.0f} samples: does the force come early?"
         )
-        spans = tuple((at + lead, at + 1) for at, lead in zip(found[1:-1].tolist(), lags.tolist(), strict=True) if lead < 0)
+        spans = tuple(
+            (at + lead, at + 1) for at, lead in zip(found[1:-1].tolist(), lags.tolist(), strict=True) if lead < 0
+        )
         first = int(found[1:-1][is_early][0])
         yield Finding("doubt", id, name, float(record.time[first]), message, "timing", spans=spans)
 

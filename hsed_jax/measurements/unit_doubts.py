@@ -1,7 +1,7 @@
 """Doubts of units: magnitudes that no specimen has, and records that differ by the factor between two units.
 
-A unit that is wrong for the whole record leaves the shape of every loop as it is.  Three things can tell it: the largest force over
-the largest elongation, the other experiments of the campaign, and an input that is the amplitude of the test.
+A unit that is wrong for the whole record leaves the shape of every loop as it is.  Three things can tell it: the largest force
+over the largest elongation, the other experiments of the campaign, and an input that is the amplitude of the test.
 """
 
 from collections.abc import Iterator, Sequence
@@ -37,7 +37,10 @@ MIXED: dict[str, dict[float, str]] = {
 """Factor between two units that are taken for one another, by dimension."""
 
 LARGE = 100.0  # specimens of one campaign differ by less
-NEAR = {False: 1.15, True: 4.0}  # a ratio is that of two units where it differs by less; a large factor allows for the specimens
+NEAR = {
+    False: 1.15,
+    True: 4.0,
+}  # a ratio is that of two units where it differs by less; a large factor allows for the specimens
 AMONG = 1.5  # the same where several experiments tell it
 ALIKE = {False: 1.35, True: 10.0}  # scatter of the ratios over the levels at which two experiments are compared
 LEVELS = {"force": (0.3, 0.5, 0.7, 0.9), "elongation": (0.2, 0.3, 0.4, 0.5)}
@@ -113,7 +116,9 @@ def _against_others(campaign: Campaign, measured: Sequence[Experiment]) -> Itera
     for owner in owners:
         known = {e.id: envelope for e in measured if (envelope := _envelope(e.record, owner)) is not None}
         for number, (id, own) in enumerate(known.items()):
-            others = dict(list(known.items())[:number]) if len(known) == 2 else {k: v for k, v in known.items() if k != id}
+            others = (
+                dict(list(known.items())[:number]) if len(known) == 2 else {k: v for k, v in known.items() if k != id}
+            )
             for channel in LEVELS:
                 name = named(owner, channel)
                 compared = {other: _compared(own, envelope, channel) for other, envelope in others.items()}
@@ -227,5 +232,3 @@ def _against_inputs(campaign: Campaign, measured: Sequence[Experiment]) -> Itera
 
 def _peak(record: Record | None, channel: str) -> float:
     return 0.0 if record is None or channel not in record.channels else float(np.abs(record[channel]).max())
-
-

@@ -20,7 +20,7 @@ from hsed_jax.study.build import Built
 DRIFT = (1e-6, 0.5)
 """Plausible largest drift ratio; a frame has collapsed long before 0.5, and below 1e-6 no sensor sees a loop."""
 PERIOD = (1e-3, 20.0)
-"""Plausible first period [s]; the tallest buildings and seismic isolation end near 10 s, the stiffest components begin near 1e-3 s."""
+"""Plausible first period [s]; the tallest buildings and seismic isolation end near 10 s, stiff machines begin near 1e-3 s."""
 EVERY = "all"
 """What a doubt of the structure is of, instead of an experiment."""
 _MOMENTS = 4000  # of a planned motion, whose peak is looked for
@@ -60,8 +60,8 @@ def drift_doubts(campaign: Campaign, height: float) -> Iterator[Finding]:
             if DRIFT[0] <= size / height <= DRIFT[1] or size == 0:
                 continue
             message = (
-                f"its largest magnitude, {amount(campaign.pair, name, size)}, is a drift ratio of {size / height:.2g} of the height "
-                f"of {height:g} m; structures have {DRIFT[0]:g} to {DRIFT[1]:g}: is a unit wrong?"
+                f"its largest magnitude, {amount(campaign.pair, name, size)}, is a drift ratio of {size / height:.2g} of the "
+                f"height of {height:g} m; structures have {DRIFT[0]:g} to {DRIFT[1]:g}: is a unit wrong?"
             )
             at, span = float(record.time[peak]), ((peak, peak + 1),)
             yield Finding("doubt", experiment.id, name, at, message, "unit", campaign.has_time, span)
@@ -76,8 +76,8 @@ def period_doubts(built: Built) -> Iterator[Finding]:
     frequency = frequency_of(mechanics, structure, 0.5)
     if frequency > 0 and not PERIOD[0] <= 1 / frequency <= PERIOD[1]:
         message = (
-            f"its first period is {1 / frequency:.3g} s with the masses [kg] and stiffnesses [N/m] in the middle of their priors; "
-            f"structures have {PERIOD[0]:g} to {PERIOD[1]:g} s: is a unit wrong?"
+            f"its first period is {1 / frequency:.3g} s with the masses [kg] and stiffnesses [N/m] in the middle of their "
+            f"priors; structures have {PERIOD[0]:g} to {PERIOD[1]:g} s: is a unit wrong?"
         )
         yield Finding("doubt", EVERY, "structure", None, message, "unit")
 
