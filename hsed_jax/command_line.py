@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,6 @@ from hsed_jax.exit_status import ended
 from hsed_jax.interruptions import Interrupted, ended_in_time
 
 if TYPE_CHECKING:
-    from hsed_jax.measurements import Campaign, Finding
     from hsed_jax.runs.ask_tell import AskTell
     from hsed_jax.runs.workflow import Run
 
@@ -187,59 +186,10 @@ def _check(options: Any) -> int:
 
     study = load_trusted(options.study, options.overrides, trust=options.trust)
     # A wrong key is told before what calculates is loaded.
-    from hsed_jax.measurements import check_campaign, overview, stop_at_errors
-    from hsed_jax.study.advice import forecast, frequency_doubts
-    from hsed_jax.study.build import Built
-    from hsed_jax.study.excitations import sentence_of
-    from hsed_jax.study.unit_doubts import unit_doubts
+    from hsed_jax.runs.checking import check_study
 
-    built = Built(study)
-    _ = built.mechanics.catalogue  # effects of its own, which may be wrong, come before the data
-    accepted, findings = study.measurements.accepted(built.experiments.measured), []
-    if built.experiments.measured is not None:
-        # Before anything is computed from the data: steps of a time that is no number are none.
-        findings = check_campaign(built.experiments.measured)
-        _tell_findings(findings, accepted)
-        if any(finding.level == "error" for finding in findings):
-            raise UserError(f"{options.study}: the data have errors, listed above; nothing is repaired silently")
-    built.check()
-    _tell_findings(further := unit_doubts(built), accepted)
-    if built.experiments.measured is not None:
-        _draw_doubts(built.experiments.measured, [*findings, *further], Path(options.study))
-        print(overview(built.experiments.measured))
-        for note in (
-            *built.experiments.thinning_notes(built.experiments.measured),
-            *frequency_doubts(built.mechanics, built.experiments.measured),
-        ):
-            print(note)
-        print(forecast(built.inference, built.experiments.measured))
-        stop_at_errors(built.experiments.measured, accepted)
-    if built.experiments.excitation is not None and built.simulation.grid is None:
-        print(f"{sentence_of(study)}; {built.simulation.planned.steps} steps of the integration")
-    if "diagnose" in study.steps:
-        for note in built.mechanics.naming.left_out():
-            print(f"diagnose: {note}")
-    print(f"{options.study}: the study is valid; its steps are {', '.join(study.steps)}")
+    check_study(study, Path(options.study))
     return 0
-
-
-def _tell_findings(findings: "Sequence[Finding]", accepted: Set[tuple[str, str]]) -> None:
-    """Print what a check found, and what of it the study accepts."""
-    for finding in findings:
-        print(f"{finding.line} (accepted)" if (finding.experiment, finding.kind) in accepted else finding)
-
-
-def _draw_doubts(campaign: "Campaign", findings: "Sequence[Finding]", study: Path) -> None:
-    """Write pictures of the doubted records into a folder beside a study, and name them."""
-    if not any(finding.level == "doubt" for finding in findings):
-        return
-    from hsed_jax.reporting.doubt_figures import write_pictures
-
-    try:
-        for id, path in write_pictures(campaign, findings, study.parent / "figures"):
-            print(f"{id}: the picture {path} marks what is doubted")
-    except UserError as error:  # a folder that only others may write is no fault of the data
-        print(f"warning: {error}", file=sys.stderr)
 
 
 def _begin(options: Any) -> None:

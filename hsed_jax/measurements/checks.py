@@ -133,4 +133,7 @@ def _finite(id: str, record: Record, name: str) -> Iterator[Finding]:
     if bad.any():
         first = int(np.argmax(bad))
         message = f"{int(bad.sum())} of {len(record)} samples are not numbers, the first is sample {first + 1}"
+        good = np.flatnonzero(~bad)
+        if good.size and good.size == good[-1] - good[0] + 1:
+            message += "; all of them are at an end of the record: delete these rows, or have hsed init read the file"
         yield Finding("error", id, name, float(record.time[first]), message)
