@@ -179,8 +179,6 @@ def _check(options: Any) -> int:
 
     if files := files_of([options.study, *options.overrides]):
         check_files(files, options)
-        named = " ".join(quote(str(file)) for file in files)
-        print(f"the files can be read; with the same options, their study is made by: hsed init {named}")
         return 0
     from hsed_jax.config.load import load_trusted
 

@@ -18,6 +18,7 @@ from hsed_jax.measurements.sheets import (
     NOT_FINITE,
     NUMBER_WITH_COMMA,
     NUMBER_WITH_POINT,
+    THOUSANDS,
     is_comment,
     lines_of,
     read_text,
@@ -27,7 +28,6 @@ from hsed_jax.plain import shown
 
 _SPREADSHEET_ERROR = re.compile(r"#([A-Z0-9/]+[!?]|N/A|NV|N/D|#+)")
 _DATE = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}.*|\d{1,2}[- ][A-Za-z]{3}.*|\d{1,2}:\d{2}.*")
-_THOUSANDS = re.compile(r"[+-]?\d{1,3}([.,' \u00a0\u202f]\d{3})+([.,]\d*)?")
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ class Table:
             return f"{said} has a decimal point where other cells have a decimal comma; use one of them throughout"
         if _SPREADSHEET_ERROR.fullmatch(cell):
             return f"{said} is an error of the spreadsheet; mend its formula or write a number"
-        if NUMBER_WITH_COMMA.fullmatch(cell) or _THOUSANDS.fullmatch(cell):
+        if NUMBER_WITH_COMMA.fullmatch(cell) or THOUSANDS.fullmatch(cell):
             return (
                 f"{said} has a decimal comma or thousands separators; write a decimal point and no thousands "
                 "separators (a decimal comma is read where semicolons or tabs separate the columns)"
