@@ -4,7 +4,7 @@ The declaration says which columns are wanted, so that the row with their names 
 above it is no data; a row of numbers there is refused.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from itertools import islice
 from pathlib import Path
 
@@ -34,11 +34,10 @@ def titles_above(
         UserError: a row of numbers stands above the names.
     """
     lines, wanted = list(islice(lines_of(text), _ABOVE)), set(wanted)
-
-    def found(line: str) -> int:
-        return max(len(wanted & {cell.strip() for cell in cells(line.rstrip("\r\n"), d)}) for d in DELIMITERS)
-
-    hits = [0 if is_comment(line) else found(line) for line in lines]
+    hits = [
+        0 if is_comment(line) else max(named_columns(line, lines[k + 1 : k + 2], wanted, d, cells) for d in DELIMITERS)
+        for k, line in enumerate(lines)
+    ]
     if hits[0] or not wanted:
         return 0
     if max(hits) > 0:
@@ -56,6 +55,23 @@ def titles_above(
     above = next((k for k, line in enumerate(lines) if not is_comment(line) and _is_row_of_numbers(line, cells)), 0)
     widths = [max(len(_filled(line, d, cells)) for d in DELIMITERS) for line in (lines[0], lines[above])]
     return above if widths[0] != widths[1] else 0
+
+
+def named_columns(
+    line: str,
+    following: Sequence[str],
+    wanted: Set[str],
+    delimiter: str | None,
+    cells: Callable[[str, str | None], list[str]],
+) -> int:
+    """How many wanted columns a line names between separators.
+
+    Blanks separate only where they do so in the line that follows: ``U [mm],F [kN]`` names no column ``U``.
+    """
+    own = [cell.strip() for cell in cells(line.rstrip("\r\n"), delimiter)]
+    if delimiter is None and any(len(cells(other.rstrip("\r\n"), None)) != len(own) for other in following):
+        return 0
+    return len(wanted & {*own})
 
 
 def row_of_units(row: Sequence[str], positions: Sequence[int]) -> dict[int, str]:
