@@ -45,14 +45,19 @@ AMONG = 1.5  # the same where several experiments tell it
 ALIKE = {False: 1.35, True: 10.0}  # scatter of the ratios over the levels at which two experiments are compared
 LEVELS = {"force": (0.3, 0.5, 0.7, 0.9), "elongation": (0.2, 0.3, 0.4, 0.5)}
 """These levels, as shares of the range that both have: a plateau of the force says nothing of the elongation."""
+MOST = 15  # experiments that each one is compared with
 SAME = 1.25  # peaks over their input differ by less where the input is the amplitude
 
 
-class _Envelope(NamedTuple):
-    """Largest magnitudes up to each sample, (m,) each."""
+class _Growth(NamedTuple):
+    """How the magnitude of one channel grows with that of the other one: magnitudes reached so far, growing, (g,) each."""
 
-    elongation: np.ndarray
-    force: np.ndarray
+    levels: np.ndarray
+    values: np.ndarray
+
+    def at(self, levels: np.ndarray) -> np.ndarray:
+        """What has been reached when a level is first reached, on lines between the samples that reach further."""
+        return np.interp(levels, self.levels, self.values)
 
 
 def specimen_doubts(campaign: Campaign, id: str, record: Record) -> Iterator[Finding]:
@@ -103,25 +108,26 @@ def _is_near(one: float, other: float, factor: float) -> bool:
 
 def _distinct(campaign: Campaign) -> list[Experiment]:
     """Completed experiments with a record of their own: windows of one record are one experiment here."""
-    found: list[Experiment] = []
+    found: dict[int, Experiment] = {}
     for experiment in campaign.completed:
-        record = experiment.record
-        if record is not None and not any(record == other.record for other in found):
-            found.append(experiment)
-    return found
+        if experiment.record is not None:
+            found.setdefault(id(experiment.record), experiment)
+    return list(found.values())
 
 
 def _against_others(campaign: Campaign, measured: Sequence[Experiment]) -> Iterator[Finding]:
     owners = dict.fromkeys(owner for e in measured if e.record is not None for owner in loops(e.record.channels))
     for owner in owners:
-        known = {e.id: envelope for e in measured if (envelope := _envelope(e.record, owner)) is not None}
+        known = {e.id: growth for e in measured if (growth := _growth(e.record, owner))}
+        names = list(known)
         for number, (id, own) in enumerate(known.items()):
-            others = (
-                dict(list(known.items())[:number]) if len(known) == 2 else {k: v for k, v in known.items() if k != id}
-            )
+            rest = names[:number] if len(known) == 2 else [other for other in names if other != id]
+            others = {other: known[other] for other in rest[:: max(1, -(-len(rest) // MOST))]}
             for channel in LEVELS:
                 name = named(owner, channel)
-                compared = {other: _compared(own, envelope, channel) for other, envelope in others.items()}
+                compared = {
+                    other: _compared(own[channel], growth[channel], channel) for other, growth in others.items()
+                }
                 found = _factor(channel_dimension(name, campaign.pair), list(compared.values()))
                 if found is None:
                     continue
@@ -171,33 +177,30 @@ def _factor(dimension: Dimension, compared: Sequence[_Compared]) -> tuple[float,
     return said if all(is_away) and 2 * sum(is_it) > len(compared) else None
 
 
-def _envelope(record: Record | None, owner: str) -> _Envelope | None:
-    """How the magnitudes of a loop grow; None of a record without one."""
-    names = named(owner, "elongation"), named(owner, "force")
-    if record is None or not {*names} <= record.channels.keys():
-        return None
-    elongation, force = (np.maximum.accumulate(np.abs(record[name])) for name in names)
-    if not (np.isfinite(elongation[-1] * force[-1]) and elongation[-1] > 0 and force[-1] > 0):
-        return None
-    return _Envelope(elongation, force)
+def _growth(record: Record | None, owner: str) -> dict[str, _Growth]:
+    """By channel, how it grows with the other channel of a loop; none of a record without one."""
+    names = {channel: named(owner, channel) for channel in LEVELS}
+    if record is None or not {*names.values()} <= record.channels.keys():
+        return {}
+    reached = {channel: np.maximum.accumulate(np.abs(record[name])) for channel, name in names.items()}
+    if not all(np.isfinite(values[-1]) and values[-1] > 0 for values in reached.values()):
+        return {}
+    found = {}
+    for channel, other in (("force", "elongation"), ("elongation", "force")):
+        further = np.flatnonzero(np.diff(reached[other], prepend=0.0) > 0)
+        values = (np.concatenate([[0.0], reached[name][further]]) for name in (other, channel))
+        found[channel] = _Growth(*values)
+    return found
 
 
-def _compared(one: _Envelope, other: _Envelope, channel: str) -> _Compared:
-    levels, values = (0, 1) if channel == "force" else (1, 0)
-    tops = float(one[levels][-1]), float(other[levels][-1])
+def _compared(one: _Growth, other: _Growth, channel: str) -> _Compared:
+    tops = float(one.levels[-1]), float(other.levels[-1])
     at = np.asarray(LEVELS[channel]) * min(tops)
-    ratios = [_at(e[levels], e[values], at) for e in (one, other)]
     with np.errstate(divide="ignore", invalid="ignore"):
-        logs = np.log(ratios[0] / ratios[1])
+        logs = np.log(one.at(at) / other.at(at))
     if not np.isfinite(logs).all():
         return _Compared(1.0, np.inf, np.inf)
     return _Compared(float(np.exp(np.median(logs))), float(np.exp(np.ptp(logs))), max(tops) / min(tops))
-
-
-def _at(levels: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """What has been reached when a growing level is first reached, on lines between the samples that reach further."""
-    further = np.concatenate([[True], np.diff(levels) > 0])
-    return np.interp(at, np.concatenate([[0.0], levels[further]]), np.concatenate([[0.0], values[further]]))
 
 
 def _against_inputs(campaign: Campaign, measured: Sequence[Experiment]) -> Iterator[Finding]:
