@@ -230,8 +230,8 @@ def read_record_table(path: Path, wanted: Iterable[str]) -> Table:
     if above := titles_above(path, text, wanted, skipped, _cells):
         text, skipped = "".join(islice(lines_of(text), above, None)), skipped + above
     present = [d for d in DELIMITERS if len(_header(text, d)) > 1]
-    first, *following = islice(lines_of(text), 2)
-    meant = max([*present, ","], key=lambda d: named_columns(first, following, wanted, d, _cells))
+    head, *following = islice(lines_of(text), 2)
+    meant = max([*present, ","], key=lambda d: named_columns(head, following, wanted, d, _cells))
     delimiter, rows, numbers = _split(path, text, meant, skipped)
     keep = [i for i, row in enumerate(rows) if row and not (i and is_comment(",".join(row)))]
     while keep and not any(cell.strip() for cell in rows[keep[-1]]):
