@@ -2,23 +2,30 @@
 
 `python benchmarks/doubts.py` writes `benchmarks/doubts.json` and prints the table of `docs/measurements.md`.  Five measured
 component records get each fault in three sizes.  Clean are the same records, windows of them, synthetic loops of four laws
-with noise, and windows of cyclic curves of stone masonry in which no rows are missing.
+with noise, and windows of cyclic curves of stone masonry in which no rows are missing.  A unit that is wrong for a whole record
+is looked for in two campaigns, one experiment of each after the other.
 """
 
+import csv
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from hsed_jax.measurements import Campaign, check_campaign, read_campaign
+from hsed_jax.measurements import Campaign, Record, check_campaign, read_campaign
 from hsed_jax.measurements.turns import turns
+from hsed_jax.measurements.unit_doubts import factor_doubts
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 FIVE = {"rc_column": "first_cycles", "timber_connection": "first_cycles", "steel_damper": "first_cycles",
         "friction_damper": "harmonic_025Hz", "steel_coupons": "A64"}  # fmt: skip
 MISSING = {"FD_WI1100_Vasconcelos2009": 114, "FD_WS1250_Vasconcelos2009": 147}
 """Curves in which rows are missing: in one sample the elongation goes from 0.5 to -5.6 mm, and from -3.1 to -5.2 mm."""
+UNITS = {"force": (9.80665, 1000.0, 4448.22), "elongation": (10.0, 25.4, 1000.0)}
+"""Factors between units that are taken for one another."""
+EVERY = 4  # experiments of a campaign of which one after the other is put into another unit
 Loop = tuple[np.ndarray, np.ndarray]
 
 
@@ -151,6 +158,44 @@ def masonry() -> Iterator[tuple[str, Loop]]:
         yield path.stem, (u[:end], f[:end])
 
 
+def campaigns() -> Iterator[tuple[str, Campaign]]:
+    """Steel coupons, and a factorial of tests of a friction damper with its amplitudes as an input."""
+    yield "24 steel coupons", read_campaign(DATA / "steel_coupons")
+    folder = DATA / "friction_damper_factorial"
+    with (folder / "experiments.csv").open(encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["amplitude"]]
+    channels = {"time": "s", "elongation": "inch", "force": "kip"}
+    records = {}
+    for row in rows:
+        table = np.loadtxt(folder / "records" / f"{row['id']}.csv", delimiter=",", skiprows=1)
+        records[row["id"]] = dict(zip(channels, table.T, strict=True))
+    inputs = {"amplitude": "inch", "tension": "lbf", "frequency": "Hz"}
+    experiments = [{"id": row["id"], **{name: float(row[name]) for name in inputs}} for row in rows]
+    yield (
+        f"{len(rows)} tests of a friction damper",
+        Campaign.from_frames(experiments, records, protocol="displacement", inputs=inputs, channels=channels),
+    )
+
+
+def doubted_units(campaign: Campaign) -> set[tuple[str, str]]:
+    """Experiment and channel of every doubt of a unit that other experiments or an input tell."""
+    return {(finding.experiment, finding.channel) for finding in factor_doubts(campaign)}
+
+
+def found_units(campaign: Campaign, channel: str, factor: float) -> tuple[int, int, int]:
+    """How many experiments in another unit are found, how many there are, and how often something else is doubted."""
+    found, others, chosen = 0, 0, campaign.experiments[::EVERY]
+    for k, experiment in enumerate(chosen):
+        assert experiment.record is not None
+        size = factor if k % 2 else 1 / factor
+        channels = {n: (size if n == channel else 1.0) * v for n, v in experiment.record.channels.items()}
+        wrong = campaign.update(replace(experiment, record=Record(experiment.record.time, channels)))
+        doubts = doubted_units(wrong)
+        found += (experiment.id, channel) in doubts
+        others += bool(doubts - {(experiment.id, channel)})
+    return found, len(chosen), others
+
+
 def main() -> None:
     """Inject, check, count, print."""
     faults = {}
@@ -164,7 +209,14 @@ def main() -> None:
         if name in campaign and (record := campaign[name].record) is not None:
             clean.append((f"steel_coupons {name}", (record["elongation"], record["force"])))
     false = {name: sorted(kinds) for name, (u, f) in clean if (kinds := said(u, f))}
-    result = {"faults": faults, "clean": len(clean), "false": false}
+    units = {}
+    for name, campaign in campaigns():
+        false |= {name: sorted(map(str, doubts))} if (doubts := doubted_units(campaign)) else {}
+        units[name] = {
+            channel: {f"{factor:g}": found_units(campaign, channel, factor) for factor in factors}
+            for channel, factors in UNITS.items()
+        }
+    result = {"faults": faults, "units": units, "clean": len(clean), "false": false}
     (Path(__file__).parent / "doubts.json").write_text(json.dumps(result, indent=1) + "\n")
     print("| fault | sizes | said as | small | medium | large |\n|---|---|---|---|---|---|")
     for fault, row in faults.items():
@@ -172,6 +224,11 @@ def main() -> None:
         print(
             f"| {fault} | {sizes} | `{row['kind']}` | " + " | ".join(f"{n} of {row['of']}" for n in row["said"]) + " |"
         )
+    print("\n| campaign | channel | factor | found | something else is doubted |\n|---|---|---|---|---|")
+    for name, channels in units.items():
+        for channel, factors in channels.items():
+            for factor, (found, count, others) in factors.items():
+                print(f"| {name} | {channel} | {factor} | {found} of {count} | {others} |")
     print(f"\nAny doubt of {len(clean)} clean records: {len(false)} ({false})")
 
 

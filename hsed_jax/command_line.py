@@ -66,7 +66,7 @@ def command_line() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     text = "run the steps of a study, or of the study that hsed init writes for files"
     _add_run(commands.add_parser("run", help=text, description=_RUN), takes_files=True)
-    text = "validate a study and its data, or the files of a laboratory; run and write nothing"
+    text = "validate a study and its data, or the files of a laboratory, and run nothing; of doubts it draws pictures"
     check = commands.add_parser("check", help=text, description=text.capitalize() + ".")
     check.add_argument("study", metavar="STUDY.yaml|FILE")
     check.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="override a key by its dotted path")
@@ -188,39 +188,9 @@ def _check(options: Any) -> int:
 
     study = load_trusted(options.study, options.overrides, trust=options.trust)
     # A wrong key is told before what calculates is loaded.
-    from hsed_jax.measurements import check_campaign, overview, stop_at_errors
-    from hsed_jax.study.advice import forecast, frequency_doubts
-    from hsed_jax.study.build import Built
-    from hsed_jax.study.excitations import sentence_of
+    from hsed_jax.runs.checking import check_study
 
-    built, accepted = Built(study), frozenset()
-    _ = built.mechanics.catalogue  # effects of its own, which may be wrong, come before the data
-    if built.experiments.measured is not None:
-        # Before anything is computed from the data: steps of a time that is no number are none.
-        findings, accepted = (
-            check_campaign(built.experiments.measured),
-            study.measurements.accepted(built.experiments.measured),
-        )
-        for finding in findings:
-            print(f"{finding.line} (accepted)" if (finding.experiment, finding.kind) in accepted else finding)
-        if any(finding.level == "error" for finding in findings):
-            raise UserError(f"{options.study}: the data have errors, listed above; nothing is repaired silently")
-    built.check()
-    if built.experiments.measured is not None:
-        print(overview(built.experiments.measured))
-        for note in (
-            *built.experiments.thinning_notes(built.experiments.measured),
-            *frequency_doubts(built.mechanics, built.experiments.measured),
-        ):
-            print(note)
-        print(forecast(built.inference, built.experiments.measured))
-        stop_at_errors(built.experiments.measured, accepted)
-    if built.experiments.excitation is not None and built.simulation.grid is None:
-        print(f"{sentence_of(study)}; {built.simulation.planned.steps} steps of the integration")
-    if "diagnose" in study.steps:
-        for note in built.mechanics.naming.left_out():
-            print(f"diagnose: {note}")
-    print(f"{options.study}: the study is valid; its steps are {', '.join(study.steps)}")
+    check_study(study, Path(options.study))
     return 0
 
 

@@ -43,8 +43,11 @@ def test_a_file_becomes_a_campaign_a_study_and_a_picture(wall, capsys):
     np.testing.assert_allclose(train.record["force"], 1e3 * F, rtol=1e-12)
     assert (train.split, train.window, test.split, test.window) == ("train", (0, 199), "test", (200, 299))
     assert sorted(path.name for path in Path("wall").iterdir()) == [
-        "campaign.yaml", "experiments.csv", "loops.png", "records", "study.yaml"]  # fmt: skip
+        "campaign.yaml", "experiments.csv", "figures", "loops.png", "records", "study.yaml"]  # fmt: skip
     assert Path("wall/loops.png").read_bytes().startswith(b"\x89PNG")
+    # Its work is negative: that is doubted, and drawn beside the study.
+    assert said[-2] == "wall: the picture wall/figures/doubts_wall.png marks what is doubted"
+    assert Path("wall/figures/doubts_wall.png").read_bytes().startswith(b"\x89PNG")
     text = Path("wall/study.yaml").read_text()
     assert "# Made of wall.csv:\n#   elongation: column 'top_displacement [mm]'" in text
     Built(load_study("wall/study.yaml")).check()
@@ -94,7 +97,7 @@ def test_what_is_there_is_replaced_only_by_force_and_the_column_of_the_force_is_
         (["nowhere.csv"], "nowhere.csv: cannot be read"),
         (["wall.csv", "wall.xyz"], "give either one folder of a campaign, or files"),
         (["nowhere"], "nowhere: no such folder"),
-        (["wall.csv", "--masses", "1"], "masses and a height are of a shaken frame"),
+        (["wall.csv", "--masses", "1"], "masses are of a shaken frame"),
     ],
 )
 def test_a_mistake_is_one_message_and_leaves_nothing(wall, capsys, words, message):

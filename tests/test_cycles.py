@@ -416,3 +416,68 @@ def test_small_cycles_with_noise_in_both_channels_return_nothing():
         measured = u + 5e-4 * rng.standard_normal(u.size), 1e5 * u + 50.0 * rng.standard_normal(u.size)
         doubted += bool(returned(cycles_of(measured[1], measured[0]), *measured))
     assert doubted <= 2
+
+
+# --- what the authors of a database of walls read from the same curves -----------------------------------------------
+
+CURVES = DATA / "stone_masonry" / "curves"
+
+
+@pytest.fixture(scope="module")
+def published() -> dict[str, dict[str, float]]:
+    """Published values of 21 walls by curve, in mm, kN and percent of the height."""
+    lines = (Path(__file__).parent / "data" / "stone_masonry_published.csv").read_text().splitlines()
+    rows = csv.DictReader(line for line in lines if not line.startswith("#"))
+    return {row.pop("curve"): {name: float(value) for name, value in row.items()} for row in rows}
+
+
+@pytest.fixture(scope="module")
+def read_from_curves(published):
+    """The same values as read here, and the height by the columns of displacement and drift."""
+    found = {}
+    for name in published:
+        lines = (CURVES / f"{name}.csv").read_bytes().decode("latin-1").splitlines()[4:]
+        table = np.asarray([[float(cell or "nan") for cell in line.split(",")[:3]] for line in lines])
+        height = float(np.polyfit(*table[np.isfinite(table).all(axis=1)][:, [2, 0]].T, 1)[0]) * 100
+        u, force = table[np.isfinite(table[:, :2]).all(axis=1), :2].T
+        backbone = backbone_of(force, u, cycles_of(force, u))
+        values = {"h [mm]": height}
+        for side, sign in ((1.0, "+"), (-1.0, "-")):
+            elongation, forces = backbone.side(side)
+            curve = backbone.eeep(side)
+            assert curve is not None
+            values[f"V_max,{sign} [kN]"] = float(forces.max())
+            values[f"d_max,{sign} [%]"] = 100 * float(elongation[np.argmax(forces)]) / height
+            values[f"V_u,{sign} [kN]"] = curve.yield_force
+            values[f"d_u,{sign} [%]"] = 100 * curve.ultimate_elongation / height
+        found[name] = values
+    return found
+
+
+is_there = pytest.mark.skipif(not CURVES.is_dir(), reason=f"the curves of the stone masonry walls are not at {CURVES}")
+
+
+@is_there
+def test_the_height_of_published_walls_is_that_of_their_drift(published, read_from_curves):
+    for name, values in published.items():
+        assert read_from_curves[name]["h [mm]"] == pytest.approx(values["h [mm]"], abs=1.0), name
+
+
+@is_there
+@pytest.mark.parametrize(
+    ("measure", "each", "median"),
+    [
+        # The authors took the envelope of the raw data, here it has the points of the cycles: single ones differ.
+        ("V_max", 0.04, 0.003),
+        # A flat top has its largest force anywhere.
+        ("d_max", 0.35, 0.05),
+        # Their first line has the secant stiffness at 0.7 of the largest force, that of ASTM E2126 at 0.4.
+        ("V_u", 0.12, 0.03),
+        ("d_u", 0.35, 0.03),
+    ],
+)
+def test_backbones_have_the_measures_that_were_published(published, read_from_curves, measure, each, median):
+    names = [name for name in next(iter(published.values())) if name.startswith(measure)]
+    pairs = [(read_from_curves[curve][name], values[name]) for curve, values in published.items() for name in names]
+    off = np.asarray([abs(read / value - 1) for read, value in pairs])
+    assert off.size == 42 and off.max() < each and np.median(off) < median

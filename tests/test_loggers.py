@@ -200,6 +200,22 @@ READ = {
     "NumPy, row vectors": ("a.npz", lambda: arrays("npz", time_s=T, disp_mm=U, load_kN=F), ALL),
     "Parquet": ("a.parquet", lambda: arrays("parquet", **{"Time [s]": T, "Disp [mm]": U, "Force [kN]": F}), ALL),
     "HDF5 in a group, units as attributes": ("a.h5", lambda: arrays("h5", time=T, displacement=U, force=F), ALL),
+    "German dates over midnight": ("a.csv", text("Zeit;Weg [mm];Kraft [kN]") + "".join(
+        f"{(stamp + timedelta(hours=14.4994)).strftime('%d.%m.%Y %H:%M:%S.%f')};{u};{f}\n" for stamp, u, f in zip(STAMPS, U, F, strict=True)), ALL),
+    "US dates of one day": ("a.csv", text("Timestamp,Disp [mm],Force [kN]") + "".join(
+        f"5/4/2024 9:30:{t:06.3f},{u},{f}\n" for t, u, f in zip(T, U, F, strict=True)), ALL),
+    "the sign of mathematics for minus": ("a.csv", (text("Disp [mm],Force [kN]") + rows(U, F).replace("-", "\u2212")).encode(), PAIR),
+    "Japanese, full-width units": ("a.csv", text("変位［ｍｍ］,荷重［ｋＮ］") + rows(U, F), PAIR),
+    "a second time in ms": ("a.csv", text("Time [s],Time [ms],Disp [mm],Force [kN]") + rows(T, 1000 * T, U, F), ALL),
+    "line ends of three systems": ("a.csv", "Time [s],Disp [mm],Force [kN]\r\n" + rows(T[:9], U[:9], F[:9]) + rows(T[9:20], U[9:20], F[9:20], end="\r")
+        + rows(T[20:], U[20:], F[20:], end="\r\n"), ALL),
+    "a mark of the encoding, big end first": ("a.csv", b"\xfe\xff" + (text("Time [s],Disp [mm],Force [kN]") + rows(T, U, F)).encode("utf-16-be"), ALL),
+    "names in one row, parts of the rig above": ("a.csv", text(",Displacement,Force", "Time,top,actuator", "s,mm,kN") + rows(T, U, F), ALL),
+    "quoted numbers": ("a.csv", text("U(mm),Force_kN") + "".join(f'"{u}","{f}"\n' for u, f in zip(U, F, strict=True)), PAIR),
+    "symbols": ("a.csv", text("δ [mm],P [kN]") + rows(U, F), PAIR),
+    "separators behind the last column": ("a.csv", text("Disp [mm],Force [kN],,") + rows(U, F, close=",,"), PAIR),
+    "separated by bars": ("a.txt", text("Disp [mm]|Force [kN]") + rows(U, F, separator="|"), PAIR),
+    "French without accents, kgf and cm": ("a.csv", text("deplacement_cm;force_kgf") + rows(U / 10, F * 1000 / 9.80665, separator=";", digits=[9, 9]), PAIR),
     "one decimal is enough for the others": ("a.csv", text("u [mm];F [kN]") + rows(U, F, separator=";", mark=",", digits=[3, 3]), PAIR),
 }  # fmt: skip
 
@@ -267,6 +283,26 @@ ASKED = {
     "a matrix of MATLAB": ("a.mat", lambda: arrays("mat", data=np.column_stack([T, U, F])), "'data\\(:,1\\)'"),
     "no numbers": ("a.csv", "hello\nworld\n", "no row has numbers"),
     "an old workbook": ("a.xls", b"\xd0\xcf\x11\xe0", "save an older workbook as .xlsx"),
+    "thousands with a point, German": ("a.csv", text("Disp [mm];Force [N]") + "0,01;1.410,0\n0,02;1.420,5\n" * 9, "'1.410,0' has .* thousands"),
+    "thousands with an apostrophe, Swiss": ("a.csv", text("Disp [mm];Force [N]") + "0.01;1'410.0\n0.02;964.5\n" * 9, "410.0. has .* thousands"),
+    "thousands with a blank, tabs": ("a.txt", text("Disp [mm]\tForce [N]") + "0.01\t1 410.0\n0.02\t964.5\n" * 9, "'1 410.0' has .* thousands"),
+    "a cell too many": ("a.csv", text("Disp [mm],Force [kN]") + rows(U[:9], F[:9]) + "1,2,7\n" + rows(U, F), "row 11: 3 cells where row 1 names 2 columns"),
+    "one row": ("a.csv", text("Disp [mm],Force [kN]") + "1,2\n", "one row of numbers; a record has two"),
+    "no rows": ("a.csv", text("Disp [mm],Force [kN]"), "no row has numbers"),
+    "nothing": ("a.csv", "\n  \n", "the file is empty"),
+    "only a hidden sheet": ("a.xlsx", lambda: xlsx(("raw", [["Disp [mm]", "Load [kN]"], *table(U, F)]), ("notes", [["x"]]), hidden=("raw",)),
+        "sheet 'raw' is hidden and is left out"),
+    "Excel, all numbers as text": ("a.xlsx", lambda: xlsx(("data", [["Disp [mm]", "Load [kN]"], *([str(u), str(f)] for u, f in zip(U, F, strict=True))])),
+        "row 2 holds '0.013' as text; format the cells as numbers"),
+    "a text that is called a workbook": ("a.xlsx", text("Disp [mm],Force [kN]") + rows(U, F), "no workbook; if it is a text, let its name end in .csv"),
+    "two tables, one below the other": ("a.csv", text("Disp [mm],Force [kN]") + rows(U, F) + "\n" + text("Disp [mm],Moment [kNm]") + rows(U, F),
+        "row 51: 'Disp .mm. Moment .kNm.' stands between rows of numbers"),
+    "a force of a factor": ("a.csv", text("Disp [mm],Force [x1000 N]") + rows(U, F), "the column of the force"),
+    "US dates of two days": ("a.csv", text("Time,Disp [mm],Force [kN]") + "".join(f"5/{4 + k // 9}/2024 9:30:{k:02d},{k},{k}\n" for k in range(18)),
+        "is a date or a time of day"),
+    "times of day with AM": ("a.csv", text("Time,Disp [mm],Force [kN]") + "".join(f"9:30:{k:02d} AM,{k},{k}\n" for k in range(18)), "is a date or a time of day"),
+    "percent in the cells": ("a.csv", text("Drift,Force [kN]") + "".join(f"{u}%,{f}\n" for u, f in zip(U, F, strict=True)), "is not a number; .* no unit"),
+    "a time of two readings": ("a.csv", text("Time [s],Elapsed time [s],Disp [mm],Force [kN]") + rows(T, T + 3, U, F), "the column of the time"),
     "lvm, two measurements": ("a.lvm", 2 * (LVM.format(mark=".", x="One") + text("X_Value\tWeg\tKraft\tComment", end="\r\n")
         + rows(T, U, F, separator="\t", digits=[6, 6, 6], end="\r\n")), "a second measurement begins"),
 }  # fmt: skip
@@ -324,6 +360,22 @@ def test_a_hidden_sheet_a_footer_and_what_is_not_used_are_said(tmp_path):
     )
     name, content, _ = READ["millivolts beside"]
     assert "not used: 'Excitation [mV]'" in begun([written(tmp_path, name, content)]).notes
+
+
+def test_a_row_of_numbers_behind_an_empty_row_is_said(tmp_path):
+    path = written(tmp_path, "a.csv", text("Disp [mm],Load [kN]") + rows(U, F) + "\n11.2,43.1\n")
+    assert any("row 51, below an empty row, is read as a sample: '11.2 43.1'" in note for note in begun([path]).notes)
+    path = written(tmp_path, "b.csv", text("Disp [mm],Load [kN]") + rows(U[:20], F[:20]) + "\n" + rows(U[20:], F[20:]))
+    assert not any("empty row" in note for note in begun([path]).notes)
+
+
+def test_a_drift_ratio_tells_a_height_that_no_specimen_has(tmp_path):
+    body = rows(U, F, np.round(U / 12, 5))  # mm over 1.2 m, in percent
+    (tmp_path / "wall.csv").write_text(text("Disp [mm],Load [kN],Drift [%]") + body)
+    assert begun([tmp_path / "wall.csv"]).doubts == []
+    (tmp_path / "wall.csv").write_text(text("Disp [m],Load [kN],Drift [%]") + body)
+    (doubt,) = begun([tmp_path / "wall.csv"]).doubts
+    assert (doubt.kind, doubt.channel) == ("unit", "elongation") and "1.2e+03 m high" in doubt.message
 
 
 def test_a_third_of_a_record_is_held_out(tmp_path):

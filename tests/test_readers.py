@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hsed_jax.errors import UserError
-from hsed_jax.measurements import Campaign, read_at2, read_campaign, write_at2, write_campaign
+from hsed_jax.measurements import Campaign, check_campaign, read_at2, read_campaign, write_at2, write_campaign
 from hsed_jax.measurements.records import read_columns
 
 G = 9.80665
@@ -457,3 +457,75 @@ def test_a_table_of_experiments_with_thousands_is_refused(tmp_path):
         UserError, match=r"experiments\.csv, row 3, column 'Fmax': '1,288' is 1\.288 with a decimal comma"
     ):
         read_campaign(tmp_path)
+
+
+# --- titles above the names of a declared record, units below them ---------------------------------------------------
+
+CHANNELS = "channels: {elongation: {column: U, unit: mm}, force: {column: F, unit: kN}}"
+ROWS = "".join(f"{u},{f}\n" for u, f in ((0.0, 0.0), (1.5, 3.0), (-2.25, -4.5)))
+BELOW_TITLES = {
+    "titles": "Test unit,C2\nReference,L et al. (2014)\nU,F\n" + ROWS,
+    "titles and units": "Test unit,C2\n\nReference,L\nU,F\n[mm],[kN]\n" + ROWS,
+    "units in other words": "U,F\n(millimetres),KN\n" + ROWS,
+    "a unit of one column": "U,F\n,kN\n" + ROWS,
+    "an empty row above the numbers": "U,F\nmm,kN\n,\n\n" + ROWS,
+    "one word, quotes": '"Wall, 3"\n"U","F"\n"(mm)","(kN)"\n' + ROWS,
+    "semicolons, decimal comma": "Wall 3; L\nU;F\nmm;kN\n" + ROWS.replace(",", ";").replace(".", ","),
+    "a column more, tabs": "Sample rate: 10 Hz\nt\tU\tF\nSec\tmm\tkN\n"
+    + "".join(f"{k}\t{line}\n".replace(",", "\t") for k, line in enumerate(ROWS.splitlines())),
+    "a comment among the titles": "Wall 3\n# of May\nU,F\n" + ROWS,
+}
+
+
+def declared(folder, content, channels=CHANNELS):
+    (folder / "records").mkdir(exist_ok=True)
+    (folder / "campaign.yaml").write_text(f"name: x\nprotocol: displacement\n{channels}\n")
+    (folder / "experiments.csv").write_text("id\nE01\n")
+    (folder / "records" / "E01.csv").write_text(content)
+    return read_campaign(folder)["E01"].record
+
+
+@pytest.mark.parametrize("case", BELOW_TITLES)
+def test_a_declared_record_may_have_titles_and_units(tmp_path, case):
+    record = declared(tmp_path, BELOW_TITLES[case])
+    np.testing.assert_allclose(record["elongation"], [0, 1.5e-3, -2.25e-3])
+    np.testing.assert_allclose(record["force"], [0, 3e3, -4.5e3])
+
+
+def test_titles_above_numbers_without_names_are_told_from_a_header(tmp_path):
+    by_position = CHANNELS.replace("column: U", "column: '1'").replace("column: F", "column: '2'")
+    record = declared(tmp_path, "Test of a wall\nL\n" + ROWS, by_position)
+    np.testing.assert_allclose(record["force"], [0, 3e3, -4.5e3])
+    with pytest.raises(UserError, match=r"column '1' is missing; the columns are 'U', 'F' \(the file has a header"):
+        declared(tmp_path, "U,F\n" + ROWS, by_position)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (
+            "Wall\nU,F\n[cm],[kN]\n" + ROWS,
+            "column 'U': its row of units says 'cm', the campaign declares the unit 'mm'",
+        ),
+        ("U,F\nmm,mV\n" + ROWS, "column 'F': its row of units says 'mV', the campaign declares the unit 'kN'"),
+        ("1,2\n3,4\nU,F\n" + ROWS, "row 1: a row of numbers stands above the names of the columns in row 3"),
+        ("Wall\nU [mm],F [kN]\n" + ROWS, "column 'F' is missing; the columns are 'U .mm.', 'F .kN.'"),
+        ("U [mm],F [kN]\n" + ROWS, "column 'F' is missing; the columns are 'U .mm.', 'F .kN.'"),
+        ("Wall 3\na,b\n" + ROWS, "column 'F' is missing; the columns are 'a', 'b'"),
+        ("Wall\nU,F\nmm,kN\n---,---\n" + ROWS, "row 4, column 'U': '---' is not a number"),
+        ("Wall\nU,F\n" + ROWS + "U,F\n" + ROWS, "row 6, column 'U': 'U' is not a number"),
+    ],
+)
+def test_what_a_declaration_and_its_file_do_not_agree_on_is_one_message(tmp_path, content, message):
+    with pytest.raises(UserError, match=message):
+        declared(tmp_path, content)
+
+
+def test_rows_without_numbers_at_an_end_are_an_error_that_says_what_to_do(tmp_path):
+    record = declared(tmp_path, "Wall\nU,F\nmm,kN\nNaN,1\nNaN,2\n" + ROWS * 4)
+    assert np.isnan(record["elongation"][:2]).all()
+    said = [finding.message for finding in check_campaign(read_campaign(tmp_path)) if finding.channel == "elongation"]
+    assert said == [
+        "2 of 14 samples are not numbers, the first is sample 1; all of them are at an end of the record: delete these rows, or "
+        "have hsed init read the file"
+    ]

@@ -13,6 +13,7 @@ from hsed_jax.app.pieces import Loops, attempt, error, html, note, told, warning
 from hsed_jax.app.session import Session
 from hsed_jax.errors import UserError
 from hsed_jax.intake.choice import HELD_OUT, Choice, campaign_of, chosen
+from hsed_jax.intake.drifts import height_doubts
 from hsed_jax.intake.opening import Gathered
 from hsed_jax.intake.recognition import CHANNELS
 from hsed_jax.measurements import Campaign, backbone_table, check_campaign, cycle_table, overview, write_campaign
@@ -243,7 +244,8 @@ class Measured:
                 self._drops.value,
             )
             made = campaign_of(self._where.name, self._found.records, choice)
-            self._done = made.notes
+            heights = [d for id, table in self._found.records.items() for d in height_doubts(id, table, choice)]
+            self._done = [*made.notes, *map(str, heights)]
             self._look_at(made.campaign)
         except UserError as mistake:
             self._campaign, self._go.disabled = None, True

@@ -120,6 +120,8 @@ class MeasurementsEntry(Section):
     """Doubts that were looked at and are no faults, by experiment; `all` is every experiment."""
     samples: Annotated[int, Field(ge=100)] = 4000
     """Longer records of component tests are thinned to about so many samples."""
+    height: Positive | None = None
+    """Height [m] over which the elongation is a drift: the check of the data judges the drift ratio."""
 
     def accepted(self, campaign: Campaign | None) -> frozenset[tuple[str, str]]:
         """The accepted doubts of a campaign: experiment and kind.
@@ -138,7 +140,10 @@ class MeasurementsEntry(Section):
                     f"{', '.join(known) or 'none'}"
                 )
             ids = known if experiment == _ALL and _ALL not in known else [experiment]
-            found |= {(id, kind) for id in ids for kind in ([kinds] if isinstance(kinds, str) else kinds)}
+            # A doubt of the structure is one of all experiments.
+            found |= {
+                (id, kind) for id in [*ids, experiment] for kind in ([kinds] if isinstance(kinds, str) else kinds)
+            }
         return frozenset(found)
 
 

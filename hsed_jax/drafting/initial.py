@@ -84,7 +84,8 @@ def text_of_study(
         "  spring: bouc_wen",
         "  parameters:",
         f"    # initial stiffness [{pair.unit('N/m')}]: {_round(stiffness.value)} is the {pair.words(stiffness.source)};",
-        "    # within a factor of 4 with 95 %" + (", plus the reduction by gravity" if frame.height else ""),
+        "    # within a factor of 4 with 95 %"
+        + (", plus the reduction by gravity" if frame.masses and frame.height else ""),
         f"    A: {{lognormal: [{math.log(stiffness.value + _of_gravity(frame)):.3f}, 0.7]}}",
         f"    # stiffness over strength [{pair.unit('1/m')}]: the strength A/beta is about {pair.words(strength.source)},",
         f"    # {_round(strength.value)} {pair.force_unit} (median over experiments); within a factor of 4 with 95 %",
@@ -96,6 +97,7 @@ def text_of_study(
         "experiments:",
         f"  campaign: {_text(where)}",
         "",
+        *_height(frame),
         f"observe: {'histories' if histories else 'quantities'}",
     ]
     if not histories:
@@ -127,14 +129,18 @@ def _check_frame(campaign: Campaign, folder: Path, frame: Frame) -> None:
     """
     if not frame.masses and not frame.height:
         return
+    if not all(mass > 0 and math.isfinite(mass) for mass in frame.masses) or not 0 <= frame.height < math.inf:
+        raise UserError("masses and the height of a storey are greater than zero")
     if campaign.protocol == "displacement":
-        raise UserError(
-            f"{folder}: the elongation was imposed on the specimen alone; masses and a height are of a shaken frame"
-        )
+        if frame.masses:
+            raise UserError(f"{folder}: the elongation was imposed on the specimen alone; masses are of a shaken frame")
+        if campaign.pair.elongation_unit != "m":
+            raise UserError(
+                f"{folder}: --height is that of an elongation; here the {campaign.pair.elongation} is measured"
+            )
+        return
     if frame.height and not frame.masses:
         raise UserError("--height needs --masses: gravity acts on the drift by the weight above it")
-    if not all(mass > 0 and math.isfinite(mass) for mass in frame.masses) or frame.height < 0:
-        raise UserError("masses and the height of a storey are greater than zero")
     if (count := floor_count(campaign)) > 1 and len(frame.masses) != count:
         raise UserError(
             f"{folder}: sensors are on {count} floors, and {len(frame.masses)} masses are given; give one for each"
@@ -143,11 +149,11 @@ def _check_frame(campaign: Campaign, folder: Path, frame: Frame) -> None:
 
 def _of_gravity(frame: Frame) -> float:
     """What gravity takes off the stiffness of the lowest storey [N/m]: weight above it over its height."""
-    return sum(frame.masses) * _GRAVITY / frame.height if frame.height else 0.0
+    return sum(frame.masses) * _GRAVITY / frame.height if frame.masses and frame.height else 0.0
 
 
 def _effects(frame: Frame) -> list[str]:
-    if not frame.height:
+    if not frame.masses or not frame.height:
         return ["  effects: {}                               # none assumed; `hsed effects` lists the catalogue"]
     return [
         f"  # P-Delta: the weight of all floors, {_round(sum(frame.masses) * _GRAVITY)} N, over the height of the storey, "
@@ -155,6 +161,12 @@ def _effects(frame: Frame) -> list[str]:
         "  # stiffness that is known and not calibrated; where masses change, it changes with them",
         f"  effects: {{hardening: {{k: {-_of_gravity(frame):.4g}}}}}",
     ]
+
+
+def _height(frame: Frame) -> list[str]:
+    if not frame.height:
+        return []
+    return [f"measurements: {{height: {frame.height:g}}}              # m: hsed check judges the drift ratio by it", ""]
 
 
 def _guesses(campaign: Campaign, folder: Path, frame: Frame) -> tuple[_Guess, _Guess, _Guess]:

@@ -18,9 +18,10 @@ from hsed_jax.intake.choice import (
     unit_of_columns,
     with_units,
 )
+from hsed_jax.intake.drifts import height_doubts
 from hsed_jax.intake.found import Found
 from hsed_jax.intake.opening import Gathered, gathered
-from hsed_jax.measurements import Campaign
+from hsed_jax.measurements import Campaign, Finding
 from hsed_jax.plain import shown, stem_of
 
 _FLAGS = {"elongation": "--elongation", "force": "--force", "time": "--time"}
@@ -55,11 +56,13 @@ class Begun:
         campaign: the measurements.
         taken: what was taken for elongation, force, time and further channels, a line for each.
         notes: what was left out, and what was decided.
+        doubts: that columns of the files which are no channels tell.
     """
 
     campaign: Campaign
     taken: list[str]
     notes: list[str]
+    doubts: list[Finding]
 
 
 def read_files(
@@ -115,7 +118,8 @@ def begun(files: Sequence[Path], said: Said | None = None) -> Begun:
     faulty = [note for note in found.notes if "is left out: " not in note or ": column " not in note]
     faults = [f"{name!r}: {fault}" for name, fault in table.faults.items()]
     left_out += [f"not used, since they hold something other than numbers: {'; '.join(faults)}"] if faults else []
-    return Begun(made.campaign, _taken(table, choice, made.campaign), [*faulty, *notes, *made.notes, *left_out])
+    doubts = [doubt for id, other in found.records.items() for doubt in height_doubts(id, other, choice)]
+    return Begun(made.campaign, _taken(table, choice, made.campaign), [*faulty, *notes, *made.notes, *left_out], doubts)
 
 
 def _choice(where: str, files: Sequence[Path], table: Found, said: Said) -> tuple[Choice, list[str]]:

@@ -1,5 +1,6 @@
 """Cells of a table, of a text or of a workbook, as columns of numbers."""
 
+import datetime
 from pathlib import Path
 from typing import Any
 
@@ -78,17 +79,29 @@ def _seconds_of(cells: list[str]) -> np.ndarray | None:
     whole = [cell.replace(",", ".").replace("T", " ").split(" ") for cell in cells]
     if len({len(parts) for parts in whole}) > 1:
         return None
+    dates = {parts[0] for parts in whole} if len(whole[0]) == 2 else set()
     seconds = np.zeros(len(cells))
     for k, parts in enumerate(whole):
         hours, minutes, rest = parts[-1].split(":")
         seconds[k] = 3600 * int(hours) + 60 * int(minutes) + float(rest)
-        if len(parts) == 2:
-            try:
-                seconds[k] += 86400.0 * float(np.datetime64(parts[0], "D").astype(int))
-            except ValueError:
+        if len(dates) > 1:  # within one day the date does not matter
+            day = _day_of(parts[0])
+            if day is None:
                 return None
+            seconds[k] += 86400.0 * day
     seconds = np.round(seconds - seconds[0], 6)
     return seconds if (np.diff(seconds) > 0).all() else None
+
+
+def _day_of(date: str) -> int | None:
+    """Number of a day written as 2024-05-31 or 31.5.2024; None of other dates, such as 5/4/2024, which has two readings."""
+    try:
+        if "." in date:
+            day, month, year = map(int, date.split("."))
+            return datetime.date(year + (2000 if year < 100 else 0), month, day).toordinal()
+        return datetime.date.fromisoformat(date).toordinal()
+    except ValueError:
+        return None
 
 
 def _ask_of_thousands(table: Table, position: int, name: str) -> None:

@@ -160,8 +160,10 @@ def _record(header: Campaign, id: str, table: Found, choice: Choice) -> tuple[Re
         sign = -1.0 if channel in choice.turned else 1.0
         values[channel] = sign * header.unit(channel).to_si(numbers[kept])
     time = values.pop("time", None)
+    count = len(next(iter(values.values())))
+    if count < 2:
+        raise UserError(f"record {id!r}: it has one row of numbers; a record has two samples at least")
     try:
-        count = len(next(iter(values.values())))
         return Record(np.arange(count) if time is None else time, values), notes
     except UserError as error:
         raise UserError(f"record {id!r}: {error}") from None
@@ -238,7 +240,8 @@ def _kept(id: str, table: Found, choice: Choice, raw: Mapping[str, np.ndarray]) 
     for is_end, where in ((at < first, "start"), (at > last, "end")):
         if is_end.any():
             said = ", ".join(repr(choice.columns[c]) for c, numbers in raw.items() if np.isnan(numbers[is_end]).any())
-            notes.append(f"record {id!r}: {table.places(is_end)} at the {where} are cut off, where {said} is missing")
+            are = "is" if is_end.sum() == 1 else "are"
+            notes.append(f"record {id!r}: {table.places(is_end)} at the {where} {are} cut off, where {said} is missing")
     inside = lacks & (at > first) & (at < last)
     if inside.any():
         where = table.places(inside)

@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hsed_jax.errors import UserError
 from hsed_jax.intake.found import Found
 from hsed_jax.intake.words import STRONG, is_never, is_transverse, strength
 from hsed_jax.measurements.spelled import spelled_unit, without_unit
-from hsed_jax.measurements.units import ACCELERATION, FORCE, LENGTH, TIME, Dimension, dimension_of, measures
+from hsed_jax.measurements.units import ACCELERATION, FORCE, LENGTH, TIME, Dimension, dimension_of, measures, parse_unit
 from hsed_jax.physics.pairs import PAIRS
 
 CHANNELS = {
@@ -19,6 +20,7 @@ CHANNELS = {
     "ground_motion": ("time", "ground_acceleration", "elongation", "force"),
 }
 """Channels that a record of a kind of test may have; the last one of imposed cycles may be absent."""
+_ROUNDED = 1e-6  # of the range of a column: digits that another unit has cut off
 _BY_UNIT = 1  # what a unit says where the name says nothing
 _ELONGATIONS = {pair.elongation_unit for pair in PAIRS}
 _FORCES = {pair.force_unit for pair in PAIRS}
@@ -181,6 +183,17 @@ def _settle(channel: str, names: list[str], found: Found, result: Recognised, is
 
 
 def _are_equal(found: Found, one: str, other: str) -> bool:
+    """Whether two columns hold the same numbers, also where their units differ."""
     if one not in found.columns or other not in found.columns:
         return False
-    return np.array_equal(found.columns[one], found.columns[other], equal_nan=True)
+    first, second = found.columns[one], found.columns[other]
+    if (units := [unit_of(found, name) for name in (one, other)])[0] != units[1]:
+        try:
+            first, second = (
+                np.asarray(parse_unit(unit or "").to_si(v)) for unit, v in zip(units, (first, second), strict=True)
+            )
+        except UserError:
+            return False
+        spread = np.nanmax(first) - np.nanmin(first) if np.isfinite(first).any() else 0.0
+        return bool(np.allclose(first, second, rtol=0, atol=_ROUNDED * spread, equal_nan=True))
+    return np.array_equal(first, second, equal_nan=True)

@@ -8,7 +8,7 @@ import warnings
 from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import ZipFile
+from zipfile import ZipFile, is_zipfile
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from hsed_jax.intake.found import Found
 from hsed_jax.intake.words import is_channel
 from hsed_jax.measurements.budget import ask, ask_of_file
 from hsed_jax.measurements.layout import table_in
-from hsed_jax.measurements.sheets import Sheet, is_missing
+from hsed_jax.measurements.sheets import NUMBER, Sheet, is_missing, kind_of
 from hsed_jax.plain import shown
 
 # What a sheet can have; a damaged one may number its rows beyond.
@@ -49,6 +49,8 @@ def read_workbook(path: Path) -> Workbook:
     try:
         with path.open("rb") as file, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of parts of a workbook that hold no cells
+            if not is_zipfile(file):
+                raise UserError(f"{path}: this is no workbook; if it is a text, let its name end in .csv")
             with ZipFile(file) as archive:
                 members = archive.infolist()
             ask(path, parts=len(members))
@@ -69,7 +71,8 @@ def read_workbook(path: Path) -> Workbook:
                     if table is not None:
                         found[str(sheet.title)] = table
                     elif rows:
-                        notes.append(f"sheet {str(sheet.title)!r} has no table of numbers and is left out")
+                        said = _as_text(rows)
+                        notes.append(f"sheet {str(sheet.title)!r} has no table of numbers{said} and is left out")
     except UserError:
         raise
     except Exception as error:  # openpyxl raises whatever the damaged bytes lead to
@@ -137,6 +140,15 @@ def _found(path: Path, title: str, rows: list[tuple[int, tuple[Any, ...]]]) -> F
             f"sheet {title!r}, row {numbers[wrong]}, column {position + 1} {fault}; a number is wanted in every row"
         )
     return made(path, columns, faults, laid, numbers)
+
+
+def _as_text(rows: list[tuple[int, tuple[Any, ...]]]) -> str:
+    """What is said of the first number that is stored as text; empty where there is none."""
+    for number, cells in rows:
+        for cell in cells:
+            if isinstance(cell, str) and kind_of(cell) == NUMBER:
+                return f" (row {number} holds {shown(cell)} as text; format the cells as numbers)"
+    return ""
 
 
 def _is_number(cell: Any) -> bool:

@@ -12,6 +12,7 @@ from hsed_jax.measurements.channel_doubts import channel_doubts, quantity_doubts
 from hsed_jax.measurements.experiment import Experiment, Record
 from hsed_jax.measurements.findings import Finding, yaml_key
 from hsed_jax.measurements.loop_doubts import loop_doubts
+from hsed_jax.measurements.unit_doubts import factor_doubts, specimen_doubts
 from hsed_jax.physics.outputs import is_driver
 
 GAP = 8  # time steps this many times longer than the median are gaps, if they are rare
@@ -29,8 +30,8 @@ def check_campaign(campaign: Campaign) -> list[Finding]:
     Returns:
         Findings by experiment, in order; those of a record that several experiments share in windows, once.  Errors are fewer
         than eight measured samples in the window, NaN, backward or duplicate time and constant channels.  Doubts are those of
-        single channels (`hsed_jax.measurements.channel_doubts`), of loops (`loop_doubts`) and of the campaign
-        (`campaign_doubts`).
+        single channels (`hsed_jax.measurements.channel_doubts`), of loops (`loop_doubts`), of units (`unit_doubts`) and of the
+        campaign (`campaign_doubts`).
 
     Example:
         >>> hx.check_campaign(hx.read_campaign("my_campaign"))
@@ -48,7 +49,7 @@ def check_campaign(campaign: Campaign) -> list[Finding]:
             found += _record(campaign, experiment.id, record)
         seen.append(record)
     if not any(finding.level == "error" for finding in found):
-        found += campaign_doubts(campaign)
+        found += [*factor_doubts(campaign), *campaign_doubts(campaign)]
     return [replace(finding, has_time=campaign.has_time) for finding in found]
 
 
@@ -83,7 +84,10 @@ def _record(campaign: Campaign, id: str, record: Record) -> Iterator[Finding]:
     yield from errors
     if any(finding.level == "error" for finding in errors):
         return  # what follows needs a time that runs and numbers that are numbers
-    yield from channel_doubts(campaign, id, record)
+    of_channels = [*channel_doubts(campaign, id, record)]
+    yield from of_channels
+    if not any(finding.kind == "unit" for finding in of_channels):  # an absurd channel makes its stiffness absurd, too
+        yield from specimen_doubts(campaign, id, record)
     yield from loop_doubts(campaign, id, record)
 
 
@@ -114,13 +118,14 @@ def _time(id: str, record: Record) -> Iterator[Finding]:
     if 0 < gaps.size <= max(3, steps.size // 100):  # many long steps are uneven sampling
         longest = steps[gaps].max()
         message = f"{gaps.size} gaps, the longest {longest:g} s where the usual step is {np.median(steps):g} s"
-        yield Finding("doubt", id, "time", float(time[gaps[0]]), message, "gap")
+        spans = tuple((i, i + 2) for i in gaps.tolist())
+        yield Finding("doubt", id, "time", float(time[gaps[0]]), message, "gap", spans=spans)
     ratio = steps[1:] / steps[:-1]
     at = int(np.argmax(np.maximum(ratio, 1 / ratio)))
     before, after = np.median(steps[max(at + 1 - FEWEST, 0) : at + 1]), np.median(steps[at + 1 : at + 1 + FEWEST])
     if max(before / after, after / before) > THOUSANDFOLD:
         message = f"the step changes from {before:g} s to {after:g} s: are ms and s in one column?"
-        yield Finding("doubt", id, "time", float(time[at + 1]), message, "unit")
+        yield Finding("doubt", id, "time", float(time[at + 1]), message, "unit", spans=((at + 1, time.size),))
 
 
 def _finite(id: str, record: Record, name: str) -> Iterator[Finding]:
@@ -128,4 +133,7 @@ def _finite(id: str, record: Record, name: str) -> Iterator[Finding]:
     if bad.any():
         first = int(np.argmax(bad))
         message = f"{int(bad.sum())} of {len(record)} samples are not numbers, the first is sample {first + 1}"
+        good = np.flatnonzero(~bad)
+        if good.size and good.size == good[-1] - good[0] + 1:
+            message += "; all of them are at an end of the record: delete these rows, or have hsed init read the file"
         yield Finding("error", id, name, float(record.time[first]), message)

@@ -42,6 +42,7 @@ class Finding:
         message: What was found.
         kind: What is doubted; None of an error.
         has_time: Whether the records have a time.
+        spans: Samples of the record that are meant, each first and one behind last; empty where it is the whole record.
     """
 
     level: Literal["error", "doubt"]
@@ -51,6 +52,7 @@ class Finding:
     message: str
     kind: DoubtKind | None = None
     has_time: bool = True
+    spans: tuple[tuple[int, int], ...] = ()
 
     @property
     def line(self) -> str:

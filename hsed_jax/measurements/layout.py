@@ -65,6 +65,7 @@ def table_in(sheet: Sheet, knows: Callable[[str], bool] = lambda name: False) ->
     heads = _header(sheet, parts[0][0], columns, knows)
     for one, other in pairwise(parts):
         notes.append(_joined(sheet, heads, one, other, columns))
+    notes.append(_apart(sheet, parts))
     if parts[0][0] > 0 and (said := _bad_rows(sheet, heads, parts[0][0], counts)):
         notes.append(said)
     filled = [k for part in parts for k in range(*part) if any(n for n in counts[k])]
@@ -241,6 +242,22 @@ def _joined(sheet: Sheet, heads: _Heads, one: tuple[int, int], other: tuple[int,
     )
 
 
+def _apart(sheet: Sheet, parts: Sequence[tuple[int, int]]) -> str:
+    """What is said of a few rows of numbers that an empty row parts from all others: samples, or a summary?"""
+    for start, end in (parts[0], parts[-1]):
+        rows = range(start, end)
+        empty = [k for k in rows if all(kind_of(cell, sheet.is_text) == BLANK for cell in sheet.rows[k])]
+        if not empty:
+            continue
+        for few, where in ((range(start, empty[0]), "above"), (range(empty[-1] + 1, end), "below")):
+            if 0 < len(few) < _LEAST_BLOCK and len(rows) > 4 * _LEAST_BLOCK:
+                said = (
+                    f"row {sheet.numbers[few[0]]}, {where} an empty row, is read as a sample: {_quoted(sheet, few[0])}"
+                )
+                return f"{said}; delete it where it is none"
+    return ""
+
+
 def _bad_rows(sheet: Sheet, heads: _Heads, start: int, counts: list[tuple[int, int, int]]) -> str:
     """What is said of rows with numbers between the names and the table, which are not read."""
     if heads.names is None:
@@ -282,6 +299,21 @@ def _ask_of_widths(sheet: Sheet, rows: list[int]) -> None:
         )
 
 
+def _ask_of_longer(sheet: Sheet, names: int, count: int, rows: list[int]) -> None:
+    """Refuse single rows that have more cells than there are names: which cell is which cannot be told.
+
+    Raises:
+        UserError: with the first of them.
+    """
+    longer = [k for k in rows if any(kind_of(cell) != BLANK for cell in sheet.rows[k][count:])]
+    if longer and 2 * len(longer) < len(rows):
+        row, filled = sheet.numbers[longer[0]], len(sheet.rows[longer[0]])
+        raise UserError(
+            f"{sheet.where}, row {row}: {filled} cells where row {sheet.numbers[names]} names {count} columns; correct the row, "
+            "or name every column"
+        )
+
+
 def _named(
     sheet: Sheet, heads: _Heads, columns: Sequence[int], width: int, rows: list[int]
 ) -> tuple[list[str], list[str]]:
@@ -293,6 +325,8 @@ def _named(
     names, units = [], []
     cells = heads.name_cells
     filled = sum(bool(cell) for cell in cells)
+    if heads.names is not None and sheet.is_text:
+        _ask_of_longer(sheet, heads.names, len(cells), rows)
     if heads.names is not None and (filled > width or len(cells) < columns[-1] + 1) and sheet.is_text:
         raise UserError(
             f"{sheet.where}, row {sheet.numbers[heads.names]}: {filled} names stand above {len(columns)} columns of numbers, so "

@@ -127,7 +127,10 @@ def _timing(campaign: Campaign, id: str, record: Record, owner: str, found: np.n
             f"its extreme comes after the reversal of the elongation at {100 * is_late.mean():.0f} % of {lags.size} reversals: "
             f"does the force come late? A lag of about {_lag(campaign, record, lag)} would explain it"
         )
-        yield Finding("doubt", id, name, float(record.time[first]), message, "timing")
+        spans = tuple(
+            (at, at + late + 1) for at, late in zip(found[1:-1].tolist(), lags.tolist(), strict=True) if late > 0
+        )
+        yield Finding("doubt", id, name, float(record.time[first]), message, "timing", spans=spans)
         return
     cycle = 2 * float(np.median(np.diff(found)))
     early = -float(np.median(lags[is_early])) if is_early.any() else 0.0
@@ -138,7 +141,11 @@ def _timing(campaign: Campaign, id: str, record: Record, owner: str, found: np.n
             f"its extreme comes before the reversal of the elongation at {100 * is_early.mean():.0f} % of {lags.size} "
             f"reversals, by {early:.0f} samples: does the force come early?"
         )
-        yield Finding("doubt", id, name, float(record.time[int(found[1:-1][is_early][0])]), message, "timing")
+        spans = tuple(
+            (at + lead, at + 1) for at, lead in zip(found[1:-1].tolist(), lags.tolist(), strict=True) if lead < 0
+        )
+        first = int(found[1:-1][is_early][0])
+        yield Finding("doubt", id, name, float(record.time[first]), message, "timing", spans=spans)
 
 
 def _lag(campaign: Campaign, record: Record, samples: int) -> str:
@@ -192,7 +199,8 @@ def _drifts(campaign: Campaign, id: str, record: Record, owner: str, found: np.n
                 f"the middle of its cycles moves by {amount(campaign.pair, channel, drift * scale)} in proportion to the rows, "
                 f"{100 * abs(drift):.0f} % of its largest magnitude: does its zero drift?"
             )
-            yield Finding("doubt", id, channel, None, message, "drift")
+            spans = tuple((row, row + 1) for row in at.tolist())
+            yield Finding("doubt", id, channel, None, message, "drift", spans=spans)
 
 
 def _at_zero(force: np.ndarray, elongation: np.ndarray, begin: int, end: int) -> float:
@@ -260,14 +268,15 @@ def _slips(campaign: Campaign, id: str, record: Record, owner: str) -> Iterator[
     all_turns = with_slips(elongation)
     left_out = np.setdiff1d(all_turns, turns(elongation))
     found = [
-        (int(a), float(abs(elongation[b] - elongation[a])))
+        (int(a), int(b), float(abs(elongation[b] - elongation[a])))
         for a, b in zip(left_out[:-1:2], left_out[1::2], strict=False)
         if abs(elongation[b] - elongation[a]) > max(SLIP * usual * (b - a), SLIPPED * reach)
     ]
     if found:
-        largest = amount(campaign.pair, name, max(size for _, size in found))
+        largest = amount(campaign.pair, name, max(size for *_, size in found))
         message = f"it steps back by {largest}, faster than it is loaded, {len(found)} times in all: does it slip?"
-        yield Finding("doubt", id, name, float(record.time[found[0][0]]), message, "slip")
+        spans = tuple((a, b + 1) for a, b, _ in found)
+        yield Finding("doubt", id, name, float(record.time[found[0][0]]), message, "slip", spans=spans)
 
 
 def _holds(campaign: Campaign, id: str, record: Record, owner: str, found: np.ndarray) -> Iterator[Finding]:
@@ -291,7 +300,8 @@ def _holds(campaign: Campaign, id: str, record: Record, owner: str, found: np.nd
             f"it rests at {amount(campaign.pair, name, float(elongation[a]))} for {b - a + 1} samples while the force changes by "
             f"{relaxed}, {len(holds)} such rests: was it held? A law without relaxation cannot follow"
         )
-        yield Finding("doubt", id, name, float(record.time[holds[0][0]]), message, "hold")
+        spans = tuple((a, b + 1) for a, b in holds)
+        yield Finding("doubt", id, name, float(record.time[holds[0][0]]), message, "hold", spans=spans)
 
 
 def _rests(values: np.ndarray, slack: float) -> list[tuple[int, int]]:

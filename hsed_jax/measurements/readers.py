@@ -202,7 +202,8 @@ def _record(header: Campaign, columns: dict[str, str], file: Path, motion_will_d
         responses = {name for name in header.channels if not is_driver(name)}
         if not motion_will_do or header.channels.keys() - responses <= {"time"}:
             responses = set()
-        read = read_columns(file, columns.values(), [columns[name] for name in responses])
+        units = {column: header.channels[name].unit for name, column in columns.items()}
+        read = read_columns(file, columns.values(), [columns[name] for name in responses], units)
         channels = {name: header.unit(name).to_si(read[c]) for name, c in columns.items() if c in read}
     time = channels.pop("time", None)
     try:

@@ -11,6 +11,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.measurements.at2 import read_at2
 from hsed_jax.measurements.budget import ask
 from hsed_jax.measurements.containers import CONTAINERS, Variable, opened
+from hsed_jax.measurements.heads import ask_of_units
 from hsed_jax.measurements.tables import read_record_table
 
 TEXT = ("csv", "txt", "tsv", "dat")
@@ -21,7 +22,9 @@ FORMATS = (*TEXT, *CONTAINERS, "at2")
 _PART = re.compile(r"(.+)\((?::\s*,\s*(\d+)|(\d+)\s*,\s*:)\)")
 
 
-def read_columns(path: Path, wanted: Iterable[str], optional: Iterable[str] = ()) -> dict[str, np.ndarray]:
+def read_columns(
+    path: Path, wanted: Iterable[str], optional: Iterable[str] = (), units: Mapping[str, str] | None = None
+) -> dict[str, np.ndarray]:
     """Read columns of a record file, as numbers in the file's units.
 
     Arguments:
@@ -30,17 +33,19 @@ def read_columns(path: Path, wanted: Iterable[str], optional: Iterable[str] = ()
             matrix and ``name(2,:)`` its second row.
         wanted: Columns to read.
         optional: Those of them that a file may lack if it holds all the others and nothing else.
+        units: Declared unit by column; a row of units in a text must agree with it.
 
     Returns:
         Each column (n,).
 
     Raises:
-        UserError: The file is unreadable or goes beyond the budget, a column is missing, is not a vector of numbers, or
-            differs in length.
+        UserError: The file is unreadable or goes beyond the budget, a column is missing, is not a vector of numbers, differs in
+            length, or is in another unit than declared.
     """
     wanted, optional = list(wanted), set(optional)
     if _ending(path) in TEXT:
         table = read_record_table(path, wanted)
+        ask_of_units(path, table.units, units or {})
         return table.numbers(_present(wanted, optional, table.columns))
     with opened(path) as found:
         parts = {name: _part(path, found, name) for name in _present(wanted, optional, found)}

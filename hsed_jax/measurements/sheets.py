@@ -30,8 +30,11 @@ _MISSING = {"n/a", "na", "-", "--", "---", "null", "none", "nil", "missing", "*"
 
 BLANK, NUMBER, MISSING, TEXT = range(4)
 """Kinds of a cell; nan is a number, and so are dates and times of day, which count seconds."""
-STAMP = re.compile(r"(\d{4}-\d{2}-\d{2}[ T])?\d{1,2}:\d{2}:\d{2}([.,]\d+)?")
+STAMP = re.compile(r"((\d{4}-\d{2}-\d{2}|\d{1,2}[./]\d{1,2}[./]\d{2,4})[ T])?\d{1,2}:\d{2}:\d{2}([.,]\d+)?")
 """A time of day, with a date before it or without."""
+THOUSANDS = re.compile(r"[+-]?\d{1,3}([.,' \u00a0\u202f]\d{3})+([.,]\d*)?")
+"""A number with thousands separators; where they are, it is no number to us, but tells the separator of the columns."""
+_MINUS = re.compile(r"[\u2212\u2012\u2013](?=[\d.,])")
 
 
 @dataclass
@@ -128,7 +131,7 @@ def read_text(path: Path) -> str:
         raise UserError(f"{path}: cannot be read ({error.strerror})") from None
     if data.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):
         raise UserError(f"{path}: this is a spreadsheet workbook, not text; save it as CSV")
-    text = _decoded(data)
+    text = _MINUS.sub("-", _decoded(data))  # some programs write the sign of mathematics, or a dash
     if not text.strip():
         raise UserError(f"{path}: the file is empty")
     return text
@@ -188,8 +191,9 @@ def _delimiter(lines: list[str]) -> str | None:
 
 
 def _share(row: Sequence[str]) -> float:
-    kinds = [kind for kind in map(kind_of, row) if kind != BLANK]
-    return sum(kind in (NUMBER, MISSING) for kind in kinds) / len(kinds) if kinds else 0.0
+    filled = [(cell, kind) for cell in row if (kind := kind_of(cell)) != BLANK]
+    told = sum(kind in (NUMBER, MISSING) or bool(THOUSANDS.fullmatch(cell.strip())) for cell, kind in filled)
+    return told / len(filled) if filled else 0.0
 
 
 def _not_decimal(lines: list[str], comma: str) -> str | None:

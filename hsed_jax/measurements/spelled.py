@@ -61,6 +61,7 @@ _EXACT = {spelling: unit for unit, others in _SPELLINGS.items() for spelling in 
 _FOLDED = {spelling.casefold(): unit for spelling, unit in _EXACT.items() if unit not in ("MN",)}
 _FOLDED = {spelling: unit for spelling, unit in _FOLDED.items() if spelling != "m"}
 _ELSE = set(_OTHERS.split())
+_PLAIN_WIDTH = {code: code - 0xFEE0 for code in range(0xFF01, 0xFF5F)}
 _BRACKETS = re.compile(r"[\[(<{]\s*([^\[\](){}<>]*?)\s*[\])>}]")
 _AFTER = re.compile(r"(.*?[^\W\d].*?)\s*(?:,|;|/| in | en )\s*(\S+)\s*")
 _LAST = re.compile(r"(.*\w)[\s_]+(\S+)\s*")
@@ -90,8 +91,9 @@ def without_unit(name: str) -> tuple[str, str]:
     """A header without its unit, and the unit as it is written; empty where there is none.
 
     The unit stands in brackets (``Force [kN]``), behind a comma, a slash or a word (``Force, kN``, ``F/kN``, ``Kraft in kN``), or
-    it is the last word (``disp_mm``).
+    it is the last word (``disp_mm``).  Full-width letters and brackets, as Japanese files have them, are read as plain ones.
     """
+    name = name.translate(_PLAIN_WIDTH)
     for found in reversed(list(_BRACKETS.finditer(name))):
         if found[1] and (is_unit(found[1]) or found.end() == len(name.rstrip())):
             bare = f"{name[: found.start()]} {name[found.end() :]}".strip(" _-,;:/")

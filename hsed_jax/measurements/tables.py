@@ -2,28 +2,32 @@
 
 import csv
 import re
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Set
+from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from hsed_jax.errors import UserError
 from hsed_jax.measurements.budget import ask
+from hsed_jax.measurements.heads import DELIMITERS, named_columns, row_of_units, titles_above
+from hsed_jax.measurements.layout import table_in
 from hsed_jax.measurements.sheets import (
     EITHER,
     NOT_FINITE,
     NUMBER_WITH_COMMA,
     NUMBER_WITH_POINT,
+    THOUSANDS,
     is_comment,
     lines_of,
     read_text,
+    sheet_of,
 )
 from hsed_jax.plain import shown
 
 _SPREADSHEET_ERROR = re.compile(r"#([A-Z0-9/]+[!?]|N/A|NV|N/D|#+)")
 _DATE = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}.*|\d{1,2}[- ][A-Za-z]{3}.*|\d{1,2}:\d{2}.*")
-_THOUSANDS = re.compile(r"[+-]?\d{1,3}([.,' \u00a0\u202f]\d{3})+([.,]\d*)?")
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,7 @@ class Table:
         row_numbers: Row of each, from 1, as a spreadsheet shows it.
         decimal_comma: Whether numbers may have a decimal comma (the separator is not a comma).
         has_header: Whether the file names its columns.
+        units: Unit by column of a row of units below the names, as it is written; empty where there is no such row.
     """
 
     path: Path
@@ -45,6 +50,7 @@ class Table:
     row_numbers: list[int]
     decimal_comma: bool
     has_header: bool
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def where(self, row: int, column: str | None = None) -> str:
         """Say where the cell in `rows[row]` stands, for a message."""
@@ -67,6 +73,8 @@ class Table:
             )
         found = ", ".join(shown(c) for c in self.columns if c)
         note = "" if self.has_header else " (the file has no header: say the column's position)"
+        if self.has_header and column.isdecimal():
+            note = " (the file has a header: say the column's name)"
         blank = "; a header cell is empty (a merged cell?)" if "" in self.columns else ""
         raise UserError(f"{self.path}: column {column!r} is missing; the columns are {found}{note}{blank}")
 
@@ -159,7 +167,7 @@ class Table:
             return f"{said} has a decimal point where other cells have a decimal comma; use one of them throughout"
         if _SPREADSHEET_ERROR.fullmatch(cell):
             return f"{said} is an error of the spreadsheet; correct its formula or write a number"
-        if NUMBER_WITH_COMMA.fullmatch(cell) or _THOUSANDS.fullmatch(cell):
+        if NUMBER_WITH_COMMA.fullmatch(cell) or THOUSANDS.fullmatch(cell):
             return (
                 f"{said} has a decimal comma or thousands separators; write a decimal point and no thousands "
                 "separators (a decimal comma is read where semicolons or tabs separate the columns)"
@@ -208,19 +216,22 @@ def read_experiment_table(path: Path) -> Table:
 
 
 def read_record_table(path: Path, wanted: Iterable[str]) -> Table:
-    """Read a record: commas, semicolons, tabs or blanks; comment lines; a header or none.
+    """Read a record: commas, semicolons, tabs or blanks; comment lines, titles, a header or none, a row of units or none.
 
     Arguments:
         path: The file.
-        wanted: Columns that the record should have: they decide which separator is meant.
+        wanted: Columns that the record should have: they decide which separator is meant, and where the header is.
 
     Raises:
-        UserError: With file and row: not text, empty, ragged rows.
+        UserError: With file and row: not text, empty, ragged rows, numbers above the header.
     """
     text, skipped, comment = _without_preamble(path, read_text(path))
     wanted = set(wanted)
-    present = [d for d in (";", "\t", ",", None) if len(_header(text, d)) > 1]
-    meant = max([*present, ","], key=lambda d: len(wanted & set(_header(text, d))))
+    if above := titles_above(path, text, wanted, skipped, _cells):
+        text, skipped = "".join(islice(lines_of(text), above, None)), skipped + above
+    present = [d for d in DELIMITERS if len(_header(text, d)) > 1]
+    head, *following = islice(lines_of(text), 2)
+    meant = max([*present, ","], key=lambda d: named_columns(head, following, wanted, d, _cells))
     delimiter, rows, numbers = _split(path, text, meant, skipped)
     keep = [i for i, row in enumerate(rows) if row and not (i and is_comment(",".join(row)))]
     while keep and not any(cell.strip() for cell in rows[keep[-1]]):
@@ -228,8 +239,15 @@ def read_record_table(path: Path, wanted: Iterable[str]) -> Table:
     rows, numbers = [rows[i] for i in keep], [numbers[i] for i in keep]
     first = _trimmed([cell.strip() for cell in rows[0]])
     has_header = not all(is_number(cell) for cell in first)
+    units: dict[str, str] = {}
     if has_header:
         columns, rows, numbers = first, rows[1:], numbers[1:]
+        _ask_of_names(path, columns, wanted)
+        told = row_of_units(rows[0], [k for k, column in enumerate(columns) if column in wanted]) if rows else {}
+        units = {columns[k]: unit for k, unit in told.items()}
+        # A row of units, and the blank rows that a spreadsheet has above the numbers, are no samples.
+        start = next((k for k in range(len(told) > 0, len(rows)) if any(map(str.strip, rows[k]))), len(rows))
+        rows, numbers = rows[start:], numbers[start:]
     else:
         named = [c.strip() for c in _cells(comment, delimiter)]  # numpy.savetxt heads its columns in a comment
         columns = named if len(named) == len(first) else [str(i + 1) for i in range(len(first))]
@@ -238,7 +256,21 @@ def read_record_table(path: Path, wanted: Iterable[str]) -> Table:
     width = max(len(columns), *(len(row) for row in rows)) if "" in columns else len(columns)
     columns += [""] * (width - len(columns))
     fitted = [_fitted(path, n, row, width) for n, row in zip(numbers, rows, strict=True)]
-    return Table(path, tuple(columns), fitted, numbers, delimiter in (";", "\t"), has_header)
+    return Table(path, tuple(columns), fitted, numbers, delimiter in (";", "\t"), has_header, units)
+
+
+def _ask_of_names(path: Path, columns: list[str], wanted: Set[str]) -> None:
+    """Refuse a text of which no row names a wanted column, with the names that it has instead.
+
+    Raises:
+        UserError: with the names, of whichever row has them.
+    """
+    if not wanted or wanted & {*columns} or all(column.isdecimal() for column in wanted):
+        return
+    laid = table_in(sheet_of(path))
+    names = columns if laid is None or not laid.is_named else laid.names
+    missing = next(column for column in sorted(wanted) if not column.isdecimal())
+    raise UserError(f"{path}: column {missing!r} is missing; the columns are {', '.join(shown(c) for c in names if c)}")
 
 
 def _without_preamble(path: Path, text: str) -> tuple[str, int, str]:

@@ -12,7 +12,7 @@ from hsed_jax.plain import is_file, is_folder, stem_of
 
 if TYPE_CHECKING:
     from hsed_jax.intake.beginning import Begun, Said
-    from hsed_jax.measurements import Campaign
+    from hsed_jax.measurements import Campaign, Finding
 
 _STUDIES = (".yaml", ".yml")
 
@@ -55,7 +55,8 @@ def add_command(commands: Any) -> None:
     init.add_argument(
         "--masses", metavar="M1,M2,...", help="of a shaken frame: masses of its floors [kg], from the lowest up"
     )
-    init.add_argument("--height", type=float, metavar="H", help="height of a storey [m]: gravity acts on its drift")
+    text = "height of a storey or specimen [m]: hsed check judges the drift ratio by it, and gravity acts on a shaken frame"
+    init.add_argument("--height", type=float, metavar="H", help=text)
     add_options(init)
     init.set_defaults(command=_init)
 
@@ -118,7 +119,7 @@ def check_files(files: Sequence[Path], options: Any) -> "Begun":
     made = begun(files, _said(options))
     for line in (*made.taken, *(f"note: {note}" for note in made.notes)):
         print(line)
-    _tell_findings(made.campaign, ", ".join(map(str, files[:3])))
+    _tell_findings(made.campaign, ", ".join(map(str, files[:3])), made.doubts)
     if sys.stdout.isatty():
         print(sketch(made.campaign))
     return made
@@ -149,7 +150,8 @@ def study_of_files(files: Sequence[Path], options: Any, output: str | None, *, r
             "another --output of hsed init"
         )
     from hsed_jax.drafting.initial import text_of_study
-    from hsed_jax.measurements import read_campaign, write_campaign
+    from hsed_jax.measurements import check_campaign, read_campaign, write_campaign
+    from hsed_jax.reporting.doubt_figures import write_pictures
     from hsed_jax.reporting.loops import loops_picture
 
     made = check_files(files, options)
@@ -161,6 +163,9 @@ def study_of_files(files: Sequence[Path], options: Any, output: str | None, *, r
         _write_study(study, text_of_study(campaign, folder, study, _frame(options), taken))
         if (picture := loops_picture(campaign)) is not None:
             _write(folder / "loops.png", picture)
+        findings = [*check_campaign(campaign), *made.doubts]
+        for id, path in write_pictures(campaign, findings, folder / "figures"):
+            print(f"{id}: the picture {path} marks what is doubted")
     except OSError as error:
         raise UserError(f"{folder}: cannot be written ({error.strerror}); choose another --output") from None
     return study
@@ -204,8 +209,8 @@ def _study_of_campaign(folder: Path, options: Any) -> Path:
     return output
 
 
-def _tell_findings(campaign: "Campaign", where: str) -> None:
-    """Print what the checks find.
+def _tell_findings(campaign: "Campaign", where: str, doubts: "Sequence[Finding]" = ()) -> None:
+    """Print what the checks find, and further doubts.
 
     Raises:
         UserError: there is an error among it.
@@ -213,7 +218,7 @@ def _tell_findings(campaign: "Campaign", where: str) -> None:
     from hsed_jax.measurements import check_campaign
 
     findings = check_campaign(campaign)
-    for finding in findings:
+    for finding in (*findings, *doubts):
         print(finding)
     if any(finding.level == "error" for finding in findings):
         raise UserError(f"{where}: the data have errors, listed above; nothing is repaired silently")

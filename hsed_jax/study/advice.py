@@ -40,7 +40,7 @@ def frequency_doubts(mechanics: AbstractMechanics, campaign: Campaign) -> list[s
         return []  # that of no floor
     if (floors := floors_of(campaign)) is None:
         return []
-    low, middle, high = (_frequency(mechanics, structure, share) for share in (_LOW, 0.5, _HIGH))
+    low, middle, high = (frequency_of(mechanics, structure, share) for share in (_LOW, 0.5, _HIGH))
     if not middle > 0 or _YIELDED * low / _OFF <= floors.frequency <= high * _OFF:
         return []
     free, _ = mechanics.parameters
@@ -54,7 +54,7 @@ def frequency_doubts(mechanics: AbstractMechanics, campaign: Campaign) -> list[s
     ]
 
 
-def _frequency(mechanics: AbstractMechanics, structure: Structure, share: float) -> float:
+def frequency_of(mechanics: AbstractMechanics, structure: Structure, share: float) -> float:
     """First frequency of the structure [Hz] at a quantile of stiffnesses and the opposite one of masses; zero of a loose one."""
     free, _ = mechanics.parameters
     numbers = {

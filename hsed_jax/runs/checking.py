@@ -1,0 +1,66 @@
+"""What `hsed check` says of a study and its data; nothing is run."""
+
+import sys
+from collections.abc import Sequence, Set
+from pathlib import Path
+
+from hsed_jax.config.schema import Study
+from hsed_jax.errors import UserError
+from hsed_jax.measurements import Campaign, Finding, check_campaign, overview, stop_at_errors
+from hsed_jax.reporting.doubt_figures import write_pictures
+from hsed_jax.study.advice import forecast, frequency_doubts
+from hsed_jax.study.build import Built
+from hsed_jax.study.excitations import sentence_of
+from hsed_jax.study.unit_doubts import unit_doubts
+
+
+def check_study(study: Study, path: Path) -> None:
+    """Build a study, print what is wrong or doubtful of it and its data, and draw what is doubted.
+
+    Arguments:
+        study: what the user said.
+        path: its file; the pictures go into the folder `figures` beside it.
+
+    Raises:
+        UserError: the study cannot be run, or the data have errors.
+    """
+    built = Built(study)
+    _ = built.mechanics.catalogue  # effects of its own, which may be wrong, come before the data
+    measured = built.experiments.measured
+    accepted = study.measurements.accepted(measured)
+    # Before anything is computed from the data: steps of a time that is no number are none.
+    findings = [] if measured is None else check_campaign(measured)
+    _tell(findings, accepted)
+    if any(finding.level == "error" for finding in findings):
+        raise UserError(f"{path}: the data have errors, listed above; nothing is repaired silently")
+    built.check()
+    further = unit_doubts(built)
+    _tell(further, accepted)
+    if measured is not None:
+        _draw(measured, [*findings, *further], path.parent / "figures")
+        print(overview(measured))
+        for note in (*built.experiments.thinning_notes(measured), *frequency_doubts(built.mechanics, measured)):
+            print(note)
+        print(forecast(built.inference, measured))
+        stop_at_errors(measured, accepted)
+    if built.experiments.excitation is not None and built.simulation.grid is None:
+        print(f"{sentence_of(study)}; {built.simulation.planned.steps} steps of the integration")
+    if "diagnose" in study.steps:
+        for note in built.mechanics.naming.left_out():
+            print(f"diagnose: {note}")
+    print(f"{path}: the study is valid; its steps are {', '.join(study.steps)}")
+
+
+def _tell(findings: Sequence[Finding], accepted: Set[tuple[str, str]]) -> None:
+    """Print what was found, and what of it the study accepts."""
+    for finding in findings:
+        print(f"{finding.line} (accepted)" if (finding.experiment, finding.kind) in accepted else finding)
+
+
+def _draw(campaign: Campaign, findings: Sequence[Finding], folder: Path) -> None:
+    """Write pictures of the doubted records and name them; a folder that cannot be written is no fault of the data."""
+    try:
+        for id, file in write_pictures(campaign, findings, folder):
+            print(f"{id}: the picture {file} marks what is doubted")
+    except UserError as error:
+        print(f"warning: {error}", file=sys.stderr)
