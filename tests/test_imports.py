@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "hsed_jax"
 LEVELS = (
     ("drafts", "errors", "backend", "interruptions", "tables"),
     ("exit_status", "left_out", "memory", "plain", "programs"),
-    ("python_files",),
+    ("python_files", "registry"),
     ("physics",),
     ("measurements",),
     ("behaviour",),

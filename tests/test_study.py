@@ -300,7 +300,7 @@ MISTAKES = {
     "cost of no input": ("design.cost", {"per": {"cycles": 1.0}}, "design.cost.per", "'cycles'", "V_P, T_P"),
     "cost of nothing": ("design.cost", {"fixed": 0, "per": {"V_P": -1.0}}, "design.cost", "cheapest", "-3"),
     "cost without inputs": ("design.cost", {"fixed": 2.0}, "design.cost.per", "required"),
-    "unknown acquisition": ("design.acquisition", "ei", "design.acquisition", "'expected_improvement'", "'sobol'"),
+    "unknown acquisition": ("design.acquisition", "ei", "design.acquisition", "expected_improvement", "sobol"),
     "unknown kernel": ("design.kriging", {"kernel": "rbf"}, "design.kriging.kernel", "'matern52'"),
     "unknown step": ("steps", ["design", "calibrat"], "steps.1", "'calibrate'"),
     "steps in the wrong order": ("steps", ["calibrate", "design"], "steps", "calibrate stands before design"),

@@ -10,8 +10,9 @@ from hsed_jax.config.experiments import ExperimentsEntry
 from hsed_jax.config.functions import FunctionEntry
 from hsed_jax.config.mechanics import AnyModelEntry, ModelEntry, SpecimenModelEntry, StructureEntry
 from hsed_jax.config.sections import ErrorsEntry, InputEntry, OwnLawEntry, Positive, Section
+from hsed_jax.design.acquisitions import ACQUISITIONS
 from hsed_jax.errors import UserError
-from hsed_jax.inference.samplers import known_sampler
+from hsed_jax.inference.samplers import SAMPLERS
 from hsed_jax.measurements import Campaign
 from hsed_jax.measurements.findings import DoubtKind
 from hsed_jax.physics.names import of_each
@@ -78,9 +79,7 @@ class DesignEntry(Section):
     initial: Count = 3
     iterations: Annotated[Whole, Field(ge=0)] = 40
     candidates: Count = 16384
-    acquisition: Literal["expected_improvement", "max_variance", "discriminate", "random", "sobol"] = (
-        "expected_improvement"
-    )
+    acquisition: Annotated[str, AfterValidator(ACQUISITIONS.known)] = "expected_improvement"
     stop: StopEntry = StopEntry()
     limits: LimitsEntry | None = None
     cost: CostEntry | None = None
@@ -94,7 +93,7 @@ class DesignEntry(Section):
 class CalibrationEntry(Section):
     """Sizes of the calibration: starts of the MAP; chains, adaptation and kept draws per chain of NUTS."""
 
-    sampler: Annotated[str, AfterValidator(known_sampler)] = "auto"
+    sampler: Annotated[str, AfterValidator(SAMPLERS.known)] = "auto"
     """Importance sampling is as exact as NUTS and many times faster where it works, which it can tell; `auto` tries it first and
     leaves to NUTS what it cannot vouch for (of a model just improved it says so instead).  `laplace` is the Gaussian around the
     MAP, without sampling."""

@@ -13,6 +13,7 @@ from hsed_jax.backend import cores, limit_threads
 from hsed_jax.config.functions import FunctionEntry
 from hsed_jax.config.schema import Study
 from hsed_jax.config.sections import InputEntry
+from hsed_jax.design.acquisitions import ACQUISITIONS
 from hsed_jax.errors import UserError
 from hsed_jax.inference.observation import Grid, conditions_of
 from hsed_jax.inference.priors import Prior
@@ -131,7 +132,7 @@ class FunctionMechanics(AbstractMechanics):
         if {"diagnose", "improve"} & set(self.study.steps) or self.study.improve.add:
             _ = self.naming
         for asked, key in (
-            (design.acquisition == "discriminate", "acquisition"),
+            (ACQUISITIONS[design.acquisition].of_rivals, "acquisition"),
             (design.stop.verdict, "stop.verdict"),
         ):
             if asked:

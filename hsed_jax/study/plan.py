@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from hsed_jax.config.schema import CalibrationEntry, Study
+from hsed_jax.design.acquisitions import ACQUISITIONS
 from hsed_jax.design.cost import Cost
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
@@ -52,7 +53,7 @@ def check_plan(study: Study, space: InputSpace) -> None:
     if study.experiments.laboratory is not None or "design" in steps:
         _check_design(study)
     if study.design.cost is not None:
-        if study.design.acquisition in ("sobol", "random"):
+        if ACQUISITIONS[study.design.acquisition].is_order:
             raise UserError(
                 f"design.cost: {study.design.acquisition} takes experiments in an order that no cost changes; leave it out, or "
                 "choose another acquisition"
