@@ -5,7 +5,7 @@ is first asked for: a wrong name is refused before JAX is loaded.
 """
 
 import difflib
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from functools import cached_property
 from importlib import import_module
 from importlib.util import find_spec
@@ -14,9 +14,6 @@ from types import ModuleType
 from typing import Any
 
 from hsed_jax.plain import shown
-
-# The file with what all parts of a folder have in common.
-_BASE = "base"
 
 
 def register[T: type[Any]](cls: T) -> T:
@@ -44,12 +41,13 @@ class Parts[T](Mapping[str, type[T]]):
     """The parts of one kind by name, in alphabetical order.
 
     Arguments:
-        folder: dotted name of the folder; each of its files is a part, except `base.py`.
+        folder: dotted name of the folder; each of its files is a part.
         noun: what a part is called in a message.
+        helpers: files of the folder that are no parts.
     """
 
-    def __init__(self, folder: str, noun: str):
-        self._folder, self._noun = folder, noun
+    def __init__(self, folder: str, noun: str, helpers: Collection[str] = ("base",)):
+        self._folder, self._noun, self._helpers = folder, noun, helpers
 
     @cached_property
     def _names(self) -> tuple[str, ...]:
@@ -57,7 +55,7 @@ class Parts[T](Mapping[str, type[T]]):
         spec = find_spec(self._folder)
         assert spec is not None
         files = iter_modules(spec.submodule_search_locations)
-        return tuple(sorted(file.name for file in files if file.name != _BASE))
+        return tuple(sorted(file.name for file in files if file.name not in self._helpers))
 
     def __getitem__(self, name: str) -> type[T]:
         """The class that the file of this name registers.

@@ -6,14 +6,14 @@ from typing import Any
 import jax.numpy as jnp
 
 from hsed_jax.config.schema import Study
-from hsed_jax.config.sections import InputEntry
-from hsed_jax.errors import UserError
+from hsed_jax.errors import UserError, at
 from hsed_jax.measurements import Campaign, parse_unit, read_history
 from hsed_jax.measurements.header import Protocol
 from hsed_jax.measurements.units import dimension_of
 from hsed_jax.physics.declared import Declared, Setting
 from hsed_jax.physics.excitations import EXCITATIONS, AbstractExcitation
 from hsed_jax.physics.simulator import Parametrised
+from hsed_jax.sections import InputEntry
 from hsed_jax.study import parts
 
 LOWEST = 1e-9
@@ -94,7 +94,7 @@ def _check(where: str, known: Setting, value: float | str, inputs: Mapping[str, 
         known_inputs = ", ".join(inputs) or "none"
         raise UserError(f"{where}: it refers to {value!r}, which is no input; inputs are {known_inputs}")
     if known.unit != "1":
-        parts.at(f"inputs.{value}.unit", parse_unit, inputs[value].unit, dimension_of(known.unit))
+        at(f"inputs.{value}.unit", parse_unit, inputs[value].unit, dimension_of(known.unit))
     if known.is_positive:
         lowest = float(parts.prior(f"inputs.{value}", inputs[value].prior).quantile(LOWEST))
         if not lowest > 0:

@@ -12,9 +12,8 @@ import numpy as np
 from hsed_jax.backend import cores, limit_threads
 from hsed_jax.config.functions import FunctionEntry
 from hsed_jax.config.schema import Study
-from hsed_jax.config.sections import InputEntry
 from hsed_jax.design.acquisitions import ACQUISITIONS
-from hsed_jax.errors import UserError
+from hsed_jax.errors import UserError, at
 from hsed_jax.inference.observation import Grid, conditions_of
 from hsed_jax.inference.priors import Prior
 from hsed_jax.laboratories.command import check_template
@@ -30,6 +29,7 @@ from hsed_jax.physics.structures import Structure
 from hsed_jax.physics.timeline import Timeline
 from hsed_jax.plain import shown
 from hsed_jax.python_files import module_of
+from hsed_jax.sections import InputEntry
 from hsed_jax.study import parts
 from hsed_jax.study.elements import elements_of
 from hsed_jax.study.mechanics import AbstractMechanics
@@ -61,8 +61,9 @@ class FunctionMechanics(AbstractMechanics):
     @cached_property
     def structure(self) -> Structure | None:
         """The structure of a specimen that this package simulates; a function has its own."""
-        simulated = self.study.experiments.virtual or self.study.experiments.opensees
-        return self._described_structure() if self.study.structure is not None or simulated else None
+        laboratory = self.study.experiments.laboratory
+        in_structure = laboratory is not None and laboratory.in_structure
+        return self._described_structure() if self.study.structure is not None or in_structure else None
 
     @cached_property
     def parameters(self) -> tuple[dict[str, Prior], dict[str, float]]:
@@ -91,7 +92,7 @@ class FunctionMechanics(AbstractMechanics):
         for name in self.parameters[0]:
             entry, where = _entry_of(self.study).parameters[name], f"model.parameters.{name}.unit"
             assert isinstance(entry, InputEntry)
-            unit = parts.at(where, parse_unit, entry.unit)
+            unit = at(where, parse_unit, entry.unit)
             if unit.factor != 1:
                 raise UserError(
                     f"{where}: parameters of a model are in SI; give this one in {unit.si}, and its distribution too"
@@ -102,7 +103,7 @@ class FunctionMechanics(AbstractMechanics):
     @cached_property
     def elements(self) -> tuple[Element, ...]:
         """The specimens that are measured; of virtual ones `virtual` has the laws, and of others nothing asks for one."""
-        virtual = self.study.experiments.virtual
+        virtual = self.study.experiments.specimen
         if virtual is not None and virtual.spring is None:
             raise UserError("experiments.virtual.spring: this key is required, as the model has no spring law")
         return elements_of(self.study, Element().law)
@@ -110,7 +111,7 @@ class FunctionMechanics(AbstractMechanics):
     @cached_property
     def laws(self) -> tuple[AbstractSpringLaw, ...]:
         """The laws of the virtual specimens, whose scales and steps are asked for here; none where there are none."""
-        if self.study.experiments.virtual is None:
+        if self.study.experiments.specimen is None:
             return ()
         elements, parameters = self.virtual
         owners = by_owner(parameters)
@@ -250,7 +251,7 @@ class FunctionSimulation(AbstractSimulation):
     def _function(self) -> tuple[Respond, str]:
         """The function, and its name for messages."""
         file, name = self._entry.file_and_name
-        module = parts.at(f"{self._where}: {file}", module_of, self.study.folder / file)
+        module = at(f"{self._where}: {file}", module_of, self.study.folder / file)
         function = getattr(module, name, None)
         if not callable(function):
             raise UserError(f"{self._where}: {file}: it has no function {shown(name)}")
@@ -262,7 +263,7 @@ class FunctionSimulation(AbstractSimulation):
         assert entry is not None
         template = entry.words(self.study.folder)
         known = (*self._entry.parameters, *self.study.inputs)
-        parts.at("model.command.run", check_template, template, known, ("folder", "python"))
+        at("model.command.run", check_template, template, known, ("folder", "python"))
         return Program(template, self.observed.outputs, entry.timeout), entry.run
 
     def _check_names(self) -> None:

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
-from hsed_jax.config.experiments import MeasuredEntry
 from hsed_jax.config.mechanics import ModelEntry
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
+from hsed_jax.laboratories.kinds.base import MeasuredEntry
 from hsed_jax.measurements import pair_of
 from hsed_jax.measurements.declaration import declared_channel
 from hsed_jax.measurements.pairs import check_masses
@@ -151,7 +151,7 @@ class AbstractMechanics(ABC):
     @cached_property
     def virtual(self) -> Virtual:
         """The virtual specimens."""
-        entry = self.study.experiments.virtual
+        entry = self.study.experiments.specimen
         assert entry is not None
         elements = self.elements
         if entry.spring is not None:

@@ -91,7 +91,7 @@ class AbstractSimulation(ABC):
         if self.study.scales is not None:
             return Scales(**self.study.scales.model_dump())
         told, plain = told_scales(self.experiments.characteristics), Scales()
-        virtual = self.study.experiments.virtual
+        virtual = self.study.experiments.specimen
         if None in told and (effects_of(self.study) or (virtual and virtual.effects)):
             mechanics, timeline = self.mechanics, self.timeline
             assert timeline is not None
@@ -137,7 +137,7 @@ class AbstractSimulation(ABC):
     @cached_property
     def virtual(self) -> tuple[Simulator, dict[str, float]]:
         """The simulator of the virtual specimens, and their true parameters."""
-        entry = self.study.experiments.virtual
+        entry = self.study.experiments.specimen
         assert entry is not None
         elements, parameters = self.mechanics.virtual
         return self.of_springs(elements, tuple(entry.effects), {}), parameters

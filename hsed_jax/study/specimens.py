@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from hsed_jax.config.mechanics import DRIVER, FORM
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
@@ -27,6 +26,7 @@ from hsed_jax.physics.parameters import Parameter, parameters_of
 from hsed_jax.physics.specimen import unserved
 from hsed_jax.physics.structures import parameter_of
 from hsed_jax.plain import shown
+from hsed_jax.sections import DRIVER, FORM
 from hsed_jax.study.elements import is_of_linear, is_of_specimen
 from hsed_jax.study.parts import check_names, prior, within
 
@@ -282,7 +282,7 @@ class Naming:
         Raises:
             UserError: a name that stands for nothing, a value that cannot be, or one that is missing.
         """
-        entry, where = study.experiments.virtual, "experiments.virtual"
+        entry, where = study.experiments.specimen, "experiments.virtual"
         assert entry is not None
         check_names(f"{where}.parameters", entry.parameters, self.of_laws)
         truth = {

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 
 from hsed_jax.physics.laws.base import AbstractYieldingLaw, Memory, Scalar, Slots, still
 from hsed_jax.physics.parameters import parameter
+from hsed_jax.registry import register
 
 # Bounds of the ratio x in powers: below, a logarithm of zero would poison derivatives; above, |x|^R would overflow.
 _LEAST, _MOST = 1e-12, 1e6
@@ -25,6 +26,7 @@ class _Branch(NamedTuple):
 
 
 @final
+@register
 class MenegottoPinto(AbstractYieldingLaw):
     r"""Steel: curves from each reversal to the next asymptote, which turn the rounder the larger the excursion was.
 

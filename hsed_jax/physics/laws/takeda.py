@@ -7,9 +7,11 @@ import jax.numpy as jnp
 from hsed_jax.physics.laws.base import AbstractYieldingLaw, Memory, Scalar, Slots, still
 from hsed_jax.physics.parameters import parameter
 from hsed_jax.physics.scales import is_zero
+from hsed_jax.registry import register
 
 
 @final
+@register
 class Takeda(AbstractYieldingLaw):
     r"""Reloading aims at the furthest point reached on the side that is loaded; unloading gets softer with it.
 
