@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from test_conduct import STUDY as PERFORMED
+from builders.designs import STUDY as PERFORMED
 
 from hsed_jax import AskTell, campaign_of
 from hsed_jax.command_line import main

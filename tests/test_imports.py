@@ -271,3 +271,20 @@ def test_run_stays_a_function_whatever_of_the_package_is_imported():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=PACKAGE.parent, check=True)
     assert done.stdout.splitlines()[-1] == "function"
+
+
+def borrowed(source: str) -> list[str]:
+    """What a test takes from another test, and objects that it makes without their own `__init__`."""
+    faults = [name for _, name in imported(source, ("tests", "test_x")) if name.split(".")[0].startswith("test_")]
+    made = (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Attribute) and node.attr == "__new__")
+    return faults + [ast.unparse(node) for node in made]
+
+
+@pytest.mark.parametrize("path", sorted(Path(__file__).parent.rglob("*.py")), ids=lambda path: path.name)
+def test_a_test_needs_no_other_test_and_no_object_that_was_never_made(path):
+    assert borrowed(path.read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize("source", ["from test_a import B", "import test_a", "x = object.__new__(Fit)"])
+def test_the_checker_catches_what_is_borrowed(source):
+    assert borrowed(source)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_calibration import EXACT, drawn, find, measured_at, posterior_of
+from builders.posteriors import EXACT, drawn, find, measured_at, posterior_of
 
 from hsed_jax.inference import blocks, moves
 from hsed_jax.inference import maximum as search

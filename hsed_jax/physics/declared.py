@@ -69,7 +69,7 @@ class Setting:
     default: float | None = None
     is_positive: bool = False
     is_optional: bool = False
-    words: Mapping[str, Any] = field(default_factory=dict)
+    words: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
 
 def _all_possible(settings: Mapping[str, Any]) -> tuple[str, str] | None:

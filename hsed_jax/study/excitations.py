@@ -1,9 +1,13 @@
 """The excitation of a study, built: its settings checked, its record read."""
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, cast
 
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError, at
@@ -53,7 +57,7 @@ def excitation_of(study: Study) -> Parametrised[AbstractExcitation] | None:
     if entry is None or kind is None:
         return None
     where, settings = f"excitation.{kind.name}", dict(entry.settings)
-    arrays = {}
+    arrays: dict[str, Array] = {}
     if kind.of_file:
         columns = read_history(study.folder / settings.pop("file"), kind.of_file[1])
         arrays = {name: jnp.asarray(column) for name, column in zip(kind.of_file, columns, strict=True)}
@@ -70,7 +74,7 @@ def _stands_for(known: Setting, value: Any) -> Any:
     """What a class takes: a word of a study could be the name of an input, what it stands for could not."""
     if value is not None and known.kind == "word":
         return known.words[value]
-    return tuple(value) if isinstance(value, list) else value
+    return tuple(cast("list[Any]", value)) if isinstance(value, list) else value
 
 
 def _each(kind: Declared, settings: Mapping[str, Any]) -> Iterator[tuple[str, Setting, Any]]:

@@ -1,5 +1,10 @@
 """A study whose model is a function or a program: its mechanics and its simulation."""
 
+# A cached property stands for an abstract property here.
+# pyright: reportIncompatibleMethodOverride=false, reportIncompatibleVariableOverride=false
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -75,7 +80,8 @@ class FunctionMechanics(AbstractMechanics):
             )
         if own := [key for key in self.study.models if key != "model"]:
             raise UserError(f"{own[0]}: the model is a function, which has its own specimens; leave this model out")
-        free, fixed = {}, {}
+        free: dict[str, Prior] = {}
+        fixed: dict[str, float] = {}
         for name, entry in _entry_of(self.study).parameters.items():
             if isinstance(entry, InputEntry):
                 free[name] = parts.prior(f"model.parameters.{name}", entry.prior)
@@ -88,7 +94,7 @@ class FunctionMechanics(AbstractMechanics):
     @cached_property
     def units(self) -> dict[str, str]:
         """SI unit of every free parameter."""
-        units = {}
+        units: dict[str, str] = {}
         for name in self.parameters[0]:
             entry, where = _entry_of(self.study).parameters[name], f"model.parameters.{name}.unit"
             assert isinstance(entry, InputEntry)
@@ -234,7 +240,7 @@ class FunctionSimulation(AbstractSimulation):
 
     def _called(
         self, where: str, function: Any, parameters: Mapping[str, float], told: Any, wanted: tuple[str, ...]
-    ) -> dict:
+    ) -> dict[str, Any]:
         """What the function returns at these parameters, checked."""
         at = ", ".join(f"{name} {value:.4g}" for name, value in parameters.items())
         time = None if "time" not in told else np.asarray(told["time"])
@@ -303,9 +309,15 @@ def _fault(
     """Why JAX cannot trace, batch and differentiate a function; None where it can."""
 
     def one(parameters: Any, told: Any) -> Any:
-        return jax.jvp(lambda p: called(p, told), (parameters,), (parameters,))
+        def of_parameters(parameters: Any) -> Any:
+            return called(parameters, told)
 
-    lanes = jax.tree.map(lambda value: jnp.asarray(value, dtype=float)[None], (dict(parameters), dict(told)))
+        return jax.jvp(of_parameters, (parameters,), (parameters,))
+
+    def lane(value: Any) -> Any:
+        return jnp.asarray(value, dtype=float)[None]
+
+    lanes = jax.tree.map(lane, (dict(parameters), dict(told)))
     try:
         jax.eval_shape(jax.vmap(one), *lanes)
     except (Exception, SystemExit) as error:

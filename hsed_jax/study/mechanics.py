@@ -1,5 +1,8 @@
 """The mechanics of a study: specimens with their laws and effects, the structure that they are in, and the parameters of both."""
 
+# A cached property stands for an abstract property here.
+# pyright: reportIncompatibleMethodOverride=false
+
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property

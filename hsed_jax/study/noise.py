@@ -25,7 +25,7 @@ def errors_of(study: Study, outputs: Sequence[str], declared: Mapping[str, Chann
         UserError: an error of what is not observed, or one relative to a quantity that may be negative or zero.
     """
     given = per_output("error", study.error, list(outputs))
-    errors = []
+    errors: list[Error] = []
     for name in outputs:
         entry = given.get(name) or ErrorEntry(inflate=False)
         size = entry if entry.kinds else _declared(declared.get(name))

@@ -1,15 +1,20 @@
 """The simulation of a study's experiments: their grids of time, the scales of effects, and the computational simulator."""
 
+# A cached property stands for an abstract property here.
+# pyright: reportIncompatibleMethodOverride=false
+
 import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import cast
 
 from hsed_jax.backend import limit_threads
 from hsed_jax.config.schema import Study
 from hsed_jax.inference.observation import Grid
 from hsed_jax.physics.elements import Element
+from hsed_jax.physics.excitations import AbstractExcitation
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import AbstractModel, Simulator
 from hsed_jax.physics.timeline import Timeline
@@ -70,7 +75,7 @@ class AbstractSimulation(ABC):
         entry, excitation = required(self.experiments)
         if self.experiments.component_test:
             return imposed_timeline(self.experiments, excitation, self.mechanics.laws, self.mechanics.steepest)
-        where = f"excitation.{excitation.constructor.declared.name}.mass"
+        where = f"excitation.{cast('type[AbstractExcitation]', excitation.constructor).declared.name}.mass"
         check_mass(where, entry.channel, self.mechanics.structure)
         return planned_timeline(self.experiments, self.longest_step if entry.step is None else entry.step)
 

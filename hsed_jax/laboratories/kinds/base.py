@@ -221,7 +221,7 @@ class SimulatedEntry(AbstractLaboratoryEntry):
         return Sensors(si(recorded, noise), si(quantities, noise), driver=wanted.driver)
 
     def _noise(self, where: str, measured: tuple[str, ...]) -> dict[str, Noise]:
-        noise = {}
+        noise: dict[str, Noise] = {}
         for name, error in per_output(where, self.noise, list(measured)).items():
             if error.unknown:
                 raise UserError(f"{where}: the noise of {name} must be a number: relative or absolute")

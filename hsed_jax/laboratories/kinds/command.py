@@ -1,5 +1,7 @@
 """A program that performs one experiment."""
 
+import shlex
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, final
 
 from hsed_jax.errors import at
@@ -23,6 +25,10 @@ class CommandEntry(ProgramEntry, MeasuredEntry):
     def described(self) -> str:
         """The program with its arguments."""
         return f"a specimen behind the command {self.run}"
+
+    def located(self, folder: Path) -> "CommandEntry":
+        """The same with absolute paths in its program."""
+        return self.model_copy(update={"run": shlex.join(self.words(folder))})
 
     def laboratory(self, site: Site) -> "Laboratory":
         """The program, which gets a folder for each experiment."""

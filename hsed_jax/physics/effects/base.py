@@ -86,7 +86,7 @@ class Form:
     name: str = ""
     equation: str = ""
     reference: str = ""
-    held: Mapping[str, float] = field(default_factory=dict)
+    held: Mapping[str, float] = field(default_factory=dict[str, float])
     free: tuple[str, ...] = ()
     driver: str = ""
     is_default: bool = False

@@ -1,5 +1,8 @@
 """The law of Giuffrè, Menegotto and Pinto with isotropic hardening, as OpenSees' Steel02 has it."""
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from typing import ClassVar, NamedTuple, final
 
 import jax.numpy as jnp

@@ -1,5 +1,8 @@
 """The peak-oriented law of reinforced concrete: Takeda's unloading, Clough's reloading."""
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from typing import ClassVar, final
 
 import jax.numpy as jnp
