@@ -23,7 +23,8 @@ from case import PAPER
 from scipy.special import expit
 
 import hsed_jax as hx
-from hsed_jax.design.acquisition import ACQUISITIONS, sobol_candidates
+from hsed_jax.design.acquisition import sobol_candidates
+from hsed_jax.design.acquisitions import ACQUISITIONS
 from hsed_jax.design.discrepancy import discrepancy, variance_over
 from hsed_jax.design.kriging import fit_kriging
 from hsed_jax.diagnosis.batch import Predictions
@@ -373,7 +374,7 @@ def _of_discrepancy(name: str):
         norms = _norms(jnp.asarray(measured), jnp.asarray(outputs[0]), jnp.asarray(ok[0]), jnp.asarray(asked))
         key, mask = jax.random.key(state.seed), jnp.arange(MOST) < len(state.asked)
         kriging = fit_kriging(jnp.asarray(state.cube[asked]), jnp.where(mask, norms, 0.0), mask, key=key)
-        return np.asarray(ACQUISITIONS[name](kriging, jnp.asarray(state.cube), key))
+        return np.asarray(ACQUISITIONS[name]()(kriging, jnp.asarray(state.cube), key))
 
     return utilities
 

@@ -16,6 +16,7 @@ from measure import seconds
 from rows.memory import growth
 
 from hsed_jax.design.acquisition import choose, sobol_candidates
+from hsed_jax.design.acquisitions.expected_improvement import ExpectedImprovement
 from hsed_jax.design.kriging import fit_kriging
 from hsed_jax.physics.batch import tiled_map
 from hsed_jax.physics.simulator import Conditions
@@ -135,7 +136,7 @@ def _candidates(count: int) -> float:
     x, y, mask = _training_set(_EXPERIMENTS)
     key = jax.random.key(0)
     kriging, among = fit_kriging(x, y, mask, key=key), sobol_candidates(count, x.shape[1], seed=1)
-    return seconds(lambda: choose(kriging, among, x, mask, "expected_improvement", key).index.item())
+    return seconds(lambda: choose(kriging, among, x, mask, ExpectedImprovement(), key).index.item())
 
 
 def _memory(count: int) -> float:

@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from hsed_jax.measurements import read_at2 as read_at2
     from hsed_jax.measurements import read_campaign as read_campaign
     from hsed_jax.measurements import write_campaign as write_campaign
-    from hsed_jax.physics.effects.base import register as register
     from hsed_jax.physics.protocols import protocol_history as protocol_history
+    from hsed_jax.registry import register as register
     from hsed_jax.runs.ask_tell import AskTell as AskTell
     from hsed_jax.runs.reading import read_run as read_run
     from hsed_jax.runs.workflow import run as run
@@ -48,8 +48,8 @@ if TYPE_CHECKING:
 _HOMES = {
     "analysis.calibration": ("calibrate", "campaign_of", "compare", "locate", "simulate"),
     "intake.beginning": ("read_files",),
-    "physics.effects.base": ("register",),
     "physics.protocols": ("protocol_history",),
+    "registry": ("register",),
     "runs.ask_tell": ("AskTell",),
     "config.load": ("load_study",),
     "config.schema": ("Study",),

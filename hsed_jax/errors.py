@@ -1,4 +1,7 @@
-"""The one exception for what a user got wrong."""
+"""The one exception for what a user got wrong, and the place that stands in front of its message."""
+
+from collections.abc import Callable
+from typing import Any
 
 
 class UserError(Exception):
@@ -6,3 +9,11 @@ class UserError(Exception):
 
     The command line prints the message alone and exits with status 2; from Python it is raised as it is.
     """
+
+
+def at(where: str, make: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a function, and put the place in front of the message if it raises a `UserError`."""
+    try:
+        return make(*arguments)
+    except UserError as error:
+        raise UserError(f"{where}: {error}") from None

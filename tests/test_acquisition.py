@@ -9,15 +9,17 @@ from jaxtyping import Array, Float
 from scipy.integrate import quad
 from scipy.stats import norm, t
 
-from hsed_jax.design.acquisition import (
-    ACQUISITIONS,
-    PerCost,
-    choose,
+from hsed_jax.design.acquisition import PerCost, choose, sobol_candidates
+from hsed_jax.design.acquisitions import ACQUISITIONS
+from hsed_jax.design.acquisitions.expected_improvement import (
+    ExpectedImprovement,
     expected_improvement,
     log_expected_improvement,
     log_standard_improvement,
-    sobol_candidates,
 )
+from hsed_jax.design.acquisitions.max_variance import MaxVariance
+from hsed_jax.design.acquisitions.random import Random
+from hsed_jax.design.acquisitions.sobol import Sobol
 from hsed_jax.design.kriging import condition, fit_kriging
 
 KEY = jax.random.key(0)
@@ -125,7 +127,7 @@ def test_vanishing_deviation(deviation):
 
 def test_gradient_of_the_improvement_is_finite_at_a_tested_point():
     model = surrogate()
-    improvement = ACQUISITIONS["expected_improvement"]
+    improvement = ExpectedImprovement()
     points = jnp.concatenate([model.inputs[:2], model.inputs[:1] + 1e-9])
     gradient = jax.jit(jax.grad(lambda x: jnp.sum(improvement(model, x, KEY))))(points)
     assert np.all(np.isfinite(gradient))
@@ -142,7 +144,7 @@ def test_improvement_is_over_the_largest_mean_not_the_largest_datum():
     mean, variance = model.predict(x)
     best = model.predict(model.inputs)[0].max()
     assert best < 1.9
-    got = choose(model, x, *no_points(1), "expected_improvement", KEY)
+    got = choose(model, x, *no_points(1), ExpectedImprovement(), KEY)
     # Three points and a constant: a Student t of two degrees of freedom, whose scale² is the variance of Eq. 11 times N/(N − p).
     truth = expected_improvement(mean, jnp.sqrt(variance / 2), best, 2)[0]
     np.testing.assert_allclose(got.value, truth, rtol=1e-10)
@@ -152,7 +154,7 @@ def test_improvement_is_over_the_largest_mean_not_the_largest_datum():
 @pytest.mark.parametrize("name", ["expected_improvement", "max_variance"])
 def test_choice_is_the_best_candidate(name):
     model, candidates = surrogate(), sobol_candidates(300, 2, 1)
-    choice = choose(model, candidates, *no_points(), name, KEY)
+    choice = choose(model, candidates, *no_points(), ACQUISITIONS[name](), KEY)
     mean, variance = map(np.asarray, model.predict(candidates))
     gained = improvement_of_twelve(mean, variance, float(model.tested_means().max()))
     value = {"expected_improvement": gained, "max_variance": variance}[name]
@@ -166,36 +168,34 @@ def test_what_is_to_be_gained_counts_per_cost():
     gained = improvement_of_twelve(mean, variance, float(model.tested_means().max()))
     costs = 0.01 + np.asarray(candidates)[:, 0]
     assert np.argmax(gained / costs) != np.argmax(gained)
-    choice = choose(
-        model, candidates, *no_points(), PerCost(ACQUISITIONS["expected_improvement"], jnp.asarray(costs)), KEY
-    )
+    choice = choose(model, candidates, *no_points(), PerCost(ExpectedImprovement(), jnp.asarray(costs)), KEY)
     assert choice.index == np.argmax(gained / costs)
     np.testing.assert_allclose(choice.value, (gained / costs).max(), rtol=1e-9)
-    alike = choose(model, candidates, *no_points(), PerCost(ACQUISITIONS["max_variance"], jnp.full(300, 7.0)), KEY)
+    alike = choose(model, candidates, *no_points(), PerCost(MaxVariance(), jnp.full(300, 7.0)), KEY)
     assert alike.index == np.argmax(variance)
 
 
-@pytest.mark.parametrize("name", ACQUISITIONS)
+@pytest.mark.parametrize("name", [name for name, known in ACQUISITIONS.items() if not known.of_rivals])
 def test_no_acquisition_proposes_a_point_twice(name):
     model, candidates = surrogate(), sobol_candidates(8, 2, 2)
     tested, mask, order = jnp.zeros((8, 2)), jnp.zeros(8, bool), []
     for i in range(8):
-        order.append(int(choose(model, candidates, tested, mask, name, KEY).index))
+        order.append(int(choose(model, candidates, tested, mask, ACQUISITIONS[name](), KEY).index))
         # what was performed differs from what was asked by rounding
         tested, mask = tested.at[i].set(candidates[order[-1]] + 5e-7), mask.at[i].set(True)
     assert sorted(order) == list(range(8))
     assert (order == list(range(8))) == (name == "sobol")
     with pytest.raises(ValueError, match="all 8 have been"):
-        choose(model, candidates, tested, mask, name, KEY)
+        choose(model, candidates, tested, mask, ACQUISITIONS[name](), KEY)
 
 
 def test_points_outside_the_tolerance_or_masked_out_are_no_repeats():
     model = surrogate()
     candidates = jnp.array([[0.2, 0.2], [0.8, 0.8]])
     near = candidates[:1] + jnp.array([2e-6, 0.0])
-    assert choose(model, candidates, near, jnp.array([True]), "sobol", KEY).index == 0
-    assert choose(model, candidates, candidates[:1], jnp.array([False]), "sobol", KEY).index == 0
-    assert choose(model, candidates, candidates[:1], jnp.array([True]), "sobol", KEY).index == 1
+    assert choose(model, candidates, near, jnp.array([True]), Sobol(), KEY).index == 0
+    assert choose(model, candidates, candidates[:1], jnp.array([False]), Sobol(), KEY).index == 0
+    assert choose(model, candidates, candidates[:1], jnp.array([True]), Sobol(), KEY).index == 1
 
 
 def test_ties_go_to_the_first_and_failed_utilities_to_none():
@@ -214,13 +214,15 @@ def test_ties_go_to_the_first_and_failed_utilities_to_none():
 
 def test_random_order_follows_the_key():
     model, candidates = surrogate(), sobol_candidates(64, 2, 4)
-    picks = [int(choose(model, candidates, *no_points(), "random", jax.random.key(k)).index) for k in (0, 0, 1, 2, 3)]
+    picks = [int(choose(model, candidates, *no_points(), Random(), jax.random.key(k)).index) for k in (0, 0, 1, 2, 3)]
     assert picks[0] == picks[1] and len(set(picks)) > 2
 
 
 def test_unknown_acquisition_is_refused():
-    with pytest.raises(ValueError, match="max_variance"):
-        choose(surrogate(), sobol_candidates(4, 2, 0), *no_points(), "greedy", KEY)
+    with pytest.raises(
+        ValueError, match=r"there is no acquisition 'greedy'; allowed are .*, max_variance, random, sobol"
+    ):
+        ACQUISITIONS.known("greedy")
 
 
 def test_sobol_candidates():
@@ -249,7 +251,7 @@ def test_expected_improvement_finds_the_optimum_of_branin_and_random_does_not():
         for n in range(first, planned):
             mask = jnp.arange(planned) < n
             model = fit_kriging(jnp.asarray(x), jnp.asarray(y), mask, key=KEY)
-            choice = choose(model, candidates, jnp.asarray(x), mask, name, jax.random.fold_in(KEY, n))
+            choice = choose(model, candidates, jnp.asarray(x), mask, ACQUISITIONS[name](), jax.random.fold_in(KEY, n))
             x[n] = candidates[int(choice.index)]
             y[n] = truth[int(choice.index)]
         return truth.max() - y.max()

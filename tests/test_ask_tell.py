@@ -11,12 +11,12 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from test_conduct import STUDY as PERFORMED
+from builders.designs import STUDY as PERFORMED
 
 from hsed_jax import AskTell, campaign_of
 from hsed_jax.command_line import main
 from hsed_jax.config.load import load_study
-from hsed_jax.design.teaching import lesson
+from hsed_jax.design.acquisitions import ACQUISITIONS
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import read_at2, read_campaign
 from hsed_jax.runs.folder import RunFolder
@@ -152,9 +152,13 @@ def test_experiments_that_are_out_at_once_are_chosen_for_what_they_tell_together
 
 
 def test_what_an_experiment_is_expected_to_teach_is_said_in_words():
-    assert lesson("expected_improvement", 0.03, [0.1, None, math.nan, 0.3]).endswith("by 10 % of it, on average")
-    assert lesson("expected_improvement", 0.03, [None]) == lesson("sobol", 1.0, [0.3]) == ""
-    assert lesson("discriminate", math.log(20), []).endswith("odds of 20 to 1")
+    assert (
+        ACQUISITIONS["expected_improvement"]
+        .lesson(0.03, [0.1, None, math.nan, 0.3])
+        .endswith("by 10 % of that, on average")
+    )
+    assert ACQUISITIONS["expected_improvement"].lesson(0.03, [None]) == ACQUISITIONS["sobol"].lesson(1.0, [0.3]) == ""
+    assert ACQUISITIONS["discriminate"].lesson(math.log(20), []).endswith("odds of 20 to 1")
     assert odds(40.0) == "more than a million to 1"
 
 

@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from builders.studies import SMALL, content
 from hypothesis import HealthCheck, given, settings
 from scipy.io import savemat
-from test_study import SMALL, content
 
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError

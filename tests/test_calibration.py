@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from builders.posteriors import EXACT, drawn, find, measured_at, posterior_of
 from scipy import stats
 from scipy.integrate import quad, trapezoid
 from scipy.optimize import minimize
@@ -15,46 +16,20 @@ from hsed_jax.errors import UserError
 from hsed_jax.inference.correlation import memory_of
 from hsed_jax.inference.expansion import expand
 from hsed_jax.inference.fit import fit
-from hsed_jax.inference.likelihood import Data, Error, data_of, log_likelihood
-from hsed_jax.inference.maximum import maximise
+from hsed_jax.inference.likelihood import Error, data_of, log_likelihood
 from hsed_jax.inference.nuts import Chains, Settings, convergence
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.predict import Predictor
 from hsed_jax.inference.priors import Prior
-from hsed_jax.inference.sampling import draw
 from hsed_jax.physics.simulator import Conditions
 from hsed_jax.study.build import Built
 
 EXPERIMENTS = 8
 
 
-def posterior_of(respond, priors, errors) -> Posterior:
-    """The posterior of a toy: `respond` gives one output per error."""
-    outputs = [f"y{j}" for j in range(len(errors))]
-    return Posterior(Predictor(respond), priors, [Error(e) for e in errors], outputs, np.arange(len(errors)))
-
-
-def measured_at(x, values) -> Data:
-    """Measured outputs (n, J) at the inputs x (n,)."""
-    values = np.asarray(values, float)
-    conditions = Conditions({"x": jnp.asarray(x, float)})
-    return data_of(conditions, values, np.isfinite(values), np.full(values.shape, np.inf), len(values))
-
-
 # Compiled as one, where each of their operations would be by itself.
 log_density, log_posterior = eqx.filter_jit(Posterior.log_density), eqx.filter_jit(Posterior.log_posterior)
 likelihood = eqx.filter_jit(log_likelihood)
-
-
-def find(posterior, data, starts=4):
-    return maximise(posterior, data, posterior.starts(starts))
-
-
-def drawn(posterior, data, maximum, settings, seed=0, **more):
-    return draw(posterior, data, maximum, jnp.asarray(0.8), jax.random.key(seed), settings, **more)
-
-
-EXACT = pytest.mark.parametrize("sampler", ["nuts", "importance"])
 
 
 # --- the paper's case against a grid -----------------------------------------------------------------------------

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hsed_jax.design.acquisition import ACQUISITIONS, sobol_candidates
+from hsed_jax.design.acquisition import sobol_candidates
+from hsed_jax.design.acquisitions.expected_improvement import ExpectedImprovement
 from hsed_jax.design.discrepancy import discrepancy, variance_over
 from hsed_jax.design.drift import shares
 from hsed_jax.design.feasible import too_near
 from hsed_jax.design.sequential import DesignState, SequentialDesign, Trial
 from hsed_jax.design.space import SAME_POINT, InputSpace, Point
-from hsed_jax.design.teaching import lesson, told
+from hsed_jax.design.teaching import told
 from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import Error
 from hsed_jax.inference.nuts import Settings
@@ -200,7 +201,7 @@ def test_a_design_keeps_its_distance_and_replicates_do_not(campaign, toy):
     free = toy(replicates=True)
     chosen, _, info = free.ask(state, jax.random.key(0))
     near = np.linalg.norm(state.cube - chosen, axis=1).min()
-    best = np.argmax(ACQUISITIONS["expected_improvement"](info.kriging, free.candidate_set, jax.random.key(0)))
+    best = np.argmax(ExpectedImprovement()(info.kriging, free.candidate_set, jax.random.key(0)))
     np.testing.assert_array_equal(chosen, np.asarray(free.candidate_set)[best])
     # It goes on where the discrepancy is largest; the other looks elsewhere.
     assert near < 1 / 3 / 4
@@ -253,7 +254,7 @@ def test_the_shares_of_the_inputs_are_those_of_the_nearest():
 def test_an_improvement_below_a_millionth_of_the_largest_is_shown_as_none():
     assert told([0.2, 0.05, 3e-7, 1e-9, 1e-44]) == [0.2, 0.05, 3e-7, 0.0, 0.0]
     assert told([]) == [] and told([0.0]) == [0.0]
-    assert "by 0 % of it" in lesson("expected_improvement", 1e-44, [0.3])
+    assert "by 0 % of that" in ExpectedImprovement.lesson(1e-44, [0.3])
 
 
 def test_few_candidates_are_used_up_one_by_one_and_then_there_are_none(toy):

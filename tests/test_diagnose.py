@@ -12,29 +12,42 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from builders.dictionary import (
+    BOX,
+    COLUMNS,
+    EFFECTS,
+    FUNCTIONS,
+    LAW,
+    RANDOM,
+    SIGMA,
+    Dictionary,
+    J,
+    K,
+    N,
+    data_of,
+    found_in,
+    measured_of,
+    rivals_problem,
+    search_of,
+)
+from builders.springs import BETA, NOISE, A, C, spring_campaign, spring_study
 from scipy import stats
 
 import hsed_jax as hx
 from hsed_jax.diagnosis.averaging import averaged
-from hsed_jax.diagnosis.batch import Batch
-from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.candidates import problem_of
 from hsed_jax.diagnosis.diagnose import diagnose
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
-from hsed_jax.diagnosis.problem import FormColumns, Problem
+from hsed_jax.diagnosis.problem import FormColumns
 from hsed_jax.diagnosis.rivals import look_alikes_of, predictive, separation, shares_of
 from hsed_jax.diagnosis.score import folds_of, weights_of
 from hsed_jax.diagnosis.scores import score_p_value
 from hsed_jax.diagnosis.search import Search
 from hsed_jax.inference.likelihood import Columns, Error, sigma_of
 from hsed_jax.inference.likelihood import data_of as data_of_measurements
-from hsed_jax.inference.priors import Prior
 from hsed_jax.interruptions import Interrupted
-from hsed_jax.measurements import Campaign, Channel, Experiment, Noise, Record
-from hsed_jax.physics.effects import EFFECTS as CATALOGUE
 from hsed_jax.physics.effects.base import Form
-from hsed_jax.physics.scales import Scales
 from hsed_jax.runs.folder import RunFolder
 from hsed_jax.runs.progress import Progress
 from hsed_jax.study.build import Built
@@ -42,40 +55,6 @@ from hsed_jax.study.build import Built
 # --- a dictionary: law + sum of amplitude × function, so that every answer is known in closed form -----------------------
 
 ROOT = Path(__file__).resolve().parents[1]
-N, J, K, SIGMA = 6, 40, 8, 0.5
-RANDOM = np.random.default_rng(11)
-# White, so that nothing is like anything else: (2 + K, N, J).
-FUNCTIONS = RANDOM.standard_normal((2 + K, N, J))
-COLUMNS = {f"effect_{k}": np.array([2 + k]) for k in range(K)}
-EFFECTS = {name: {"": FormColumns(Form(is_default=True), columns, {})} for name, columns in COLUMNS.items()}
-LAW = np.arange(2)
-
-
-class Dictionary(Batch):
-    """Outputs are linear in θ."""
-
-    def __init__(self, functions, fails=False):
-        self.functions, self.fails = functions, fails
-
-    def __call__(self, thetas, experiments, samples=None):
-        outputs = np.einsum("lk,klj->lj", thetas, self.functions[:, experiments])
-        # Where asked for, beyond the experiments that are fitted nothing converges with an effect.
-        failed = self.fails & (np.asarray(experiments) >= N) & np.any(thetas[:, 2:] != 0, axis=1)
-        return outputs * ~failed[:, None], 1.0 - failed
-
-
-PRIORS = {"a": Prior("normal", [0.0, 3.0]), "b": Prior("normal", [0.0, 3.0])} | {
-    name: Prior("normal", [0.0, 1.0]) for name in EFFECTS
-}
-BOX = Box(PRIORS)
-
-
-def measured_of(values, used=None, declared=SIGMA):
-    used = np.ones(values.shape, dtype=bool) if used is None else used
-    noise = 0.0 if math.isnan(declared) else declared / float(np.std(values[used]))
-    groups = np.zeros(values.shape[1], dtype=int)
-    error = Error(Prior("half_normal", 1.0) if math.isnan(declared) else declared, correlated=False)
-    return Measured(values, used, np.full(values.shape, np.inf), groups, (error,), noise)
 
 
 def test_an_error_of_what_was_measured_has_its_given_scale_in_a_diagnosis_too():
@@ -90,28 +69,6 @@ def test_an_error_of_what_was_measured_has_its_given_scale_in_a_diagnosis_too():
     calibrated = np.asarray(sigma_of(size, columns, jnp.asarray(predicted), jnp.ones(2), data))
     np.testing.assert_allclose(train.sigma(train.declared, predicted), calibrated)
     np.testing.assert_allclose(train.residual(predicted)[:, 0], [0.5, -0.75])
-
-
-def search_of(values, is_explained=lambda fit: False, functions=FUNCTIONS, **more):
-    models = NestedModels(Dictionary(functions), BOX, np.zeros(2 + K))
-    search = Search(models, measured_of(values, **more), LAW, EFFECTS, is_explained)
-    search.start()
-    return search
-
-
-def found_in(values, **more):
-    search = search_of(values, **more)
-    search.run()
-    return search
-
-
-def data_of(seed, **amplitudes):
-    theta = np.zeros(2 + K)
-    theta[:2] = 1.5, -0.7
-    for name, value in amplitudes.items():
-        theta[COLUMNS[name]] = value
-    noise = SIGMA * np.random.default_rng(seed).standard_normal((N, J))
-    return np.einsum("k,knj->nj", theta, FUNCTIONS) + noise
 
 
 def test_noise_alone_names_nothing():
@@ -223,7 +180,7 @@ def test_a_search_that_was_interrupted_and_goes_on_makes_no_fit_twice(tmp_path, 
 
 
 ORDER = """
-import test_diagnose as here
+from builders import dictionary as here
 from hsed_jax.diagnosis.nested import NestedModels
 asked, fit = [], NestedModels.fit
 
@@ -697,26 +654,6 @@ def test_scores_are_those_of_the_projected_gradient():
 MORE = 5
 
 
-def rivals_problem(functions, values):
-    """A problem on the dictionary whose last experiments were not made."""
-    count = functions.shape[1] - len(values)
-    return Problem(
-        models=NestedModels(Dictionary(functions), BOX, np.zeros(2 + K)),
-        names=tuple(PRIORS),
-        units={},
-        law=LAW,
-        effects=EFFECTS,
-        catalogue=CATALOGUE.only(()),
-        scales=Scales(),
-        train=measured_of(values),
-        test=None,
-        experiments=(),
-        outputs=("y",),
-        candidates=[{"number": float(k)} for k in range(count)],
-        seed=0,
-    )
-
-
 def rival_case(unlike, more=()):
     """Two effects that are alike but for a part of this size, the first of which is hidden, and further ones that are, too."""
     random = np.random.default_rng(5)
@@ -847,65 +784,7 @@ def test_an_average_over_explanations_is_their_mixture():
 
 # --- component tests made by another program --------------------------------------------------------------------------
 
-A, BETA, C = 2.0e7, 200.0, 3.0e5  # strength 100 kN, yield elongation 5 mm; the dashpot carries up to 30 kN
-NOISE = 1.5e3
-SAMPLES = 120
 FEW = ("viscous_damping", "hardening", "coulomb_friction", "stiffness_degradation")
-
-
-def exact_force(time, elongation, rate, c, parts=50):
-    """Bouc–Wen with γ = 0, n = 1: on a monotone step z relaxes to ±A/β over the way; and a dashpot beside it."""
-    dense = np.linspace(time[0], time[-1], (time.size - 1) * parts + 1)
-    z = np.zeros(dense.size)
-    for k, du in enumerate(np.diff(elongation(dense))):
-        limit = np.sign(du) * A / BETA
-        z[k + 1] = limit + (z[k] - limit) * np.exp(-BETA * abs(du))
-    return z[::parts] + c * rate(time)
-
-
-def spring_campaign(c, seed=0, noise=NOISE) -> Campaign:
-    """Cyclic tests of different speed and amplitude, the last of them kept for testing."""
-    experiments = []
-    for number, (frequency, amplitude) in enumerate(((0.4, 0.02), (1.0, 0.014), (0.2, 0.03), (0.7, 0.018))):
-        time = np.linspace(0.0, 5.0 / frequency, SAMPLES)
-        omega, growth = 2 * np.pi * frequency, frequency / 5.0
-
-        def elongation(t, a=amplitude, w=omega, g=growth):
-            return a * (0.2 + 0.8 * g * t) * np.sin(w * t)
-
-        def rate(t, a=amplitude, w=omega, g=growth):
-            return a * (0.8 * g * np.sin(w * t) + (0.2 + 0.8 * g * t) * w * np.cos(w * t))
-
-        force = exact_force(time, elongation, rate, c)
-        force += noise * np.random.default_rng([seed, number]).standard_normal(SAMPLES)
-        record = Record(time, {"elongation": elongation(time), "force": force})
-        experiments.append(Experiment(f"E0{number + 1}", record=record, split="test" if number == 3 else "train"))
-    channels = {
-        "time": Channel("time", "s"),
-        "elongation": Channel("elongation", "mm"),
-        "force": Channel("force", "kN", noise=Noise(absolute=noise)),
-    }
-    return Campaign("springs", "displacement", {}, channels, {}, tuple(experiments))
-
-
-def spring_study(**changes):
-    return hx.load_study(
-        {
-            "study": "springs",
-            "model": {
-                "parameters": {
-                    "A": {"lognormal": [np.log(1.4 * A), 0.7]},
-                    "beta": {"lognormal": [np.log(0.7 * BETA), 0.7]},
-                    "gamma": 0.0,
-                    "n": 1.0,
-                }
-            },
-            "experiments": {"campaign": "nowhere"},
-            "observe": "histories",
-            "steps": ["calibrate", "compare"],
-            **changes,
-        }
-    )
 
 
 def diagnosed(c, effects=FEW, seed=0, **changes):

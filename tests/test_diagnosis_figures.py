@@ -3,26 +3,23 @@
 import importlib.util
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import matplotlib.text
 import numpy as np
 import pytest
+from builders.calibrations import fitted
+from builders.diagnoses import candidate, diagnosis, falling, improved
+from builders.misfits import histories, quantities
+from builders.outcomes import outcome
 from numpy.testing import assert_allclose
-from test_misfit_figures import histories, quantities
 
-from hsed_jax.behaviour.findings import Behaviour, Behaviours, ProbedCurve, Value, told
-from hsed_jax.criticism.compare import compare
+from hsed_jax.behaviour.findings import Behaviours
 from hsed_jax.criticism.improve import Step, Trail
-from hsed_jax.diagnosis.findings import Candidate, Diagnosis
-from hsed_jax.physics.pairs import ELONGATION_AND_FORCE
-from hsed_jax.physics.scales import Scales
 from hsed_jax.reporting import behaviour_figures, diagnosis_figures, style
 from hsed_jax.reporting.diagnosis_figures import before_after, error_fall, parameters_before_after, ranking
 from hsed_jax.reporting.inline_svg import inline
 from hsed_jax.reporting.worth import worth
 from hsed_jax.runs.figures import diagnosis_drawings
-from hsed_jax.runs.outcome import Outcome
 from hsed_jax.runs.results import _ranking
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -36,34 +33,6 @@ IMPROVED = {
     "beta": {"mean": 1.0, "sd": 0.1, "q05": 0.9, "q95": 1.2},
     "stiffness_degradation.delta": {"mean": 0.4, "sd": 0.1, "q05": 0.3, "q95": 0.5},
 }
-
-
-def candidate(effect, gain, probability=0.0):
-    estimate = {"delta": {"mean": 0.4, "sd": 0.1, "q05": 0.2, "q95": 0.6, "unit": "1"}}
-    score = {"gain": gain, "standard_error": 1.0} if np.isfinite(gain) else None
-    return Candidate(effect, "family", probability, gain, 3.0, 0.01, estimate, 0.1, 0.2, score=score)
-
-
-def diagnosis(candidates, effects=(), look_alikes=()):
-    return Diagnosis("missing_effects", list(effects), list(candidates), [list(g) for g in look_alikes],
-                     None, None, np.zeros(0), 0.0,
-                     0.5, (0.3, 0.3), (0.05, 0.05), 0.05, {}, {}, histories(1, 0, 6)[1].train_prediction, Scales())  # fmt: skip
-
-
-def falling():
-    """A stiffness that falls along the test and a force that stays, where the model as it was had a smaller one."""
-    places = np.linspace(0.0, 1.0, 5)
-    stiffness, force = 3e6 - 2e6 * places, np.full(5, 4e4)
-    curves = {
-        "initial_stiffness": ProbedCurve(np.full(5, 2e6), stiffness, 0.9 * stiffness, 1.1 * stiffness),
-        "strength+": ProbedCurve(np.full(5, 3e4), force, force, force),
-        "recentring": ProbedCurve(np.full(5, 0.5), np.full(5, 0.5), np.full(5, 0.5), np.full(5, 0.5)),
-    }
-    ends = Value(3e6, 2.7e6, 3.3e6), Value(1e6, 0.9e6, 1.1e6)
-    change = Behaviour("initial_stiffness", "falls", {"absorbed_energy": 0.97}, *ends, "N/m")
-    return Behaviours(
-        [replace(change, sentence=told(change, ELONGATION_AND_FORCE))], {"strength": 0.0}, curves, (*places,)
-    )
 
 
 def test_what_a_specimen_does_is_drawn_where_it_differs_and_said():
@@ -82,18 +51,6 @@ def test_what_a_specimen_does_is_drawn_where_it_differs_and_said():
     assert_allclose(after.get_ydata(), 3 - 2 * np.linspace(0, 1, 5))
     assert "falls from 3 to 1 MN/m" in picture.alt
     assert behaviour_figures.behaviour(Behaviours()) is None
-
-
-def improved(comparison, factors):
-    """As a comparison of a better model: experiment i of a split is too strong by `factors[i]`."""
-
-    def better(prediction):
-        size = 1 + np.asarray(factors[: len(prediction.experiments)])[:, None]
-        return prediction and replace(prediction, predicted=size * prediction.measured, mean=size * prediction.measured)
-
-    train = better(comparison.train_prediction)
-    test = None if comparison.test_prediction is None else better(comparison.test_prediction)
-    return compare(train, test, np.ones(len(train.outputs), dtype=bool), 2, [])
 
 
 def texts(picture):
@@ -291,33 +248,18 @@ def test_what_belongs_to_an_effect_is_none_of_the_law_even_a_users_own():
 def test_what_there_is_material_for(monkeypatch):
     for name in ("ranking", "error_fall", "before_after", "parameters_before_after"):
         monkeypatch.setattr(diagnosis_figures, name, lambda *_, name=name: name)
-    nothing = dict.fromkeys(
-        (
-            "diagnosis",
-            "discovery",
-            "trail",
-            "comparison",
-            "improved_comparison",
-            "fit",
-            "improved",
-            "laboratory",
-            "campaign",
-            "catalogue",
-        )
-    )
-    fit = SimpleNamespace(summary=dict, units={})
+    campaign, comparison, _ = histories()
+    fit = fitted()
     cases = [
         ({}, []),
         ({"diagnosis": diagnosis([candidate("gap", 1.0)])}, ["ranking"]),
-        ({"trail": Trail([Step([], 0.3, 0.3, {})], 0.1), "comparison": 1, "fit": fit}, []),
+        ({"trail": Trail([Step([], 0.3, 0.3, {})], 0.1), "comparison": comparison, "fit": fit}, []),
         ({"trail": Trail([Step([], 0.3, 0.3, {})] * 2, 0.1)}, ["error_fall"]),
-        ({"comparison": 1, "improved_comparison": 1}, ["before_after"]),
+        ({"campaign": campaign, "comparison": comparison, "improved_comparison": comparison}, ["before_after"]),
         ({"fit": fit, "improved": fit}, ["parameters_before_after"]),
     ]
     for given, expected in cases:
-        outcome = object.__new__(Outcome)
-        vars(outcome).update({**nothing, **given})
-        assert [name for name, _ in diagnosis_drawings(outcome)] == expected
+        assert [name for name, _ in diagnosis_drawings(outcome(**given))] == expected
 
 
 def test_the_table_of_the_ranking():

@@ -6,8 +6,8 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
+from builders.instants import RANDOM, SCALES, point, states
 from numpy.polynomial import chebyshev
-from test_discovery import RANDOM, SCALES, point, states
 
 from hsed_jax.discovery.effect_file import source_of, source_of_curve
 from hsed_jax.discovery.findings import Curve, Discovery, Tried

@@ -10,9 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
+from builders.dictionary import FUNCTIONS, SIGMA, N, measured_of, rivals_problem
+from builders.instants import RANDOM, SCALES, E, F, U, V, point, states
+from builders.springs import spring_campaign, spring_study
 from numpy.polynomial import chebyshev
 from scipy.stats import multivariate_normal
-from test_diagnose import FUNCTIONS, SIGMA, N, measured_of, rivals_problem, spring_campaign, spring_study
 
 import hsed_jax as hx
 from hsed_jax.analysis.calibration import Calibration
@@ -26,7 +28,6 @@ from hsed_jax.discovery.search import judged
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
 from hsed_jax.physics.effects import EFFECTS, Catalogue
-from hsed_jax.physics.effects.base import SpringPoint
 from hsed_jax.physics.effects.coordinates import COORDINATES
 from hsed_jax.physics.effects.free_function import (
     COUNTS,
@@ -40,12 +41,8 @@ from hsed_jax.physics.effects.free_function import (
 )
 from hsed_jax.physics.excitations import Imposed, Tabulated
 from hsed_jax.physics.parameters import parameters_of
-from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Conditions, Recorded, Simulator, Timeline
 from hsed_jax.study.build import Built
-
-F, U, V, E = SCALES = Scales(force=1.2e5, elongation=0.25, rate=1.5, energy=2e4)
-RANDOM = np.random.default_rng(8)
 
 # --- coordinates in the simulation -------------------------------------------------------------------------------
 
@@ -131,25 +128,6 @@ def test_reaches_are_the_ends_of_the_motion(fine):
 
 def numbers_of(coefficients):
     return dict(zip(POWERS, powers_of(coefficients), strict=True))
-
-
-def point(at) -> SpringPoint:
-    """Random states, (n,), by name of what a coordinate looks at."""
-    count = at["u"].size
-    scales = Scales(*(np.full(count, scale) for scale in SCALES))
-    return SpringPoint(at["u"], at["v"], at["z"], at, scales, np.full(count, 6e4), np.full(count, 5e5))
-
-
-def states(count=80):
-    draw = np.random.default_rng(5)
-    names = ("energy", "travel", "largest_elongation", "time", "last_reversal", "recent_path", "lagged_elongation")
-    sizes = dict.fromkeys(names, 1.0) | {"energy": E, "travel": E / F, "largest_elongation": U, "last_reversal": U}
-    found = {name: size * draw.exponential(size=count) for name, size in sizes.items()}
-    return found | {
-        "u": U * draw.normal(size=count),
-        "v": V * draw.normal(size=count),
-        "z": F * draw.normal(size=count),
-    }
 
 
 def test_powers_are_those_of_the_polynomials_of_chebyshev():

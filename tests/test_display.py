@@ -12,15 +12,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_diagnosis_figures import candidate, diagnosis
-from test_misfit_figures import histories, quantities
-from test_plot import STUDY, bare, calibration, fitted, improvement
+from builders.calibrations import STUDY, calibration, fitted, improvement
+from builders.diagnoses import candidate, diagnosis
+from builders.misfits import histories, quantities
 
 import hsed_jax as hx
-from hsed_jax.analysis.calibration import Calibration
 from hsed_jax.command_line import _tell as tell
 from hsed_jax.criticism.improve import Step, Trail
-from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.nuts import Convergence
 from hsed_jax.measurements import Record
 from hsed_jax.physics.response import Response
@@ -100,7 +98,7 @@ def test_the_numbers_are_those_of_the_results():
 def test_the_sentence_of_what_is_wrong_comes_first():
     fit = fitted()
     assert repr(fit).startswith("calibrated on 3 experiments; converged, no divergences")
-    vars(fit)["convergence"] = fit.convergence._replace(divergences=7)
+    fit = replace(fit, convergence=fit.convergence._replace(divergences=7))
     assert re.match("calibrated on 3 experiments; warning: .*7 .*diverg", repr(fit))
     assert "warning" in fit._repr_html_().split("<table>")[0]
 
@@ -165,8 +163,8 @@ def warned():
     """An improvement whose draws have not converged."""
     better = improvement()
     judged = Convergence(np.asarray([1.5, 1.0, 1.0]), np.full(3, 900.0), 0)
-    fit = bare(Fit, **{**vars(better.calibration.fit), "convergence": judged})
-    return replace(better, calibration=bare(Calibration, **{**vars(better.calibration), "fit": fit}))
+    fit = replace(better.calibration.fit, convergence=judged)
+    return replace(better, calibration=replace(better.calibration, fit=fit))
 
 
 def test_the_warning_of_an_improved_model_is_shown(monkeypatch):

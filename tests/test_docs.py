@@ -1,6 +1,7 @@
 """The documentation says what the package does: keys and defaults of a study, public names, links that lead somewhere."""
 
 import re
+import runpy
 import sys
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args, get_origin
@@ -12,8 +13,11 @@ from pydantic.fields import FieldInfo
 
 import hsed_jax
 from hsed_jax.config.schema import Study
+from hsed_jax.design.acquisitions import ACQUISITIONS
 from hsed_jax.discovery.grammar import SHAPES
 from hsed_jax.discovery.places import places
+from hsed_jax.inference.samplers import SAMPLERS
+from hsed_jax.laboratories.kinds import KINDS
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.effects.coordinates import COORDINATES
 from hsed_jax.physics.effects.free_function import SLOTS
@@ -50,14 +54,19 @@ def sections(annotation: Any, mark: str = "") -> list[tuple[str, type[BaseModel]
 
 
 def keys(model: type[BaseModel] = Study, path: str = "") -> dict[str, FieldInfo]:
-    """Every key of a study that holds a value, by dotted path; per output an error is what it is for all."""
+    """Every key of a study that holds a value, by dotted path; per output an error is what it is for all.
+
+    The keys of laboratories are on a page that is written from the code.
+    """
     found: dict[str, FieldInfo] = {}
     for name, field in model.model_fields.items():
         here = f"{path}.{field.alias or name}".lstrip(".")
+        if path == "experiments" and name in KINDS:
+            continue
         inner = sections(field.annotation)
         if any(not mark for mark, _ in inner):
             inner = [(mark, section) for mark, section in inner if mark != ".NAME"]
-        if not inner or here.endswith("virtual.noise"):  # written like `error`, which is described once
+        if not inner:
             found[WRITTEN.get(here, here)] = field
             continue
         for mark, section in inner:
@@ -98,6 +107,19 @@ def test_default_and_options_are_those_of_the_schema(key):
         assert yaml.safe_load(row.default.strip("`")) == field.default
     for option in options(field.annotation):
         assert f"`{option}`" in row.meaning
+
+
+def test_the_page_of_parts_is_what_the_code_says():
+    made = runpy.run_path(str(DOCS / "parts.py"))["page"]()
+    assert text_of("parts.md") == made, "run `python docs/parts.py`"
+
+
+def test_the_page_of_parts_has_every_part_and_every_setting_of_a_laboratory():
+    page = text_of("parts.md")
+    described = set(re.findall(r"^\| `([\w.]+)` \|", page, re.MULTILINE))
+    assert {*KINDS, *ACQUISITIONS, *SAMPLERS} <= described
+    settings = {f"experiments.{kind}.{name}" for kind, section in KINDS.items() for name in section.model_fields}
+    assert settings <= described
 
 
 def test_the_places_of_a_discovery_are_those_of_the_code():

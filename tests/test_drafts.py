@@ -6,8 +6,8 @@ import stat
 from pathlib import Path
 
 import pytest
-import test_report
 import xarray as xr
+from builders import run_folders
 from matplotlib.figure import Figure
 
 from hsed_jax.command_line import main
@@ -117,7 +117,7 @@ def test_a_sweep_in_a_folder_with_a_link_is_refused(tmp_path, mine, name):
 
 
 def test_a_report_of_a_folder_with_links_overwrites_nothing_outside(tmp_path, mine, capsys):
-    run = test_report.write(tmp_path / "run")
+    run = run_folders.write(tmp_path / "run")
     (run / "report.html.part").symlink_to(mine)
     assert main(["report", str(run)]) == 0
     assert mine.read_bytes() == MINE

@@ -13,8 +13,9 @@ PACKAGE = Path(__file__).resolve().parents[1] / "hsed_jax"
 LEVELS = (
     ("drafts", "errors", "backend", "interruptions", "tables"),
     ("exit_status", "left_out", "memory", "plain", "programs"),
-    ("python_files",),
+    ("python_files", "registry"),
     ("physics",),
+    ("sections",),
     ("measurements",),
     ("behaviour",),
     ("intake", "drafting"),
@@ -156,14 +157,15 @@ BEYOND_REPORTING = (
     "hsed_jax.laboratories",
     "hsed_jax.physics.simulator",
 )
-RESULTS = {"hsed_jax.inference.fit.Fit"}
+# Results that are drawn, and names that are told.
+ALLOWED = {"hsed_jax.inference.fit.Fit", "hsed_jax.laboratories.kinds.KINDS"}
 
 
 @pytest.mark.parametrize(
     "path", [path for path in MODULES if path.parent.name == "reporting"], ids=lambda path: path.name
 )
 def test_reporting_draws_and_computes_nothing(path):
-    names = {name for _, name in imported(path.read_text(encoding="utf-8"), dotted(path)) if name not in RESULTS}
+    names = {name for _, name in imported(path.read_text(encoding="utf-8"), dotted(path)) if name not in ALLOWED}
     assert [name for name in names if any(f"{name}.".startswith(f"{room}.") for room in BEYOND_REPORTING)] == []
 
 
@@ -269,3 +271,20 @@ def test_run_stays_a_function_whatever_of_the_package_is_imported():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=PACKAGE.parent, check=True)
     assert done.stdout.splitlines()[-1] == "function"
+
+
+def borrowed(source: str) -> list[str]:
+    """What a test takes from another test, and objects that it makes without their own `__init__`."""
+    faults = [name for _, name in imported(source, ("tests", "test_x")) if name.split(".")[0].startswith("test_")]
+    made = (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Attribute) and node.attr == "__new__")
+    return faults + [ast.unparse(node) for node in made]
+
+
+@pytest.mark.parametrize("path", sorted(Path(__file__).parent.rglob("*.py")), ids=lambda path: path.name)
+def test_a_test_needs_no_other_test_and_no_object_that_was_never_made(path):
+    assert borrowed(path.read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize("source", ["from test_a import B", "import test_a", "x = object.__new__(Fit)"])
+def test_the_checker_catches_what_is_borrowed(source):
+    assert borrowed(source)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_diagnose import BETA, NOISE, A, C, spring_campaign, spring_study
+from builders.springs import BETA, NOISE, A, C, spring_campaign, spring_study
 
 import hsed_jax as hx
 from hsed_jax.command_line import main

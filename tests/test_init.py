@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from builders.loops import BETA, A, loop
 
 import hsed_jax as hx
 from hsed_jax.command_line import main
@@ -15,19 +16,6 @@ from hsed_jax.drafting.initial import text_of_study
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, Channel, Noise, characteristics, read_campaign, write_campaign
 from hsed_jax.study.build import Built
-
-A, BETA = 2.0e7, 200.0  # strength 100 kN
-
-
-def loop(time, elongation, A=A, beta=BETA, substeps=20):
-    """Force of a Bouc–Wen spring (γ = 0, n = 1) under an imposed elongation, by Euler at fine steps."""
-    force = np.zeros(time.size)
-    for k in range(1, time.size):
-        z, du = force[k - 1], (elongation[k] - elongation[k - 1]) / substeps
-        for _ in range(substeps):
-            z += A * du - beta * abs(du) * z
-        force[k] = z
-    return force
 
 
 def component_campaign(noise=None) -> Campaign:

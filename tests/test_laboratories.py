@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import scipy.io
 import yaml
+from builders.designs import STUDY as PERFORMED
 
 from hsed_jax.command_line import run_main
 from hsed_jax.config.load import load_study
@@ -29,8 +30,6 @@ from hsed_jax.measurements import Channel, read_at2, read_campaign
 from hsed_jax.physics.simulator import Timeline
 from hsed_jax.runs.workflow import Run, run
 from hsed_jax.study.build import Built
-
-import test_conduct  # isort: skip
 
 INPUTS = {"V_P": 2.25, "T_P": 1.0}
 CHANNELS = {
@@ -369,7 +368,7 @@ peaks = [max(abs(sample[i]) for sample in history) for i in (0, 1)]
 json.dump({"umax": 1e3 * peaks[0], "Fmax": 1e-3 * peaks[1], "E": 1e-3 * work}, open("quantities.json", "w"))
 """
 # The study of another file: the programs that it compiles are kept and serve here, too.
-STUDY = {key: given for key, given in test_conduct.STUDY.items() if key != "experiments"}
+STUDY = {key: given for key, given in PERFORMED.items() if key != "experiments"}
 MEASURED = {
     "peak_force": {"unit": "kN", "column": "Fmax"},
     "peak_elongation": {"unit": "mm", "column": "umax"},

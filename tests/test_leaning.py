@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import yaml
-from test_init import loop
+from builders.loops import loop
 
 import hsed_jax as hx
 from hsed_jax.command_line import main

@@ -2,18 +2,19 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pint
 import pytest
 import xarray as xr
+from builders.outcomes import Expecting
 
 import hsed_jax as hx
 from hsed_jax.command_line import main
 from hsed_jax.config.load import load_study
 from hsed_jax.diagnosis import diagnose
+from hsed_jax.diagnosis.descent import Descent, Member
 from hsed_jax.diagnosis.evidence import Sampled
 from hsed_jax.diagnosis.fits import Model
 from hsed_jax.diagnosis.problem import FormColumns
@@ -35,7 +36,6 @@ from hsed_jax.physics.outputs import CHANNELS, QUANTITIES
 from hsed_jax.physics.pairs import ELONGATION_AND_FORCE, PAIRS
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.scales import Scales
-from hsed_jax.runs.ask_tell import AskTell
 from hsed_jax.runs.conduct import Asked
 from hsed_jax.runs.requests import Expected
 from hsed_jax.study.build import Built
@@ -188,12 +188,12 @@ def test_words_and_symbols_are_translated_and_the_ground_and_the_masses_stay_in_
 
 def bare(kind, **fields):
     """A tuple with names that has what is looked at and nothing else."""
-    return tuple.__new__(kind, [fields.get(name) for name in kind._fields])
+    return kind(**{name: fields.get(name) for name in kind._fields})
 
 
 def test_sizes_of_effects_have_the_units_of_the_pair():
     sample = Sampled(0.0, np.inf, np.asarray([[0.1], [0.5]]), np.asarray([0.5, 0.5]))
-    fit = object.__new__(diagnose.Descent)
+    fit = Descent(Member(np.arange(1), np.zeros(1)), np.zeros(1), 0)
     forms = {label: FormColumns(form, np.asarray([0]), {}) for label, form in forms_of(EFFECTS[NAME]).items()}
     about = {"catalogue": EFFECTS, "names": (f"{NAME}.delta",), "scales": Scales(energy=10.0), "effects": {NAME: forms}}
     for pair, unit in ((LENGTH, "1/J"), (ROTATION, "1/J"), (STRAIN, "m^3/J"), (SHEAR, "m/J")):
@@ -251,14 +251,8 @@ def test_what_a_laboratory_declares_is_asked_in_its_pair():
     )
     built = Built(study)
     assert built.mechanics.pair == ROTATION and built.mechanics.units == {"A": "N*m/rad"}
-    asks, asked = object.__new__(AskTell), Asked("E01", 0, 1, {}, {})
-    expected = Expected(np.zeros(1), {}, {"peak_force": np.asarray([1e3, 2e3, 3e3])})
-    vars(asks).update(
-        built=built,
-        path="here",
-        conduct=SimpleNamespace(steps=[]),
-        _requests=SimpleNamespace(folder=lambda id: Path("there"), expected=lambda asked: expected),
-    )
+    asked, expected = Asked("E01", 0, 1, {}, {}), Expected(np.zeros(1), {}, {"peak_force": np.asarray([1e3, 2e3, 3e3])})
+    asks = Expecting(built, SimpleNamespace(steps=[]), expected)
     assert "peak_force expected 2000 N*m (1000 to 3000)" in asks.told(asked)
 
 

@@ -1,7 +1,7 @@
 """`hx.plot`: axes to go on editing, one figure each, nothing left open, nobody's settings changed, clear refusals."""
 
 import inspect
-from dataclasses import replace
+from dataclasses import fields, replace
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -9,76 +9,22 @@ import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from builders.calibrations import STUDY, calibration, improvement
+from builders.diagnoses import candidate, diagnosis, falling, improved
+from builders.misfits import histories, quantities
+from builders.outcomes import Ended, Expecting, outcome
 from matplotlib.axes import Axes
 from numpy.testing import assert_allclose
-from test_diagnosis_figures import candidate, diagnosis, falling, improved
-from test_misfit_figures import histories, quantities
 
 import hsed_jax as hx
-from hsed_jax.analysis.calibration import Calibration
-from hsed_jax.analysis.remedy import Improvement
 from hsed_jax.config.experiments import ExperimentsEntry
-from hsed_jax.criticism.improve import Step, Trail
 from hsed_jax.design.sequential import DesignState, Trial
 from hsed_jax.discovery.findings import Curve, Discovery
 from hsed_jax.discovery.places import Place
 from hsed_jax.inference.fit import Fit
-from hsed_jax.inference.nuts import Chains, Convergence
-from hsed_jax.inference.population import Population
-from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Channel, Experiment, Record, write_campaign
-from hsed_jax.runs.ask_tell import AskTell
-from hsed_jax.runs.outcome import Outcome
 from hsed_jax.runs.requests import Expected
-from hsed_jax.runs.workflow import Run
 from hsed_jax.study.build import Built
-
-STUDY = hx.load_study("configs/paper.yaml")
-UNITS = {"A": "N/m", "beta": "1/m", "stiffness_degradation.delta": "1", "error.force": "1"}
-
-
-def bare(kind, **attributes):
-    """An object that has what is drawn or shown of it and nothing else."""
-    made = object.__new__(kind)
-    vars(made).update(attributes)
-    return made
-
-
-def fitted(names=("A", "beta"), at=(4e5, 1.0), count=3):
-    """A posterior of normal draws, 1 % wide."""
-    centre = np.asarray(at)
-    theta = centre * (1 + 0.01 * np.random.default_rng(0).standard_normal((2, 60, len(names))))
-    zeros = jnp.zeros((2, 60))
-    chains = Chains(jnp.asarray(theta), zeros, zeros > 1, zeros.astype(int), jnp.full(2, 0.5))
-    good = Convergence(np.full(len(names), 1.0), np.full(len(names), 900.0), 0)
-    of_model = tuple(n for n in names if "error." not in n)
-    priors = {name: Prior("lognormal", [float(np.log(value)), 1.0]) for name, value in zip(names, at, strict=True)}
-    posterior = SimpleNamespace(names=names, reported=names, model_names=of_model, fitted=len(of_model), priors=priors,
-                                outputs=(), groups=np.zeros(0, int), population=Population())  # fmt: skip
-    data = SimpleNamespace(count=np.asarray(count), weights=np.zeros((0, 0)), memory=np.zeros((0, 0)))
-    one_mode = SimpleNamespace(warning=lambda names: None)
-    return bare(Fit, posterior=posterior, possible={}, units=UNITS, chains=chains, convergence=good, maximum=one_mode, data=data,
-                map=dict(zip(names, at, strict=True)))  # fmt: skip
-
-
-def calibration(case, observe="histories", fit=None):
-    """A calibration whose predictions are those of a synthetic comparison."""
-    campaign, comparison, _ = case
-    built = Built(STUDY.model_copy(update={"observe": observe}), campaign)
-    fit = fit or fitted()
-    fit.posterior.is_declared = np.ones(len(comparison.train_prediction.outputs), dtype=bool)
-    return bare(Calibration, campaign=campaign, built=built, fit=fit,
-                train=comparison.train_prediction, test=comparison.test_prediction)  # fmt: skip
-
-
-def improvement():
-    campaign, before, _ = histories(2, 2)
-    old = calibration((campaign, before, None))
-    new = calibration(
-        (campaign, before, None), fit=fitted((*old.fit.names, "stiffness_degradation.delta"), (5e5, 0.8, 0.4))
-    )
-    trail = Trail([Step([], 0.3, 0.4, {"A": 4e5}), Step(["stiffness_degradation"], 0.1, 0.2, {"A": 5e5})], 0.05)
-    return Improvement(STUDY, old, new, before, improved(before, [0.01] * 4), trail)
 
 
 def design():
@@ -88,10 +34,8 @@ def design():
     space, points = Built(STUDY).experiments.space, ([0.5, 0.5], [0.2, 0.8], [0.9, 0.1])
     steps = [step, {**step, "max_expected_improvement": 0.1}]
     state = DesignState(tuple(Trial(space.point(np.array(x)), np.zeros(3), "completed") for x in points))
-    laboratory = SimpleNamespace(parameters={"A": 5e5, "beta": 1.0})
-    outcome = bare(Outcome, space=space, state=state, initial=1, steps=steps, fit=None, units=UNITS,
-                   posterior=SimpleNamespace(names=("A", "beta"), reported=("A", "beta")), laboratory=laboratory)  # fmt: skip
-    return bare(Run, study=STUDY, conduct=SimpleNamespace(steps=steps), outcome=lambda status: outcome)
+    found = outcome(space=space, state=state, steps=steps, laboratory=Built(STUDY).site.laboratory)
+    return Ended(found)
 
 
 def asked():
@@ -104,7 +48,7 @@ def asked():
     found = Expected(time, {"elongation": band, "force": band}, {})
     request = SimpleNamespace(inputs={"V_P": 2.0, "T_P": 1.0})
     conduct = SimpleNamespace(request=lambda id: request, campaign=told)
-    return bare(AskTell, conduct=conduct, built=Built(STUDY), expected=lambda asked: found)
+    return Expecting(Built(STUDY), conduct, found)
 
 
 def discovered():
@@ -115,16 +59,21 @@ def discovered():
     return Discovery(True, place=place, formula="F_c u/u_c", curve=curve)
 
 
+class Replicated(Fit):
+    """A fit of a population, whose levels are given."""
+
+    def levels(self):
+        told = {"mean": 4e5, "q05": 3.9e5, "q95": 4.1e5}
+        of = {name: told for name in ("B1", "B2", "B3")}
+        varying = {"mean": told, "spread": {"mean": 0.05}, "untested": told, "of": of}
+        return {"bar": {"A": varying, "beta": varying}}
+
+
 def replicates():
     """A calibration of three bars, whose stiffness and shape vary."""
-    told = {"mean": 4e5, "q05": 3.9e5, "q95": 4.1e5}
-    varying = {
-        "mean": told,
-        "spread": {"mean": 0.05},
-        "untested": told,
-        "of": {name: told for name in ("B1", "B2", "B3")},
-    }
-    return bare(Calibration, fit=SimpleNamespace(levels=lambda: {"bar": {"A": varying, "beta": varying}}, units=UNITS))
+    plain = calibration(histories())
+    known = {field.name: getattr(plain.fit, field.name) for field in fields(Fit)}
+    return replace(plain, fit=Replicated(**known))
 
 
 CASES = {
@@ -217,11 +166,11 @@ def test_loops_are_those_with_the_largest_errors_first():
 
 
 def test_the_posterior_shows_the_draws_the_map_and_the_truth_in_one_unit():
-    fit = fitted(("A", "beta", "error.force"), (4e5, 1.0, 0.1))
-    axes = hx.plot.posterior(calibration(histories(), fit=fit), truth={"A": 5e5})
+    case = calibration(histories(), names=("A", "beta", "error.force"), at=(4e5, 1.0, 0.1))
+    axes = hx.plot.posterior(case, truth={"A": 5e5})
     assert len(axes) == 6
     histogram, pair = axes[0], axes[1]
-    draws = np.asarray(fit.chains.theta).reshape(-1, 3)
+    draws = np.asarray(case.fit.chains.theta).reshape(-1, 3)
     (scatter, mark, truth) = pair.get_lines()
     assert_allclose(scatter.get_xdata(), 1e-3 * draws[:, 0])
     assert_allclose(scatter.get_ydata(), draws[:, 1])
@@ -249,9 +198,10 @@ def test_a_sharp_posterior_does_not_flatten_a_broad_one():
     better = improvement()
     centre = np.asarray(better.calibration.map["A"])
     draws = np.asarray(better.calibration.fit.chains.theta)
-    sharp = bare(Fit, **{**vars(better.calibration.fit), "chains": better.calibration.fit.chains._replace(
-        theta=jnp.asarray(np.concatenate([centre + 1e-4 * (draws[..., :1] - centre), draws[..., 1:]], axis=-1)))})  # fmt: skip
-    histogram = hx.plot.posterior(bare(Calibration, fit=sharp), before=better.original)[0]
+    narrow = np.concatenate([centre + 1e-4 * (draws[..., :1] - centre), draws[..., 1:]], axis=-1)
+    fit = better.calibration.fit
+    sharp = replace(better.calibration, fit=replace(fit, chains=fit.chains._replace(theta=jnp.asarray(narrow))))
+    histogram = hx.plot.posterior(sharp, before=better.original)[0]
     assert_allclose([area.get_data().values.max() for area in histogram.patches], 1.0)
 
 
@@ -293,7 +243,7 @@ def test_the_ground_motions_of_a_measured_campaign_have_a_time(tmp_path):
 
 def test_of_many_parameters_six_are_shown():
     names = tuple(f"p{i}" for i in range(8))
-    assert len(hx.plot.posterior(calibration(histories(), fit=fitted(names, (1.0,) * 8)))) == 21
+    assert len(hx.plot.posterior(calibration(histories(), names=names, at=(1.0,) * 8))) == 21
 
 
 def test_a_design_is_drawn_as_it_went():
@@ -329,7 +279,7 @@ def flat():
         (lambda: hx.plot.error_map(calibration(histories(2, 0))), "one or two inputs that vary"),
         (lambda: hx.plot.ranking(diagnosis([])), "no candidate to draw"),
         (lambda: hx.plot.learned(Discovery(False, "it is noise"), histories(1, 1)[0]), "no function to draw.*noise"),
-        (lambda: hx.plot.expected_improvement(bare(Run, study=STUDY, conduct=None)), "no steps of a design"),
+        (lambda: hx.plot.expected_improvement(Ended()), "no steps of a design"),
         (lambda: hx.plot.ground_motions(STUDY.model_copy(update={"excitation": None})), "no excitation"),
     ],
 )

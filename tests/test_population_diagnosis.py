@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_diagnose import NOISE, C, spring_campaign, spring_study
+from builders.springs import NOISE, C, spring_campaign, spring_study
 
 from hsed_jax.analysis.calibration import calibrate_built
 from hsed_jax.analysis.specimens import over_specimens

@@ -6,19 +6,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_calibration import EXACT, drawn, find, measured_at, posterior_of
+from builders.posteriors import EXACT, drawn, find, measured_at, posterior_of
 
-import hsed_jax as hx
 from hsed_jax.inference import blocks, moves
 from hsed_jax.inference import maximum as search
 from hsed_jax.inference.emulator import emulate
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.importance import Weighted, resampled, weighted
+from hsed_jax.inference.independent import weigh_around
 from hsed_jax.inference.moves import moved
 from hsed_jax.inference.nuts import Chains, Settings, convergence
 from hsed_jax.inference.priors import Prior
-from hsed_jax.inference.samplers import SAMPLERS, Sampler
-from hsed_jax.inference.sampling import _mixed, draw, of_gaussian, weigh_around
+from hsed_jax.inference.sampling import _mixed, draw
 from hsed_jax.inference.watch import Watch
 
 # A size of chains is a program of its own, and one of NUTS takes seconds to compile: what may be of one size is.
@@ -435,20 +434,3 @@ def test_two_stiffnesses_that_give_one_peak_force_are_both_found(paper_simulator
     np.testing.assert_allclose(
         np.quantile(draws, [0.05, 0.95]), np.interp([0.05, 0.95], np.cumsum(density), A), rtol=0.01
     )
-
-
-def at_the_mode(asked):
-    """A sampler of a test: draws of the Gaussian around the mode, under another name."""
-    return of_gaussian(asked)._replace(sampler="at_the_mode")
-
-
-def test_a_sampler_is_one_entry_that_a_study_may_name(monkeypatch):
-    monkeypatch.setitem(SAMPLERS, "at_the_mode", Sampler("draws at the mode", f"{__name__}:at_the_mode"))
-    small = ["steps=[calibrate]", "design.initial=4", "calibration.starts=1", "calibration.draws=50"]
-    found = hx.calibrate(hx.load_study("configs/paper.yaml", [*small, "calibration.sampler=at_the_mode"]))
-    gaussian = hx.calibrate(hx.load_study("configs/paper.yaml", [*small, "calibration.sampler=laplace"]))
-    assert found.fit.chains.sampler == "at_the_mode"
-    np.testing.assert_array_equal(found.fit.chains.theta, gaussian.fit.chains.theta)
-    assert str(found).replace("draws at the mode", SAMPLERS["laplace"].state) == str(gaussian)
-    with pytest.raises(hx.UserError, match=r"there is no sampler 'other'; samplers are auto, nuts, .*, at_the_mode"):
-        hx.load_study("configs/paper.yaml", ["calibration.sampler=other"])

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_misfit_figures import histories
+from builders.misfits import histories
 
 from hsed_jax.criticism.locate import Place
 from hsed_jax.measurements import Campaign, Channel, Experiment, Record, check_campaign

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 import pytest
 import yaml
+from builders.studies import SMALL, content
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -24,30 +25,6 @@ from hsed_jax.plain import dump_yaml
 from hsed_jax.reporting.asked import asked
 from hsed_jax.study.build import Built
 
-SMALL = """
-study: small
-seed: 3
-structure:
-  masses: [8.0e3, 9.0e3]
-  springs: [{between: [ground, 1], stiffness: 4.0e5}, {between: [2, ground], stiffness: 1.0e6}]
-  specimen: {between: [1, 2]}
-  damping: {modal: 0.05, specimen_stiffness: 5.0e5}
-excitation:
-  near_fault_pulse: {V_P: V_P, T_P: T_P}
-  duration: 10.0
-inputs:
-  V_P: {uniform: [1.5, 3.0], unit: m/s}
-  T_P: {uniform: [0.5, 1.5], unit: s}
-model:
-  parameters: {A: {uniform: [2.0e5, 9.0e5]}, beta: {uniform: [0.5, 2.0]}, gamma: 0.0, n: 1.0}
-experiments:
-  virtual:
-    parameters: {A: 5.0e5, beta: 1.0, gamma: 0.0, n: 1.0}
-    effects: {stiffness_degradation: {eta: 2.0e-5}}
-error: {relative: 0.05}
-design: {initial: 3, iterations: 3, candidates: 256}
-calibration: {chains: 2, warmup: 20, draws: 40, step_warmup: 10, step_draws: 10}
-"""
 DELETE = object()
 
 
@@ -55,10 +32,6 @@ DELETE = object()
 def memory(monkeypatch):
     """A machine of 16 GiB, whichever it is."""
     monkeypatch.setattr("psutil.virtual_memory", lambda: SimpleNamespace(total=2**34))
-
-
-def content() -> dict:
-    return parse_yaml(SMALL, "small")
 
 
 def changed(path: str, value) -> dict:
@@ -300,7 +273,7 @@ MISTAKES = {
     "cost of no input": ("design.cost", {"per": {"cycles": 1.0}}, "design.cost.per", "'cycles'", "V_P, T_P"),
     "cost of nothing": ("design.cost", {"fixed": 0, "per": {"V_P": -1.0}}, "design.cost", "smallest", "-3"),
     "cost without inputs": ("design.cost", {"fixed": 2.0}, "design.cost.per", "required"),
-    "unknown acquisition": ("design.acquisition", "ei", "design.acquisition", "'expected_improvement'", "'sobol'"),
+    "unknown acquisition": ("design.acquisition", "ei", "design.acquisition", "expected_improvement", "sobol"),
     "unknown kernel": ("design.kriging", {"kernel": "rbf"}, "design.kriging.kernel", "'matern52'"),
     "unknown step": ("steps", ["design", "calibrat"], "steps.1", "'calibrate'"),
     "steps in the wrong order": ("steps", ["calibrate", "design"], "steps", "calibrate stands before design"),

@@ -8,14 +8,13 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from hsed_jax.analysis.calibration import Calibration, calibrate_built, compare
 from hsed_jax.analysis.specimens import over_specimens
 from hsed_jax.config.schema import Study
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.improve import Step, Trail, step_of
-from hsed_jax.design.acquisition import Given
 from hsed_jax.diagnosis import diagnose as diagnosing
 from hsed_jax.diagnosis.candidates import problem_of, with_effects
 from hsed_jax.diagnosis.descent import Descent, Member, Target, Task
@@ -68,9 +67,9 @@ def diagnose(calibration: Calibration, campaign: Campaign | None = None, watch: 
     return over_specimens(found, problem, problem_with, built, campaign, watch.report)
 
 
-def discriminate(built: Built, campaign: Campaign) -> Given:
-    """The acquisition that chooses what tells the explanations apart best: the expected log Bayes factor between rivals, beyond
-    that of the experiments that are pending.
+def separations(built: Built, campaign: Campaign) -> Float[Array, " m"]:
+    """Log of how far each of the first candidates is expected to tell the explanations apart: of the expected log Bayes factor
+    between rivals, beyond that of the experiments that are pending.
 
     Arguments:
         built: the study, with a design.
@@ -84,7 +83,7 @@ def discriminate(built: Built, campaign: Campaign) -> Given:
     ]
     problem = problem_of(built, campaign, cube=np.concatenate([cube, *(one[None] for one in out)]))
     found = diagnosing.diagnose(problem._replace(pending=len(out)))
-    return Given(jnp.log(jnp.asarray(np.maximum(found.separation, 1e-300))))
+    return jnp.log(jnp.asarray(np.maximum(found.separation, 1e-300)))
 
 
 def verdict_of(built: Built, campaign: Campaign) -> str:

@@ -5,9 +5,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, create_model, model_validator
 
-from hsed_jax.config.sections import Positive, Section
 from hsed_jax.physics.declared import DECLARED, Declared, Setting
 from hsed_jax.plain import Number, Whole
+from hsed_jax.sections import Positive, Section
 
 Value = Number | str
 _TYPES: dict[str, Any] = {

@@ -5,8 +5,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from hsed_jax.config.sections import InputEntry, LevelsEntry, ProgramEntry, Section
 from hsed_jax.plain import Number, shown
+from hsed_jax.sections import InputEntry, LevelsEntry, ProgramEntry, Section
 
 
 class FunctionEntry(Section):

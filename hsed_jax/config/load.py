@@ -8,9 +8,9 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from hsed_jax.config.schema import Study
-from hsed_jax.config.sections import MODELS, TAGS, one_distribution, prior_or_default
 from hsed_jax.errors import UserError
 from hsed_jax.plain import DEPTH, is_file, is_folder, parse_yaml, shown
+from hsed_jax.sections import MODELS, TAGS, one_distribution, prior_or_default
 
 
 def load_study(source: str | Path | dict[str, Any], overrides: Sequence[str] = ()) -> Study:

@@ -3,45 +3,26 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, PlainSerializer, Tag, WrapValidator, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from hsed_jax.config.functions import FunctionEntry
-from hsed_jax.config.sections import (
+from hsed_jax.plain import Number, Whole
+from hsed_jax.sections import DRIVER as DRIVER
+from hsed_jax.sections import FORM as FORM
+from hsed_jax.sections import (
     MODELS,
+    EffectEntry,
     LevelsEntry,
     OwnLawEntry,
+    ParameterEntry,
     Positive,
     PriorEntry,
     Section,
     SpringEntry,
-    prior_or_default,
 )
-from hsed_jax.plain import Number, Whole, shown
 
 Ratio = Annotated[Number, Field(ge=0, lt=1)]
 End = Whole | Literal["ground"]
-
-
-ParameterEntry = Number | Annotated[dict[str, Any], BeforeValidator(prior_or_default)]
-"""A fixed number, or a prior; `{}` is the prior that law or catalogue have for it."""
-FORM, DRIVER = "form", "driver"
-"""Keys of an effect that are no parameters: which of its forms it has, and what drives it."""
-
-
-def _effect(value: Any, validated: Any) -> Any:
-    if not isinstance(value, dict):
-        return validated(value)
-    said = {key: value[key] for key in (FORM, DRIVER) if key in value}
-    for key, word in said.items():
-        if not isinstance(word, str):
-            raise ValueError(f"its {key} must be a word, but it is {shown(word)}")
-    return said | validated({key: entry for key, entry in value.items() if key not in said})
-
-
-EffectEntry = Annotated[dict[str, ParameterEntry], WrapValidator(_effect), PlainSerializer(dict)]
-"""An effect: its form and driver, where they are not the default ones, and its parameters."""
-TrueEffectEntry = Annotated[dict[str, Number], WrapValidator(_effect), PlainSerializer(dict)]
-"""The same of a virtual specimen: every parameter is a number."""
 NotNegative = Annotated[Number, Field(ge=0)]
 
 

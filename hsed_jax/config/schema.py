@@ -9,14 +9,15 @@ from hsed_jax.config.excitation_entry import ExcitationEntry
 from hsed_jax.config.experiments import ExperimentsEntry
 from hsed_jax.config.functions import FunctionEntry
 from hsed_jax.config.mechanics import AnyModelEntry, ModelEntry, SpecimenModelEntry, StructureEntry
-from hsed_jax.config.sections import ErrorsEntry, InputEntry, OwnLawEntry, Positive, Section
+from hsed_jax.design.acquisitions import ACQUISITIONS
 from hsed_jax.errors import UserError
-from hsed_jax.inference.samplers import known_sampler
+from hsed_jax.inference.samplers import SAMPLERS
 from hsed_jax.measurements import Campaign
 from hsed_jax.measurements.findings import DoubtKind
 from hsed_jax.physics.names import of_each
 from hsed_jax.physics.outputs import ALLOWED, EQ_18, QUANTITIES, is_quantity
 from hsed_jax.plain import Number, Whole, name_fault, shown
+from hsed_jax.sections import ErrorsEntry, InputEntry, Positive, Section
 from hsed_jax.tables import Table, Tabular
 
 if TYPE_CHECKING:
@@ -78,9 +79,7 @@ class DesignEntry(Section):
     initial: Count = 3
     iterations: Annotated[Whole, Field(ge=0)] = 40
     candidates: Count = 16384
-    acquisition: Literal["expected_improvement", "max_variance", "discriminate", "random", "sobol"] = (
-        "expected_improvement"
-    )
+    acquisition: Annotated[str, AfterValidator(ACQUISITIONS.known)] = "expected_improvement"
     stop: StopEntry = StopEntry()
     limits: LimitsEntry | None = None
     cost: CostEntry | None = None
@@ -94,7 +93,7 @@ class DesignEntry(Section):
 class CalibrationEntry(Section):
     """Sizes of the calibration: starts of the MAP; chains, adaptation and kept draws per chain of NUTS."""
 
-    sampler: Annotated[str, AfterValidator(known_sampler)] = "auto"
+    sampler: Annotated[str, AfterValidator(SAMPLERS.known)] = "auto"
     """Importance sampling is as exact as NUTS and many times faster where it works, which it can tell; `auto` tries it first and
     leaves to NUTS what it cannot vouch for (of a model just improved it says so instead).  `laplace` is the Gaussian around the
     MAP, without sampling."""
@@ -252,12 +251,11 @@ class Study(Tabular, Section):
     @property
     def code(self) -> list[str]:
         """What is executed where the study is built: its model, laws, effects, and its laboratory that is a Python function."""
-        python, virtual = self.experiments.python, self.experiments.virtual
-        law = None if virtual is None else virtual.spring
-        models = [file for model in self.models.values() for file in model.code]
-        laws = [law.file] if isinstance(law, OwnLawEntry) else []
-        functions = [python.file] if python is not None and python.file is not None else []
-        return list(dict.fromkeys([*models, *laws, *functions]))
+        models, laboratory = (
+            [file for model in self.models.values() for file in model.code],
+            self.experiments.laboratory,
+        )
+        return list(dict.fromkeys([*models, *([] if laboratory is None else laboratory.code)]))
 
     @property
     def models(self) -> dict[str, SpecimenModelEntry | FunctionEntry]:
@@ -295,7 +293,7 @@ class Study(Tabular, Section):
             ("observed", "time histories" if self.observe == "histories" else ", ".join(self.quantities)),
             ("steps", ", ".join(self.steps)),
         ]
-        return Table(f"study {self.study}: a model of {self.experiments.described()}", rows=rows)
+        return Table(f"study {self.study}: a model of {self.experiments.described}", rows=rows)
 
     def written(self) -> dict[str, Any]:
         """The study with every default written out, ready for YAML; reading it again gives the same study."""

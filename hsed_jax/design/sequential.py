@@ -18,7 +18,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from hsed_jax.design.acquisition import ACQUISITIONS, Acquisition, Choice, PerCost, Restricted, choose, sobol_candidates
+from hsed_jax.design.acquisition import Choice, PerCost, Restricted, choose, sobol_candidates
+from hsed_jax.design.acquisitions import ACQUISITIONS
+from hsed_jax.design.acquisitions.base import Acquisition
+from hsed_jax.design.acquisitions.expected_improvement import ExpectedImprovement
 from hsed_jax.design.cost import Cost
 from hsed_jax.design.discrepancy import discrepancy, variance_over
 from hsed_jax.design.drift import Drift, shares
@@ -216,11 +219,11 @@ class SequentialDesign:
             known = jax.device_put((self._cube(state), self._rows(state, excluded)))
             return choose(believing, self.candidate_set, *known, acquisition=by, key=of_choice)
 
-        best = chosen_by(ACQUISITIONS["expected_improvement"])
-        choice, by = best, acquisition or ACQUISITIONS[self.acquisition]
+        best = chosen_by(ExpectedImprovement())
+        choice, by = best, acquisition or ACQUISITIONS[self.acquisition]()
         if self.cost is not None:
             choice = chosen_by(PerCost(by, jnp.asarray(self.cost(self.space.declared(self.candidate_set)))))
-        elif acquisition is not None or self.acquisition != "expected_improvement":
+        elif not isinstance(by, ExpectedImprovement):
             choice = chosen_by(by)
         chosen = np.asarray(self.candidate_set)[int(choice.index)]
         info = StepInfo(

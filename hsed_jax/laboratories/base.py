@@ -12,6 +12,10 @@ class ExperimentFailed(Exception):
     """The experiment was tried and gave nothing to use; the message is the reason."""
 
 
+class Awaited(Exception):
+    """The experiment is asked, and nothing was measured yet: people or a controller perform it."""
+
+
 class Measured(NamedTuple):
     """What a laboratory hands over: quantities (SI) by name and, where it has one, the record."""
 

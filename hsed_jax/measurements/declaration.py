@@ -22,7 +22,9 @@ class NoiseEntry(_Strict):
     """``noise: 0.5``, a standard deviation in the channel's unit, or ``noise: {relative: 0.02}``, of the RMS."""
 
     absolute: Magnitude | None = None
+    """Standard deviation in the unit of the channel; `noise: 0.5` is short for it."""
     relative: Magnitude | None = None
+    """Standard deviation relative to the RMS of the channel, or to the value of the quantity."""
 
 
 def _number_is_absolute(value: Any) -> Any:
@@ -33,7 +35,9 @@ class ChannelEntry(_Strict):
     """``{column: F, unit: kN, noise: 0.5}``; the column is called like the channel unless said otherwise."""
 
     unit: str
+    """Its unit."""
     column: str = ""
+    """Its column; by default called like the channel or the quantity."""
     noise: Annotated[NoiseEntry, BeforeValidator(_number_is_absolute)] | None = None
 
 

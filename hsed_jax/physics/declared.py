@@ -7,13 +7,17 @@ figures and reports ask here.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from hsed_jax.errors import UserError
 from hsed_jax.physics.protocols import PROTOCOLS
+from hsed_jax.registry import Parts
 
-SPRING_LAWS = ("bouc_wen", "elastic", "bilinear", "menegotto_pinto", "takeda")
-"""Names of the laws that come with the package (`hsed_jax.physics.laws`)."""
+if TYPE_CHECKING:
+    from hsed_jax.physics.laws.base import AbstractSpringLaw
+
+LAWS: "Parts[AbstractSpringLaw]" = Parts("hsed_jax.physics.laws", "spring law", ("base", "reversal"))
+"""The spring laws that come with the package by their names, one file each; a study may bring its own."""
 
 
 class Kind(NamedTuple):
@@ -65,7 +69,7 @@ class Setting:
     default: float | None = None
     is_positive: bool = False
     is_optional: bool = False
-    words: Mapping[str, Any] = field(default_factory=dict)
+    words: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
 
 def _all_possible(settings: Mapping[str, Any]) -> tuple[str, str] | None:

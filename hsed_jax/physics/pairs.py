@@ -35,7 +35,9 @@ class Pair:
     elongation_symbol: str
     rate_symbol: str
     force_symbol: str
-    declared: Mapping[str, tuple[float, str]] = field(default_factory=dict, compare=False, repr=False)
+    declared: Mapping[str, tuple[float, str]] = field(
+        default_factory=dict[str, tuple[float, str]], compare=False, repr=False
+    )
 
     def __str__(self) -> str:
         """Return the pair with its units: rotation [rad] and moment [N*m]."""

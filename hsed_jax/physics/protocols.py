@@ -90,7 +90,7 @@ class Protocol:
         Raises:
             UserError: there are not so many steps.
         """
-        levels = []
+        levels: list[Level] = []
         for step in self.steps(count):
             levels.append(Level(step.amplitude, round(4 * step.cycles)))
             if step.trailing:

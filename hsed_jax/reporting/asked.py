@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from hsed_jax.laboratories.kinds import KINDS
 from hsed_jax.measurements import Campaign
 from hsed_jax.physics.declared import DECLARED
 from hsed_jax.physics.laws import LAWS
@@ -14,12 +15,6 @@ _RELATIVE_TO = {
     ("quantities", "measured"): "each measured value (Gaussian)",
     ("histories", "predicted"): "the RMS of each history",
     ("histories", "measured"): "the RMS of each history",
-}
-_LABORATORIES = {
-    "folder": "people or a controller",
-    "command": "a program",
-    "python": "a Python function",
-    "opensees": "OpenSees",
 }
 
 
@@ -117,7 +112,7 @@ def _experiments(study: Mapping[str, Any], campaign: Campaign) -> str:
     if kind == "campaign":
         return f"Experiments: the measured campaign “{campaign.name}”, {', '.join(counts)}."
     if kind != "virtual":
-        return f"Experiments: performed by {_LABORATORIES[kind]}, {', '.join(counts)}."
+        return f"Experiments: performed by {KINDS[kind].performer}, {', '.join(counts)}."
     virtual = study["experiments"]["virtual"]
     effects = _listed(list(virtual.get("effects") or {})) or "no further effects"
     law = f"is {_law(virtual['spring'])} and " if virtual.get("spring") else ""

@@ -13,7 +13,7 @@ import numpy as np
 
 from hsed_jax.config.load import load_study
 from hsed_jax.config.schema import Study
-from hsed_jax.design.teaching import lesson
+from hsed_jax.design.acquisitions import ACQUISITIONS
 from hsed_jax.errors import UserError
 from hsed_jax.laboratories.base import ExperimentFailed
 from hsed_jax.measurements import Campaign, Experiment, parse_unit
@@ -220,7 +220,7 @@ class AskTell(Tabular):
         if (step := self._step_of(asked)) is not None:
             # A step knows the value over the cost.
             value, of = here * step["acquisition"], self.built.study.design.acquisition
-            if teaches := lesson(of, value, step["discrepancy"]):
+            if teaches := ACQUISITIONS[of].lesson(value, step["discrepancy"]):
                 lines.append(f"  expected to teach {teaches}")
         assert self.built.experiments.excitation is not None
         files = ", ".join(

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from hsed_jax.analysis.remedy import discriminate, verdict_of
+from hsed_jax.analysis.remedy import separations, verdict_of
+from hsed_jax.design.acquisitions import ACQUISITIONS
 from hsed_jax.design.sequential import DesignState, Trial
 from hsed_jax.design.space import Point
 from hsed_jax.design.stopping import StopRules, stop_reason
@@ -180,7 +181,8 @@ class Conduct:
     def _step(self) -> np.ndarray:
         study, number = self.built.study, len(self.steps)
         begin = time.perf_counter()
-        by = discriminate(self.built, self.campaign) if study.design.acquisition == "discriminate" else None
+        acquisition: Any = ACQUISITIONS[study.design.acquisition]
+        by = acquisition(separations(self.built, self.campaign)) if acquisition.of_rivals else None
         key = jax.random.fold_in(jax.random.key(study.seed), number)
         chosen, self.state, info = self.design.ask(self.state, key, by)
         names = self.built.inference.posterior.names

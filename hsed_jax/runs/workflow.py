@@ -20,8 +20,7 @@ from hsed_jax.diagnosis.findings import Diagnosis
 from hsed_jax.discovery.findings import Discovery
 from hsed_jax.errors import UserError
 from hsed_jax.interruptions import Interrupted, answered_by
-from hsed_jax.laboratories.base import ExperimentFailed, Measured
-from hsed_jax.laboratories.folder import Awaited
+from hsed_jax.laboratories.base import Awaited, ExperimentFailed, Measured
 from hsed_jax.laboratories.virtual import VirtualLaboratory
 from hsed_jax.left_out import LeftOut
 from hsed_jax.measurements import Campaign, backbone_table, cycle_table, stop_at_errors, write_campaign

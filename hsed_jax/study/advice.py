@@ -62,7 +62,7 @@ def frequency_of(mechanics: AbstractMechanics, structure: Structure, share: floa
         for name, prior in free.items()
         if owner_of(name) == OWNER and own_name(name).startswith(("mass_", "stiffness_"))
     }
-    stiffness = []
+    stiffness: list[float] = []
     for element in mechanics.elements:
         quantiles = {known.name: share for known in parameters_of(element.law).values() if known.unit == "N/m"}
         values = element.parameters(by_owner(mechanics.naming.middle(mechanics.parameters, quantiles)))
@@ -78,7 +78,7 @@ def _is_stiffness(mechanics: AbstractMechanics, name: str) -> bool:
 def _remedy(mechanics: AbstractMechanics, priors: list[str], factor: float) -> str:
     """What to write, where the prior is of the kind that `hsed init` writes."""
     free, _ = mechanics.parameters
-    said = []
+    said: list[str] = []
     for name in priors:
         if free[name].name == "lognormal":
             middle, spread = free[name].arguments

@@ -117,7 +117,7 @@ class Built:
         ]
         if study.experiments.laboratory is not None or "design" in study.steps:
             needed += [(self.observed, "sensors"), (self.site, "programme")]
-            if study.experiments.virtual is not None:
+            if study.experiments.specimen is not None:
                 needed.append((mechanics, "virtual"))
             elif performs:
                 needed.append((self.site, "laboratory"))

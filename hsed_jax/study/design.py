@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from hsed_jax.config.schema import LimitsEntry, Study
 from hsed_jax.design.cost import Cost
@@ -94,8 +95,8 @@ def limits_of(entry: LimitsEntry, model: AbstractModel, names: tuple[str, ...], 
         if not model.gives(name):
             raise UserError(f"design.limits: the model does not give {name}")
 
-    def respond(theta, point):
-        parameters = dict(zip(names, theta, strict=False))
+    def respond(theta: Array, point: Array) -> tuple[dict[str, Array], Any]:
+        parameters: dict[str, Array] = dict(zip(names, theta, strict=False))
         response = model.respond(parameters, Conditions(space.inputs(point)), channels, quantities)
         values = dict(response.quantities)
         for name in channels:

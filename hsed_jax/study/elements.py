@@ -27,7 +27,7 @@ def elements_of(study: Study, shared: type[AbstractSpringLaw]) -> tuple[Element,
     several = {} if study.structure is None else study.structure.specimens or {}
     if not several:
         return (Element("", shared),)
-    elements = []
+    elements: list[Element] = []
     for name, entry in several.items():
         where = f"structure.specimens.{name}"
         if not SPECIMEN.fullmatch(name) or name in (OWNER, "ground") or number_of_spring(name) is not None:

@@ -1,19 +1,23 @@
 """The excitation of a study, built: its settings checked, its record read."""
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, cast
 
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from hsed_jax.config.schema import Study
-from hsed_jax.config.sections import InputEntry
-from hsed_jax.errors import UserError
+from hsed_jax.errors import UserError, at
 from hsed_jax.measurements import Campaign, parse_unit, read_history
 from hsed_jax.measurements.header import Protocol
 from hsed_jax.measurements.units import dimension_of
 from hsed_jax.physics.declared import Declared, Setting
 from hsed_jax.physics.excitations import EXCITATIONS, AbstractExcitation
 from hsed_jax.physics.simulator import Parametrised
+from hsed_jax.sections import InputEntry
 from hsed_jax.study import parts
 
 LOWEST = 1e-9
@@ -53,7 +57,7 @@ def excitation_of(study: Study) -> Parametrised[AbstractExcitation] | None:
     if entry is None or kind is None:
         return None
     where, settings = f"excitation.{kind.name}", dict(entry.settings)
-    arrays = {}
+    arrays: dict[str, Array] = {}
     if kind.of_file:
         columns = read_history(study.folder / settings.pop("file"), kind.of_file[1])
         arrays = {name: jnp.asarray(column) for name, column in zip(kind.of_file, columns, strict=True)}
@@ -70,7 +74,7 @@ def _stands_for(known: Setting, value: Any) -> Any:
     """What a class takes: a word of a study could be the name of an input, what it stands for could not."""
     if value is not None and known.kind == "word":
         return known.words[value]
-    return tuple(value) if isinstance(value, list) else value
+    return tuple(cast("list[Any]", value)) if isinstance(value, list) else value
 
 
 def _each(kind: Declared, settings: Mapping[str, Any]) -> Iterator[tuple[str, Setting, Any]]:
@@ -94,7 +98,7 @@ def _check(where: str, known: Setting, value: float | str, inputs: Mapping[str, 
         known_inputs = ", ".join(inputs) or "none"
         raise UserError(f"{where}: it refers to {value!r}, which is no input; inputs are {known_inputs}")
     if known.unit != "1":
-        parts.at(f"inputs.{value}.unit", parse_unit, inputs[value].unit, dimension_of(known.unit))
+        at(f"inputs.{value}.unit", parse_unit, inputs[value].unit, dimension_of(known.unit))
     if known.is_positive:
         lowest = float(parts.prior(f"inputs.{value}", inputs[value].prior).quantile(LOWEST))
         if not lowest > 0:

@@ -6,7 +6,7 @@ from functools import cached_property
 
 from hsed_jax.config.schema import Study
 from hsed_jax.design.space import InputSpace
-from hsed_jax.errors import UserError
+from hsed_jax.errors import UserError, at
 from hsed_jax.measurements import (
     Campaign,
     Characteristics,
@@ -61,7 +61,7 @@ class Experiments:
     def space(self) -> InputSpace:
         """The variable inputs."""
         inputs = self.study.inputs
-        units = {name: parts.at(f"inputs.{name}.unit", parse_unit, entry.unit) for name, entry in inputs.items()}
+        units = {name: at(f"inputs.{name}.unit", parse_unit, entry.unit) for name, entry in inputs.items()}
         return InputSpace(
             {name: parts.prior(f"inputs.{name}", entry.prior) for name, entry in inputs.items()},
             {name: entry.unit for name, entry in inputs.items()},

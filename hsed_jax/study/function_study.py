@@ -1,5 +1,10 @@
 """A study whose model is a function or a program: its mechanics and its simulation."""
 
+# A cached property stands for an abstract property here.
+# pyright: reportIncompatibleMethodOverride=false, reportIncompatibleVariableOverride=false
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,8 +17,8 @@ import numpy as np
 from hsed_jax.backend import cores, limit_threads
 from hsed_jax.config.functions import FunctionEntry
 from hsed_jax.config.schema import Study
-from hsed_jax.config.sections import InputEntry
-from hsed_jax.errors import UserError
+from hsed_jax.design.acquisitions import ACQUISITIONS
+from hsed_jax.errors import UserError, at
 from hsed_jax.inference.observation import Grid, conditions_of
 from hsed_jax.inference.priors import Prior
 from hsed_jax.laboratories.command import check_template
@@ -29,6 +34,7 @@ from hsed_jax.physics.structures import Structure
 from hsed_jax.physics.timeline import Timeline
 from hsed_jax.plain import shown
 from hsed_jax.python_files import module_of
+from hsed_jax.sections import InputEntry
 from hsed_jax.study import parts
 from hsed_jax.study.elements import elements_of
 from hsed_jax.study.mechanics import AbstractMechanics
@@ -60,8 +66,9 @@ class FunctionMechanics(AbstractMechanics):
     @cached_property
     def structure(self) -> Structure | None:
         """The structure of a specimen that this package simulates; a function has its own."""
-        simulated = self.study.experiments.virtual or self.study.experiments.opensees
-        return self._described_structure() if self.study.structure is not None or simulated else None
+        laboratory = self.study.experiments.laboratory
+        in_structure = laboratory is not None and laboratory.in_structure
+        return self._described_structure() if self.study.structure is not None or in_structure else None
 
     @cached_property
     def parameters(self) -> tuple[dict[str, Prior], dict[str, float]]:
@@ -73,7 +80,8 @@ class FunctionMechanics(AbstractMechanics):
             )
         if own := [key for key in self.study.models if key != "model"]:
             raise UserError(f"{own[0]}: the model is a function, which has its own specimens; leave this model out")
-        free, fixed = {}, {}
+        free: dict[str, Prior] = {}
+        fixed: dict[str, float] = {}
         for name, entry in _entry_of(self.study).parameters.items():
             if isinstance(entry, InputEntry):
                 free[name] = parts.prior(f"model.parameters.{name}", entry.prior)
@@ -86,11 +94,11 @@ class FunctionMechanics(AbstractMechanics):
     @cached_property
     def units(self) -> dict[str, str]:
         """SI unit of every free parameter."""
-        units = {}
+        units: dict[str, str] = {}
         for name in self.parameters[0]:
             entry, where = _entry_of(self.study).parameters[name], f"model.parameters.{name}.unit"
             assert isinstance(entry, InputEntry)
-            unit = parts.at(where, parse_unit, entry.unit)
+            unit = at(where, parse_unit, entry.unit)
             if unit.factor != 1:
                 raise UserError(
                     f"{where}: parameters of a model are in SI; give this one in {unit.si}, and its distribution too"
@@ -101,7 +109,7 @@ class FunctionMechanics(AbstractMechanics):
     @cached_property
     def elements(self) -> tuple[Element, ...]:
         """The specimens that are measured; of virtual ones `virtual` has the laws, and of others nothing asks for one."""
-        virtual = self.study.experiments.virtual
+        virtual = self.study.experiments.specimen
         if virtual is not None and virtual.spring is None:
             raise UserError("experiments.virtual.spring: this key is required, as the model has no spring law")
         return elements_of(self.study, Element().law)
@@ -109,7 +117,7 @@ class FunctionMechanics(AbstractMechanics):
     @cached_property
     def laws(self) -> tuple[AbstractSpringLaw, ...]:
         """The laws of the virtual specimens, whose scales and steps are asked for here; none where there are none."""
-        if self.study.experiments.virtual is None:
+        if self.study.experiments.specimen is None:
             return ()
         elements, parameters = self.virtual
         owners = by_owner(parameters)
@@ -131,7 +139,7 @@ class FunctionMechanics(AbstractMechanics):
         if {"diagnose", "improve"} & set(self.study.steps) or self.study.improve.add:
             _ = self.naming
         for asked, key in (
-            (design.acquisition == "discriminate", "acquisition"),
+            (ACQUISITIONS[design.acquisition].of_rivals, "acquisition"),
             (design.stop.verdict, "stop.verdict"),
         ):
             if asked:
@@ -230,7 +238,7 @@ class FunctionSimulation(AbstractSimulation):
 
     def _called(
         self, where: str, function: Any, parameters: Mapping[str, float], told: Any, wanted: tuple[str, ...]
-    ) -> dict:
+    ) -> dict[str, Any]:
         """What the function returns at these parameters, checked."""
         at = ", ".join(f"{name} {value:.4g}" for name, value in parameters.items())
         time = None if "time" not in told else np.asarray(told["time"])
@@ -247,7 +255,7 @@ class FunctionSimulation(AbstractSimulation):
     def _function(self) -> tuple[Respond, str]:
         """The function, and its name for messages."""
         file, name = self._entry.file_and_name
-        module = parts.at(f"{self._where}: {file}", module_of, self.study.folder / file)
+        module = at(f"{self._where}: {file}", module_of, self.study.folder / file)
         function = getattr(module, name, None)
         if not callable(function):
             raise UserError(f"{self._where}: {file}: it has no function {shown(name)}")
@@ -259,7 +267,7 @@ class FunctionSimulation(AbstractSimulation):
         assert entry is not None
         template = entry.words(self.study.folder)
         known = (*self._entry.parameters, *self.study.inputs)
-        parts.at("model.command.run", check_template, template, known, ("folder", "python"))
+        at("model.command.run", check_template, template, known, ("folder", "python"))
         return Program(template, self.observed.outputs, entry.timeout), entry.run
 
     def _check_names(self) -> None:
@@ -299,9 +307,15 @@ def _fault(
     """Why JAX cannot trace, batch and differentiate a function; None where it can."""
 
     def one(parameters: Any, told: Any) -> Any:
-        return jax.jvp(lambda p: called(p, told), (parameters,), (parameters,))
+        def of_parameters(parameters: Any) -> Any:
+            return called(parameters, told)
 
-    lanes = jax.tree.map(lambda value: jnp.asarray(value, dtype=float)[None], (dict(parameters), dict(told)))
+        return jax.jvp(of_parameters, (parameters,), (parameters,))
+
+    def lane(value: Any) -> Any:
+        return jnp.asarray(value, dtype=float)[None]
+
+    lanes = jax.tree.map(lane, (dict(parameters), dict(told)))
     try:
         jax.eval_shape(jax.vmap(one), *lanes)
     except (Exception, SystemExit) as error:

@@ -1,5 +1,8 @@
 """The inference of a study: its posterior, and measurements as data of it."""
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

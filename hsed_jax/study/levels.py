@@ -1,6 +1,7 @@
 """Levels of a study: which columns of the experiments parameters vary with, and who is a member of what."""
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ _SPREAD = 0.3
 
 
 def levels_of(
-    said: Mapping[str, Mapping[str, Mapping]],
+    said: Mapping[str, Mapping[str, Mapping[str, Any]]],
     campaign: Campaign | None,
     free: Mapping[str, Prior],
     possible: Callable[[], Mapping[str, Range]],
@@ -40,7 +41,7 @@ def levels_of(
             "model.levels: a column of experiments.csv gives the members, but this study has no campaign of measurements; "
             "leave the levels out, or give experiments.campaign"
         )
-    found = []
+    found: list[Level] = []
     for column, entries in said.items():
         where = f"model.levels.{column}"
         members = tuple(dict.fromkeys(member_of(e, column, campaign) for e in campaign.train))
@@ -81,7 +82,11 @@ def members_of(levels: Sequence[Level], campaign: Campaign, experiments: Sequenc
 
 
 def _varying(
-    where: str, name: str, entry: Mapping, free: Mapping[str, Prior], possible: Callable[[], Mapping[str, Range]]
+    where: str,
+    name: str,
+    entry: Mapping[str, Any],
+    free: Mapping[str, Prior],
+    possible: Callable[[], Mapping[str, Range]],
 ) -> Varying:
     if name not in free:
         raise UserError(f"{where}: {shown(name)} is no parameter that is calibrated; those are {', '.join(free)}")

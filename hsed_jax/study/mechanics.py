@@ -1,15 +1,18 @@
 """The mechanics of a study: specimens with their laws and effects, the structure that they are in, and the parameters of both."""
 
+# A cached property stands for an abstract property here.
+# pyright: reportIncompatibleMethodOverride=false
+
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
-from hsed_jax.config.experiments import MeasuredEntry
 from hsed_jax.config.mechanics import ModelEntry
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
+from hsed_jax.laboratories.kinds.base import MeasuredEntry
 from hsed_jax.measurements import pair_of
 from hsed_jax.measurements.declaration import declared_channel
 from hsed_jax.measurements.pairs import check_masses
@@ -151,7 +154,7 @@ class AbstractMechanics(ABC):
     @cached_property
     def virtual(self) -> Virtual:
         """The virtual specimens."""
-        entry = self.study.experiments.virtual
+        entry = self.study.experiments.specimen
         assert entry is not None
         elements = self.elements
         if entry.spring is not None:

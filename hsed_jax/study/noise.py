@@ -3,13 +3,13 @@
 from collections.abc import Mapping, Sequence
 
 from hsed_jax.config.schema import Study
-from hsed_jax.config.sections import ErrorEntry, NoiseEntry
 from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import Error
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Channel
 from hsed_jax.physics.outputs import is_quantity, quantity
 from hsed_jax.physics.pairs import Pair
+from hsed_jax.sections import ErrorEntry, NoiseEntry, per_output
 
 
 def errors_of(study: Study, outputs: Sequence[str], declared: Mapping[str, Channel], pair: Pair) -> tuple[Error, ...]:
@@ -25,7 +25,7 @@ def errors_of(study: Study, outputs: Sequence[str], declared: Mapping[str, Chann
         UserError: an error of what is not observed, or one relative to a quantity that may be negative or zero.
     """
     given = per_output("error", study.error, list(outputs))
-    errors = []
+    errors: list[Error] = []
     for name in outputs:
         entry = given.get(name) or ErrorEntry(inflate=False)
         size = entry if entry.kinds else _declared(declared.get(name))
@@ -58,20 +58,6 @@ def _check_discrepancy(study: Study, name: str, size: NoiseEntry) -> None:
             f"error.discrepancy: no noise of {name} is declared, and with an unknown noise, noise and model cannot be "
             f"distinguished; give it, such as error: {{{name}: {{relative: 0.02, discrepancy: true}}}}"
         )
-
-
-def per_output[Entry: NoiseEntry](
-    where: str, entry: Entry | dict[str, Entry] | None, outputs: list[str]
-) -> dict[str, Entry]:
-    """One entry for all outputs, or one per output, as one per output."""
-    if entry is None:
-        return {}
-    if isinstance(entry, NoiseEntry):
-        return dict.fromkeys(outputs, entry)
-    for name in entry:
-        if name not in outputs:
-            raise UserError(f"{where}.{name}: this is not observed; observed are {', '.join(outputs)}")
-    return dict(entry)
 
 
 def _error(name: str, size: float | Prior, is_relative: bool, entry: ErrorEntry, pair: Pair) -> Error:

@@ -5,17 +5,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from hsed_jax.config.experiments import MeasuredEntry
 from hsed_jax.config.schema import Study
-from hsed_jax.errors import UserError
+from hsed_jax.errors import UserError, at
 from hsed_jax.inference.likelihood import Error
+from hsed_jax.laboratories.kinds.base import MeasuredEntry
 from hsed_jax.laboratories.sensors import Sensors
 from hsed_jax.models.function import is_output
 from hsed_jax.physics.names import of_each, own_name, owner_of
 from hsed_jax.physics.outputs import CHANNELS, PER_MASS, is_driver, quantity
 from hsed_jax.physics.structures import Structure
 from hsed_jax.plain import shown
-from hsed_jax.study import parts
 from hsed_jax.study.experiments import Experiments
 from hsed_jax.study.laboratories import driver_of, responses, sensors_of
 from hsed_jax.study.mechanics import AbstractMechanics
@@ -96,7 +95,7 @@ class Observed:
         owners = [element.name for element in mechanics.elements]
         if histories:
             for name in names:
-                parts.at("channels", _check_channel, name, mechanics.structure, owners)
+                at("channels", _check_channel, name, mechanics.structure, owners)
             return
         # A record that ends before is passed over.
         is_planned = not experiments.records and experiments.excitation is not None

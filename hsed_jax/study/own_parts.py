@@ -4,12 +4,12 @@ import inspect
 from pathlib import Path
 
 from hsed_jax.config.schema import Study
-from hsed_jax.config.sections import OwnLawEntry
 from hsed_jax.errors import UserError
 from hsed_jax.physics.effects import EFFECTS, Catalogue, registered
 from hsed_jax.physics.laws import LAWS, AbstractSpringLaw
 from hsed_jax.plain import shown
 from hsed_jax.python_files import module_of
+from hsed_jax.sections import OwnLawEntry
 
 _DECLARED = ("name", "title", "reference", "steepest")
 

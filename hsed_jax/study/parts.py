@@ -1,9 +1,9 @@
 """The parts of a study, built: priors, parameters, effects; each fault names its key."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
-from hsed_jax.errors import UserError
+from hsed_jax.errors import UserError, at
 from hsed_jax.inference.priors import Prior
 from hsed_jax.physics.parameters import Parameter
 
@@ -37,14 +37,6 @@ def prior(where: str, entry: Mapping[str, Any]) -> Prior:
     """A prior, its faults with the key in front."""
     ((name, arguments),) = entry.items()
     return at(where, Prior, str(name), arguments)
-
-
-def at(where: str, make: Callable[..., Any], *arguments: Any) -> Any:
-    """Call, and put the place in front of what is wrong."""
-    try:
-        return make(*arguments)
-    except UserError as error:
-        raise UserError(f"{where}: {error}") from None
 
 
 def in_study(file: Any, error: UserError) -> UserError:

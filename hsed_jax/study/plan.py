@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from hsed_jax.config.schema import CalibrationEntry, Study
+from hsed_jax.design.acquisitions import ACQUISITIONS
 from hsed_jax.design.cost import Cost
 from hsed_jax.design.space import InputSpace
 from hsed_jax.errors import UserError
@@ -44,13 +45,14 @@ def check_plan(study: Study, space: InputSpace) -> None:
         raise UserError(
             "model.levels: a design plans experiments of one specimen; leave the levels out, or the step design"
         )
-    if study.experiments.folder is not None and "design" not in steps:
-        raise UserError("steps: experiments.folder needs the step design; put design first")
+    laboratory = study.experiments.laboratory
+    if laboratory is not None and laboratory.is_asked and "design" not in steps:
+        raise UserError(f"steps: experiments.{study.experiments.kind} is asked by the step design; put design first")
     _check_sizes(study)
-    if study.experiments.laboratory is not None or "design" in steps:
+    if laboratory is not None or "design" in steps:
         _check_design(study)
     if study.design.cost is not None:
-        if study.design.acquisition in ("sobol", "random"):
+        if ACQUISITIONS[study.design.acquisition].is_order:
             raise UserError(
                 f"design.cost: a cost does not change the order of the experiments of {study.design.acquisition}; leave it "
                 "out, or choose another acquisition"
@@ -63,15 +65,16 @@ def _check_sizes(study: Study) -> None:
     design, sizes, usual = study.design, study.calibration, CalibrationEntry()
     given = [entry for model in study.models.values() for entry in model.parameters.values()]
     free = [entry for entry in given if not isinstance(entry, float)]
-    test = 0 if study.experiments.virtual is None else study.experiments.virtual.test
+    laboratory = study.experiments.laboratory
+    test = 0 if laboratory is None else laboratory.further
     asked = design.iterations if "design" in study.steps else 0
-    experiments = design.initial + asked + test if study.experiments.laboratory is not None else 1
+    experiments = design.initial + asked + test if laboratory is not None else 1
     # Of a design the Kriging has a covariance between all experiments, and one between them and every candidate.
     related = experiments if "design" in study.steps else 1
     for key, count, each in (
         ("design.initial", design.initial, _EXPERIMENT + 8 * related),
         ("design.iterations", asked, _EXPERIMENT + 8 * related),
-        ("experiments.virtual.test", test, _EXPERIMENT),
+        (f"experiments.{study.experiments.kind}.test", test, _EXPERIMENT),
         ("design.candidates", design.candidates, 8 * related),
         ("design.kriging.starts", design.kriging.starts, 8 * related**2),
         ("calibration.starts", sizes.starts, 8 * experiments * (1 + len(free))),

@@ -50,7 +50,7 @@ def simulated_scales(plain: Simulator, middle: Mapping[str, float], experiments:
     Raises:
         UserError: it does nothing, or its simulation diverges.
     """
-    owners, rows = plain.owners, []
+    owners, rows = plain.owners, list[list[float]]()
     for conditions in experiments:
         response = plain.respond(middle, conditions, of_each(owners, ("elongation_rate",)))
 

@@ -1,15 +1,20 @@
 """The simulation of a study's experiments: their grids of time, the scales of effects, and the computational simulator."""
 
+# A cached property stands for an abstract property here.
+# pyright: reportIncompatibleMethodOverride=false
+
 import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import cast
 
 from hsed_jax.backend import limit_threads
 from hsed_jax.config.schema import Study
 from hsed_jax.inference.observation import Grid
 from hsed_jax.physics.elements import Element
+from hsed_jax.physics.excitations import AbstractExcitation
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import AbstractModel, Simulator
 from hsed_jax.physics.timeline import Timeline
@@ -70,7 +75,7 @@ class AbstractSimulation(ABC):
         entry, excitation = required(self.experiments)
         if self.experiments.component_test:
             return imposed_timeline(self.experiments, excitation, self.mechanics.laws, self.mechanics.steepest)
-        where = f"excitation.{excitation.constructor.declared.name}.mass"
+        where = f"excitation.{cast('type[AbstractExcitation]', excitation.constructor).declared.name}.mass"
         check_mass(where, entry.channel, self.mechanics.structure)
         return planned_timeline(self.experiments, self.longest_step if entry.step is None else entry.step)
 
@@ -91,7 +96,7 @@ class AbstractSimulation(ABC):
         if self.study.scales is not None:
             return Scales(**self.study.scales.model_dump())
         told, plain = told_scales(self.experiments.characteristics), Scales()
-        virtual = self.study.experiments.virtual
+        virtual = self.study.experiments.specimen
         if None in told and (effects_of(self.study) or (virtual and virtual.effects)):
             mechanics, timeline = self.mechanics, self.timeline
             assert timeline is not None
@@ -137,7 +142,7 @@ class AbstractSimulation(ABC):
     @cached_property
     def virtual(self) -> tuple[Simulator, dict[str, float]]:
         """The simulator of the virtual specimens, and their true parameters."""
-        entry = self.study.experiments.virtual
+        entry = self.study.experiments.specimen
         assert entry is not None
         elements, parameters = self.mechanics.virtual
         return self.of_springs(elements, tuple(entry.effects), {}), parameters

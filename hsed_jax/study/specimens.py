@@ -10,9 +10,8 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
-from hsed_jax.config.mechanics import DRIVER, FORM
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
 from hsed_jax.inference.priors import Prior
@@ -27,6 +26,7 @@ from hsed_jax.physics.parameters import Parameter, parameters_of
 from hsed_jax.physics.specimen import unserved
 from hsed_jax.physics.structures import parameter_of
 from hsed_jax.plain import shown
+from hsed_jax.sections import DRIVER, FORM
 from hsed_jax.study.elements import is_of_linear, is_of_specimen
 from hsed_jax.study.parts import check_names, prior, within
 
@@ -145,7 +145,7 @@ class Naming:
 
     def units(self, names: Sequence[str], constants: Mapping[str, float], pair: Pair) -> dict[str, str]:
         """SI unit of every named parameter of specimens that are measured in a pair."""
-        units = {}
+        units: dict[str, str] = {}
         for name in names:
             owner, own = owner_of(name), own_name(name)
             if owner == OWNER:
@@ -205,7 +205,8 @@ class Naming:
         Raises:
             UserError: a name that stands for nothing, a value that cannot be, or one that is missing.
         """
-        free, fixed = {}, {}
+        free: dict[str, Prior] = {}
+        fixed: dict[str, float] = {}
         for name, (where, known, entry) in self._given(study, pair, open_forms).items():
             if entry == {}:
                 if known.prior is None:
@@ -214,7 +215,7 @@ class Naming:
                     )
                 where, entry = "", dict(known.prior)
             if isinstance(entry, dict):
-                free[name] = prior(where, entry)
+                free[name] = prior(where, cast("dict[str, Any]", entry))
                 # A prior of the catalogue is right by definition; a lognormal one reaches to a bound of 0.01 with no mass there.
                 for bound in free[name].bounds if where else ():
                     if bound is not None:
@@ -242,7 +243,7 @@ class Naming:
         given = {name: (*said[name][:1], known, said[name][1]) for name, known in self.of_laws.items() if name in said}
         for effect, (where, entries) in effects_of(study).items():
             form, allowed = self.checked_effect(where, effect, entries)
-            held = {} if effect in open_forms else form.held
+            held: Mapping[str, float] = {} if effect in open_forms else form.held
             values = {name: entry for name, entry in entries.items() if name not in (FORM, DRIVER)}
             taken = {allowed[name].name for name in values}
             for name, entry in values.items():
@@ -282,7 +283,7 @@ class Naming:
         Raises:
             UserError: a name that stands for nothing, a value that cannot be, or one that is missing.
         """
-        entry, where = study.experiments.virtual, "experiments.virtual"
+        entry, where = study.experiments.specimen, "experiments.virtual"
         assert entry is not None
         check_names(f"{where}.parameters", entry.parameters, self.of_laws)
         truth = {

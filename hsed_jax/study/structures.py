@@ -1,7 +1,7 @@
 """The numerical substructure of a study, and those of its numbers that are calibrated with the law."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -22,14 +22,14 @@ def structure(entry: StructureEntry) -> Structure:
 
     stiffness = entry.damping.specimen_stiffness
     reference: Any = 1.0 if stiffness == "model" else stiffness
-    if isinstance(reference, dict):
+    if isinstance(stiffness, dict):
         names = list(entry.specimens or {})
-        if sorted(reference) != sorted(names):
+        if sorted(stiffness) != sorted(names):
             raise UserError(
                 "structure.damping.specimen_stiffness: give one number, or one for each of several specimens: "
                 f"{', '.join(names) or 'there are none'}"
             )
-        reference = tuple(float(reference[name]) for name in names)
+        reference = tuple(float(stiffness[name]) for name in names)
     elif stiffness == "model" and len(entry.places) > 1:
         reference = (1.0,) * len(entry.places)
     numbers = {name: number(name, given) for name, (_, given) in _numbers(entry).items()}
@@ -58,12 +58,12 @@ def masses_of(structure: Structure | None) -> int:
 
 def priors_of(entry: StructureEntry) -> dict[str, Prior]:
     """Priors of the numbers of the structure that are calibrated, by the name of the parameter."""
-    priors = {}
+    priors: dict[str, Prior] = {}
     for name, (where, given) in _numbers(entry).items():
         if not isinstance(given, dict):
             continue
         known = parameter_of(name)
-        made = priors[f"{OWNER}.{name}"] = prior(where, given)
+        made = priors[f"{OWNER}.{name}"] = prior(where, cast("dict[str, Any]", given))
         # With a negative mass or stiffness there is no structure; a mass that a billionth of the prior puts there never occurs.
         lowest, highest = (float(made.quantile(share)) for share in (1e-9, 1 - 1e-9))
         if lowest < known.lower or highest > known.upper or (name.startswith("mass_") and not lowest > 0):

@@ -3,11 +3,10 @@
 from collections.abc import Iterator
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from hsed_jax.config.functions import FunctionEntry
-from hsed_jax.measurements import Campaign, Finding
+from hsed_jax.measurements import Campaign, Finding, Record
 from hsed_jax.measurements.unit_doubts import mixed
 from hsed_jax.measurements.units import LENGTH, channel_dimension
 from hsed_jax.physics.display import amount
@@ -47,7 +46,7 @@ def drift_doubts(campaign: Campaign, height: float) -> Iterator[Finding]:
         campaign: the measurements.
         height: over which the elongation is a drift [m].
     """
-    seen = []
+    seen: list[Record] = []
     for experiment in campaign.completed:
         record = experiment.record
         if record is None or record in seen or campaign.pair.elongation_unit != LENGTH.si:
@@ -92,7 +91,7 @@ def planned_doubts(built: Built, campaign: Campaign) -> Iterator[Finding]:
         if record is None:
             continue
         excitation = planned(experiment.inputs)
-        times = jnp.linspace(0.0, excitation.duration, _MOMENTS)
+        times = np.linspace(0.0, float(excitation.duration), _MOMENTS)
         motions = {name: np.asarray(v) for name, v in channels_of(jax.vmap(excitation.sample)(times)).items()}
         for name in motions.keys() & record.channels.keys():
             measured, wanted = (float(np.abs(values).max()) for values in (record[name], motions[name]))

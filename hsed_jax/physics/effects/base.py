@@ -4,7 +4,6 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from types import ModuleType
 from typing import Any, ClassVar, Literal, NamedTuple, final
 
 import equinox as eqx
@@ -14,6 +13,8 @@ from hsed_jax.physics.names import OWNER
 from hsed_jax.physics.parameters import Parameter, parameters_of
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.states import SharedState
+from hsed_jax.registry import register as register
+from hsed_jax.registry import registered as registered
 
 Scalar = Float[Array, ""] | float
 
@@ -85,7 +86,7 @@ class Form:
     name: str = ""
     equation: str = ""
     reference: str = ""
-    held: Mapping[str, float] = field(default_factory=dict)
+    held: Mapping[str, float] = field(default_factory=dict[str, float])
     free: tuple[str, ...] = ()
     driver: str = ""
     is_default: bool = False
@@ -202,26 +203,6 @@ class AbstractSetupEffect(AbstractEffect):
     @abstractmethod
     def contribute(self, setup: Setup) -> dict[str, Any]:
         """Contributions by slot."""
-
-
-def register[T: type[AbstractEffect]](cls: T) -> T:
-    """Class decorator: the effect is for the catalogue, the package's or that of the study which names the file.
-
-    Example:
-        >>> from hsed_jax.physics.effects import AbstractSpringEffect
-        >>> @hx.register
-        ... class Mine(AbstractSpringEffect):
-        ...     name, family, reference = "mine", "elastic", "my thesis"
-        >>> "mine" in hx.effects(hx.load_study("study.yaml").with_own_effects(Mine)).index
-        True
-    """
-    cls.registered = True
-    return cls
-
-
-def registered(module: ModuleType) -> tuple[type[AbstractEffect], ...]:
-    """The effects that a module has for a catalogue, in order."""
-    return tuple(item for item in vars(module).values() if isinstance(item, type) and "registered" in vars(item))
 
 
 @final

@@ -98,7 +98,7 @@ class Gap(AbstractSpringEffect):
         if not is_zero(self.of_energy):
             used = jnp.maximum(point.memory["energy"], 0.0) / point.scales.energy
             width = jnp.maximum(width + self.of_energy * (used - 1) * fixed, 0.0)
-        found = {}
+        found: dict[str, Scalar] = {}
         if not is_number(self.in_series, 1):
             found["slack"] = (1 - self.in_series) * self.delta * width
         if not is_zero(self.in_series):

@@ -113,7 +113,7 @@ def fading(names: Sequence[str], point: SpringPoint, fade: Scalar) -> dict[str, 
     path, $\dot l = (\Delta u/u_c - l)/\tau'$ of the elongation as it was."""
     pace = point.scales.rate / point.scales.elongation / fade
     scale = point.scales.elongation
-    found = {}
+    found: dict[str, Scalar] = {}
     for name in states_of(names):
         value = point.memory[name]
         if name == "recent_path":

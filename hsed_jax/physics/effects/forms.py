@@ -4,6 +4,9 @@ A place is a slot and what drives it.  Every form of an effect is the same expre
 one compiled program serves them all; where a parameter is the number that leaves an expression out, the compiler never sees it.
 """
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
@@ -197,7 +200,7 @@ def forms_of(effect: type[AbstractEffect]) -> dict[str, Form]:
     """The forms of an effect by their labels, the default one first: every shape with every driver."""
     shapes = effect.forms or (Form(),)
     drivers = effect.drivers or ("",)
-    found = {}
+    found: dict[str, Form] = {}
     for number, driver in enumerate(drivers):
         # Which driver is a parameter each, but for the first.
         held = {} if number == 0 else {chosen(number): 1.0}
@@ -232,7 +235,7 @@ def slots_of(effect: type[AbstractEffect], form: str | None = None) -> tuple[str
     """The slots that an effect writes to in a form, by default the default one: traced without computing anything."""
     one = forms_of(effect)[form] if form is not None else default_form(effect)
 
-    def contributions(value):
+    def contributions(value: Scalar) -> dict[str, Any]:
         values = dict.fromkeys(one.parameters(effect), value) | dict(one.held)
         made, scales = effect(**values), Scales(*[value] * 4)
         if isinstance(made, AbstractSetupEffect):

@@ -103,14 +103,14 @@ class AbstractFreeFunction(AbstractSpringEffect):
     def value(self, point: SpringPoint) -> Scalar:
         """f at one instant."""
         given = {name: known.value(point) for name, known in COORDINATES.items()}
-        xi = []
+        xi: list[Scalar] = []
         for number in (1, 2):
             mixed = _sum(self._number(f"of_{name}_{number}") * value for name, value in given.items())
             over = (mixed - self._number(f"middle_{number}")) / self._number(f"half_{number}")
             xi.append(jnp.clip(over, -1.0, 1.0))
-        found = 0.0
+        found: Scalar = 0.0
         for n, count in reversed(list(enumerate(COUNTS))):
-            along = 0.0
+            along: Scalar = 0.0
             for m in reversed(range(count)):
                 along = along * xi[0] + self._number(power(m, n))
             found = found * xi[1] + along

@@ -215,8 +215,6 @@ class Relaxation(AbstractSpringEffect):
             free=("activation",),
         ),
     )
-    # The element at δ = 1: its force is linear in δ, so that δ = 0 contributes nothing whatever the state is.
-    states: ClassVar[tuple[str, ...]] = ("relaxing",)
 
     delta: Scalar = parameter(
         r"\delta_m",
@@ -253,6 +251,12 @@ class Relaxation(AbstractSpringEffect):
         upper=50.0,
         prior={"half_normal": 3.0},
     )
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The element at δ = 1."""
+        # Its force is linear in δ, so that δ = 0 contributes nothing whatever the state is.
+        return ("relaxing",)
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `force`."""

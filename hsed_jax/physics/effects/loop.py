@@ -160,7 +160,7 @@ class Asymmetry(AbstractSpringEffect):
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """A factor on `nu`, where its jump multiplies a z of zero; or an addend to `gamma`, or a factor on `eta` or `a`."""
         side = self.delta * self._side(point)
-        found = {}
+        found: dict[str, Scalar] = {}
         if not is_zero(self.of_strength):
             found["nu"] = 1 + self.of_strength * side
         if not is_zero(self.of_loading):
@@ -265,7 +265,7 @@ class RateDependence(AbstractSpringEffect):
         grown = jnp.log1p(speed)
         if not is_zero(self.of_power):
             grown = grown + self.of_power * (raised(speed, self.power) - grown)
-        found = {}
+        found: dict[str, Scalar] = {}
         if not is_zero(self.of_both):
             found["a"] = 1 + self.of_both * self.delta * grown
         if not is_zero(self.of_strength):

@@ -1,5 +1,8 @@
 """Plasticity: a spring that was taken for linear yields; a back-stress beside the law."""
 
+# A property stands for an abstract variable of equinox here.
+# pyright: reportIncompatibleVariableOverride=false
+
 from typing import ClassVar, final
 
 import jax.numpy as jnp
@@ -28,7 +31,6 @@ class Yielding(AbstractSpringEffect):
     family: ClassVar[str] = "hysteresis"
     reference: ClassVar[str] = "Wen 1976"
     linear_only: ClassVar[bool] = True
-    states: ClassVar[tuple[str, ...]] = ("plastic",)
     forms: ClassVar[tuple[Form, ...]] = (
         Form("to a bound"),
         Form("beside a spring", r"f = k[\rho\,\Delta u + (1-\rho)\,\epsilon]", "Bouc 1967; Wen 1976", free=("elastic",)),
@@ -57,6 +59,11 @@ class Yielding(AbstractSpringEffect):
     sharpness: Scalar = shape_parameter(
         "n", "sharpness of yielding", neutral=1.0, lower=0.5, upper=6.0, prior={"lognormal": [0.0, 0.4]}
     )
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The plastic elongation."""
+        return ("plastic",)
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """An addend to `plastic`."""

@@ -9,6 +9,9 @@ What effects add to a law (forces beside it, a slack before it, energy and other
 (`hsed_jax.physics.specimen`).
 """
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from typing import ClassVar, NamedTuple

@@ -6,9 +6,11 @@ import jax.numpy as jnp
 
 from hsed_jax.physics.laws.base import AbstractYieldingLaw, Memory, Scalar, Slots, still
 from hsed_jax.physics.parameters import parameter
+from hsed_jax.registry import register
 
 
 @final
+@register
 class Bilinear(AbstractYieldingLaw):
     r"""An elastic spring parallel to an elastic-perfectly plastic one, by return mapping.
 

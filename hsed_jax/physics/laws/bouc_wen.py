@@ -9,9 +9,11 @@ from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots,
 from hsed_jax.physics.laws.reversal import mended_force
 from hsed_jax.physics.parameters import parameter
 from hsed_jax.physics.scales import is_number, is_zero
+from hsed_jax.registry import register
 
 
 @final
+@register
 class BoucWen(AbstractSpringLaw):
     r"""The force z of the element follows a differential equation along the elongation.
 

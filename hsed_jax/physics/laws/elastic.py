@@ -7,9 +7,11 @@ import jax.numpy as jnp
 
 from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, still
 from hsed_jax.physics.parameters import parameter
+from hsed_jax.registry import register
 
 
 @final
+@register
 class Elastic(AbstractSpringLaw):
     r"""A linear spring: $f = k\,(\Delta u - p)$.  The plastic elongation p is zero unless an effect writes to `plastic`."""
 

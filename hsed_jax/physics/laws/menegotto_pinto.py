@@ -1,11 +1,15 @@
 """The law of Giuffrè, Menegotto and Pinto with isotropic hardening, as OpenSees' Steel02 has it."""
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from typing import ClassVar, NamedTuple, final
 
 import jax.numpy as jnp
 
 from hsed_jax.physics.laws.base import AbstractYieldingLaw, Memory, Scalar, Slots, still
 from hsed_jax.physics.parameters import parameter
+from hsed_jax.registry import register
 
 # Bounds of the ratio x in powers: below, a logarithm of zero would poison derivatives; above, |x|^R would overflow.
 _LEAST, _MOST = 1e-12, 1e6
@@ -25,6 +29,7 @@ class _Branch(NamedTuple):
 
 
 @final
+@register
 class MenegottoPinto(AbstractYieldingLaw):
     r"""Steel: curves from each reversal to the next asymptote.  A larger previous excursion gives a rounder curve.
 

@@ -1,5 +1,8 @@
 """The peak-oriented law of reinforced concrete: Takeda's unloading, Clough's reloading."""
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from typing import ClassVar, final
 
 import jax.numpy as jnp
@@ -7,9 +10,11 @@ import jax.numpy as jnp
 from hsed_jax.physics.laws.base import AbstractYieldingLaw, Memory, Scalar, Slots, still
 from hsed_jax.physics.parameters import parameter
 from hsed_jax.physics.scales import is_zero
+from hsed_jax.registry import register
 
 
 @final
+@register
 class Takeda(AbstractYieldingLaw):
     r"""Reloading aims at the furthest point of the loaded side.  Unloading softens with the elongation of this point.
 

@@ -12,13 +12,16 @@ from pydantic import (
     ConfigDict,
     Discriminator,
     Field,
+    PlainSerializer,
     Tag,
+    WrapValidator,
     field_validator,
     model_serializer,
     model_validator,
 )
 
-from hsed_jax.physics.declared import SPRING_LAWS
+from hsed_jax.errors import UserError
+from hsed_jax.physics.declared import LAWS
 from hsed_jax.plain import Number, is_file, shown
 
 Positive = Annotated[Number, Field(gt=0)]
@@ -109,7 +112,9 @@ class ProgramEntry(Section):
     """A program, and how long it may take each time [s]."""
 
     run: Annotated[str, Field(min_length=1)]
+    """The program and its arguments; names in braces stand for values: `{folder}`, `{python}`, `{study}` and others."""
     timeout: Positive = 3600.0
+    """How long the program may take each time [s]; twice the time that it needs."""
 
     @model_validator(mode="before")
     @classmethod
@@ -133,6 +138,20 @@ class ProgramEntry(Section):
     def located(self, folder: Path) -> "ProgramEntry":
         """The same with absolute paths."""
         return self.model_copy(update={"run": shlex.join(self.words(folder))})
+
+
+def per_output[Entry: NoiseEntry](
+    where: str, entry: Entry | dict[str, Entry] | None, outputs: list[str]
+) -> dict[str, Entry]:
+    """One entry for all outputs, or one per output, as one per output."""
+    if entry is None:
+        return {}
+    if isinstance(entry, NoiseEntry):
+        return dict.fromkeys(outputs, entry)
+    for name in entry:
+        if name not in outputs:
+            raise UserError(f"{where}.{name}: this is not observed; observed are {', '.join(outputs)}")
+    return dict(entry)
 
 
 def one_distribution(value: Any) -> Any:
@@ -198,11 +217,11 @@ class InputEntry(Section):
 
 
 def _known_law(name: str) -> str:
-    if name not in SPRING_LAWS:
-        close = difflib.get_close_matches(name, SPRING_LAWS, n=1)
+    if name not in LAWS:
+        close = difflib.get_close_matches(name, LAWS, n=1)
         hint = f" (did you mean {close[0]}?)" if close else ""
         raise ValueError(
-            f"there is no spring law {shown(name)}{hint}; laws are {', '.join(SPRING_LAWS)}, or one of your own: mine.py:MyLaw"
+            f"there is no spring law {shown(name)}{hint}; laws are {', '.join(LAWS)}, or one of your own: mine.py:MyLaw"
         )
     return name
 
@@ -227,3 +246,24 @@ class OwnLawEntry(Section):
 
 SpringEntry = Annotated[str, AfterValidator(_known_law)] | OwnLawEntry
 """A spring law by its name, or a user's own."""
+
+ParameterEntry = Number | Annotated[dict[str, Any], BeforeValidator(prior_or_default)]
+"""A fixed number, or a prior; `{}` is the prior that law or catalogue have for it."""
+FORM, DRIVER = "form", "driver"
+"""Keys of an effect that are no parameters: which of its forms it has, and what drives it."""
+
+
+def _effect(value: Any, validated: Any) -> Any:
+    if not isinstance(value, dict):
+        return validated(value)
+    said = {key: value[key] for key in (FORM, DRIVER) if key in value}
+    for key, word in said.items():
+        if not isinstance(word, str):
+            raise ValueError(f"its {key} must be a word, but it is {shown(word)}")
+    return said | validated({key: entry for key, entry in value.items() if key not in said})
+
+
+EffectEntry = Annotated[dict[str, ParameterEntry], WrapValidator(_effect), PlainSerializer(dict)]
+"""An effect: its form and driver, where they are not the default ones, and its parameters."""
+TrueEffectEntry = Annotated[dict[str, Number], WrapValidator(_effect), PlainSerializer(dict)]
+"""The same of a virtual specimen: every parameter is a number."""

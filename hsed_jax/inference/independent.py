@@ -1,0 +1,104 @@
+"""Independent draws around a mode, in the shape of chains: of the Gaussian there, or weighed by the posterior."""
+
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from hsed_jax.inference.heights import constrained, heights
+from hsed_jax.inference.importance import Proposal, Weighted, resampled, weigh
+from hsed_jax.inference.likelihood import LOG_2PI, Data
+from hsed_jax.inference.maximum import Maximum
+from hsed_jax.inference.nuts import Chains, Settings
+from hsed_jax.inference.posterior import Posterior
+from hsed_jax.inference.requested import Requested
+from hsed_jax.inference.watch import Watch
+
+
+@dataclass(frozen=True)
+class Weighing:
+    """Weighted draws around a mode.
+
+    Attributes:
+        asked: what they are for.
+        weights: the draws and their weights.
+        random: random numbers that chose them, and that choose among them.
+    """
+
+    asked: Requested
+    weights: Weighted
+    random: np.random.Generator
+
+    def chains(self) -> Chains:
+        """Draws in proportion to their weights, with a doubt where the weights cannot be trusted."""
+        asked = self.asked
+        u, height = resampled(self.weights, asked.number, self.random)
+        settings = asked.settings._replace(sampler="importance")
+        found = independent(asked.posterior, u, height, asked.step_size, settings, self.weights.worth)
+        return found._replace(doubt=self.weights.doubt)
+
+
+def weighed(asked: Requested) -> Weighing:
+    """Weighted draws around the mode of a request."""
+    random = generator(jax.random.split(asked.key)[0])
+    weights = weigh_around(asked.posterior, asked.data, asked.maximum, asked.number, random, asked.watch)
+    return Weighing(asked, weights, random)
+
+
+def weigh_around(
+    posterior: Posterior,
+    data: Data,
+    maximum: Maximum,
+    draws: int,
+    random: np.random.Generator,
+    watch: Watch | None = None,
+) -> Weighted:
+    """Weighted draws of u around a mode."""
+    proposal = Proposal(np.asarray(maximum.start), np.asarray(maximum.whitening))
+    return weigh(lambda u: heights(posterior, data, u, watch), proposal, draws, random)
+
+
+def generator(key: PRNGKeyArray) -> np.random.Generator:
+    """NumPy's random numbers from a key of JAX."""
+    return np.random.default_rng(np.asarray(jax.random.key_data(key)))
+
+
+def gaussian(
+    maximum: Maximum, key: PRNGKeyArray, number: int
+) -> tuple[Float[np.ndarray, "N p"], Float[np.ndarray, " N"]]:
+    """Draws of u from the Gaussian around a mode, and its log density there."""
+    start, whitening = np.asarray(maximum.start), np.asarray(maximum.whitening)
+    w = generator(key).standard_normal((number, start.size))
+    # The Gaussian is as high as the density at the mode, which the evidence by Laplace's method was made of.
+    top = float(maximum.log_evidence) - 0.5 * start.size * LOG_2PI - np.linalg.slogdet(whitening)[1]
+    return start + w @ whitening.T, top - 0.5 * np.sum(w**2, axis=1)
+
+
+def independent(
+    posterior: Posterior,
+    u: Float[np.ndarray, "N p"],
+    height: Float[np.ndarray, " N"],
+    step_size: Float[Array, ""],
+    settings: Settings,
+    worth: float,
+) -> Chains:
+    """Independent draws in the shape of chains.
+
+    Arguments:
+        posterior: that they are of.
+        u: the draws.
+        height: log density of each.
+        step_size: of NUTS, to begin the next adaptation from.
+        settings: the number of chains and draws, and the sampler.
+        worth: number of independent draws that they are worth.
+    """
+    shape = (settings.chains, settings.draws)
+    arrays = (
+        np.asarray(constrained(posterior, jax.device_put(u))).reshape(*shape, -1),
+        height.reshape(shape),
+        np.zeros(shape, dtype=bool),
+        np.zeros(shape, dtype=int),
+        np.full(settings.chains, float(step_size)),
+    )
+    return Chains(*jax.device_put(arrays), sampler=settings.sampler, worth=worth)

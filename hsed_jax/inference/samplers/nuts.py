@@ -1,0 +1,41 @@
+"""The no-U-turn sampler (Hoffman & Gelman 2014), within a budget of time."""
+
+from typing import ClassVar, final
+
+import jax
+
+from hsed_jax.inference.chains import by_nuts
+from hsed_jax.inference.nuts import Chains
+from hsed_jax.inference.requested import Requested
+from hsed_jax.inference.samplers.base import AbstractSampler
+from hsed_jax.inference.samplers.laplace import Laplace
+from hsed_jax.registry import register
+
+# Draws of each chain that say anything of a posterior.
+_TELLING = 10
+
+
+@final
+@register
+class Nuts(AbstractSampler):
+    """Markov chains by the no-U-turn sampler; the simulator weighs what an emulator draws."""
+
+    state: ClassVar[str] = "converged, no divergences"
+    use: ClassVar[str] = "chains are wanted, whatever they cost"
+
+    @staticmethod
+    def draw(asked: Requested) -> Chains:
+        """Draws by NUTS; draws of the Gaussian around the mode where the budget ends before there are enough of them."""
+        # The settings are the same whoever asks, so the compiled program is shared.
+        settings = asked.settings._replace(sampler="nuts")
+        key, seconds, planned = jax.random.split(asked.key)[1], asked.seconds, settings.draws
+        found = by_nuts(
+            asked.posterior, asked.data, asked.maximum, asked.step_size, key, settings, asked.watch, seconds
+        )
+        made, budget = found.theta.shape[1], f"stopped by the budget of {seconds} s (calibration.seconds)"
+        if made == planned:
+            return found
+        if made >= min(_TELLING, planned):
+            return found._replace(doubt=f"{budget} after {made} of {planned} draws")
+        instead = f"{budget} before there were draws of the posterior: these are of the Gaussian around the MAP"
+        return Laplace.draw(asked)._replace(doubt=instead)

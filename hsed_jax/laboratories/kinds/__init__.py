@@ -1,0 +1,11 @@
+"""The laboratories that a study may name (`experiments`), one file each.
+
+`base.py` says what a laboratory has.  Reading a study needs no JAX, so a file imports what performs its experiments in the method
+that makes it.
+"""
+
+from hsed_jax.laboratories.kinds.base import AbstractLaboratoryEntry
+from hsed_jax.registry import Parts
+
+KINDS: Parts[AbstractLaboratoryEntry] = Parts(__name__, "laboratory")
+"""The sections of the laboratories by their keys in a study."""

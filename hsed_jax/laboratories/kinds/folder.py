@@ -1,0 +1,46 @@
+"""People or a controller: what is asked lies in a folder of the run, and what was measured is left there, days later."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, NoReturn, final
+
+from hsed_jax.laboratories.kinds.base import MeasuredEntry, Site
+from hsed_jax.registry import register
+
+if TYPE_CHECKING:
+    from hsed_jax.laboratories.base import Laboratory
+
+
+@final
+@register
+class FolderEntry(MeasuredEntry):
+    """It waits for people or a controller; `folder: {}` is enough where the names and SI units of the study are used."""
+
+    performer: ClassVar[str] = "people or a controller"
+    use: ClassVar[str] = "real specimens, days between request and measurement"
+    is_asked: ClassVar[bool] = True
+
+    @property
+    def described(self) -> str:
+        """That people perform what is asked."""
+        return "a laboratory that is asked by hand"
+
+    def laboratory(self, site: Site) -> "Laboratory":
+        """A laboratory that performs nothing by itself."""
+        del site
+        return FolderLaboratory()
+
+
+@dataclass(frozen=True)
+class FolderLaboratory:
+    """Performs nothing by itself; `hsed_jax.runs.ask_tell` writes its requests and takes its answers."""
+
+    def perform(self, number: int, inputs: Mapping[str, float]) -> NoReturn:
+        """Say that it takes a while.
+
+        Raises:
+            Awaited: always.
+        """
+        from hsed_jax.laboratories.base import Awaited
+
+        raise Awaited

@@ -1,0 +1,1 @@
+"""Studies, campaigns and results that several tests need."""
