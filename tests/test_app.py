@@ -165,7 +165,7 @@ def test_a_matrix_of_matlab_is_columns(folder, tmp_path_factory):
         ("a.csv", b"", "a.csv: the file is empty"),
         ("a.csv", b"the,words\nof,somebody\n", "a.csv: no row has numbers; it begins with 'the,words'"),
         ("a.docx", b"PK\x03\x04", "a.docx: files ending in '.docx' cannot be read"),
-        ("a.xlsx", b"no workbook", "a.xlsx: cannot be read as a workbook"),
+        ("a.xlsx", b"no workbook", "a.xlsx: this is not a workbook"),
         ("a.mat", b"MATLAB 5.0 cut short", "a.mat: cannot be read as a MATLAB file"),
         ("a.h5", b"no hdf", "a.h5: cannot be read as HDF5"),
     ],
@@ -416,7 +416,7 @@ def test_a_run_that_names_code_is_not_explored(finished, tmp_path):
         (run / "study.yaml").read_text().replace("  spring: bouc_wen", "  spring: bouc_wen\n  own_effects: [mine.py]")
     )
     (run / "study.yaml").write_text(study)
-    with pytest.raises(UserError, match="code of its own"):
+    with pytest.raises(UserError, match="code of your own"):
         Explorer(run)
 
 

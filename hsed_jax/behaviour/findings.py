@@ -181,7 +181,8 @@ def told(one: Behaviour, pair: Pair) -> str:
         return f"{owner}friction of {number(one.after.mean)}{unit_text}, the same at every speed, is added {interval}"
     if one.change == "differs":
         was = number(one.before.mean)
-        return f"{owner}{words}{side} is {number(one.after.mean)}{unit_text}, in the model as it was {was}{unit_text} {interval}"
+        now = f"{number(one.after.mean)}{unit_text} {interval}"
+        return f"{owner}{words}{side} is {now} instead of {was}{unit_text}"
     ends = f"from {number(one.before.mean)} to {number(one.after.mean)}{unit_text}"
     return f"{owner}{words}{side} {one.change} {ends}{by} {interval}"
 

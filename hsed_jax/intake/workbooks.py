@@ -50,7 +50,7 @@ def read_workbook(path: Path) -> Workbook:
         with path.open("rb") as file, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of parts of a workbook that hold no cells
             if not is_zipfile(file):
-                raise UserError(f"{path}: this is no workbook; if it is a text, let its name end in .csv")
+                raise UserError(f"{path}: this is not a workbook; if it is a text file, give it the extension .csv")
             with ZipFile(file) as archive:
                 members = archive.infolist()
             ask(path, parts=len(members))

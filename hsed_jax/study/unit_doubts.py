@@ -1,5 +1,8 @@
 """Doubts of units that only a study can tell: a drift by its height, a period by its masses, a motion by its excitation."""
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from collections.abc import Iterator
 
 import jax
@@ -91,7 +94,7 @@ def planned_doubts(built: Built, campaign: Campaign) -> Iterator[Finding]:
         if record is None:
             continue
         excitation = planned(experiment.inputs)
-        times = np.linspace(0.0, float(excitation.duration), _MOMENTS)
+        times = jax.device_put(np.linspace(0.0, float(excitation.duration), _MOMENTS))
         motions = {name: np.asarray(v) for name, v in channels_of(jax.vmap(excitation.sample)(times)).items()}
         for name in motions.keys() & record.channels.keys():
             measured, wanted = (float(np.abs(values).max()) for values in (record[name], motions[name]))
