@@ -2,16 +2,19 @@
 
 Every campaign with a held-out part is taken as a stranger would take it: `hsed init` writes the study, `hsed run` calibrates
 the plain law, names what it lacks and adds it; nothing is told by hand, and no case by its name. With `--discover` it also
-learns what no name is for. Errors are those of the run's improvement, on all samples. Seconds are those of the whole run, to
-its report. Beside the error on the held-out part stand those of generic tools on the same samples: the same law by SciPy's
-least squares, and two black boxes that know the history of the elongation (`peers/generic.py`). Errors are root mean squares
-in units of what was measured, about its mean. The table ends with what `bouc_wen.py` found last, which has a published
-figure beside it: of the specimens none is known that is of a part nothing was fitted to.
+learns what no name is for. With `--files` the cases are raw files of laboratories, which `hsed init FILE` opens. Errors are
+those of the run's improvement, on all samples. Seconds are those of the whole run in a new process, to its report. Beside the
+error on the held-out part stand those of generic tools on the same samples: the same law by SciPy's least squares, and two
+black boxes that know the history of the elongation (`peers/generic.py`). Errors are root mean squares in units of what was
+measured, about its mean. The table ends with what `bouc_wen.py` found last, which has a published figure beside it: of the
+specimens none is known that is of a part nothing was fitted to.
 """
 
 import argparse
 import json
 import shutil
+import subprocess
+import sys
 import tempfile
 import time
 import warnings
@@ -41,6 +44,19 @@ def main() -> None:
     parser.add_argument(
         "--pictures", type=Path, metavar="FOLDER", help="draw the loops of every case there, before and after"
     )
+    parser.add_argument(
+        "--files",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        help="raw files in place of campaigns; no generic tools beside them",
+    )
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        metavar="LIMIT",
+        help="give up a case after so long, which its row says (default: never)",
+    )
     parser.add_argument("--discover", action="store_true", help="learn what no name is for, too, which takes minutes")
     parser.add_argument("--resume", action="store_true", help="keep the cases that were measured already")
     parser.add_argument("--markdown", action="store_true", help="the table of the last results, nothing measured")
@@ -56,44 +72,54 @@ def main() -> None:
     rows = json.loads(options.output.read_text(encoding="utf-8"))["rows"] if keeps and options.output.exists() else []
     if not options.markdown:
         known = [row["case"] for row in rows]
-        for folder, campaign in judged(options.data, options.cases).items():
-            if folder.name in known:
+        overrides = _DISCOVER if options.discover else ()
+        for case in options.files or judged(options.data, options.cases):
+            if case.stem in known:
                 continue
-            rows.append(row_of(folder, campaign, options.pictures, _DISCOVER if options.discover else ()))
+            rows.append(row_of(case, options.pictures, overrides, options.seconds))
             results = {"machine": machine(), "rows": rows}
             options.output.write_text(json.dumps(results, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    print(markdown([*rows, bouc_wen.in_units_of_the_signal()]))
+    print(markdown(rows if options.files else [*rows, bouc_wen.in_units_of_the_signal()]))
 
 
-def judged(data: Path, wanted: Sequence[str]) -> dict[Path, hx.Campaign]:
-    """The component tests with a held-out part, by their folders."""
+def judged(data: Path, wanted: Sequence[str]) -> list[Path]:
+    """The folders of the component tests with a held-out part."""
     folders = [path.parent for path in sorted(data.glob("*/campaign.yaml")) if not wanted or path.parent.name in wanted]
     campaigns = {folder: hx.read_campaign(folder) for folder in folders}
-    return {f: c for f, c in campaigns.items() if c.protocol == "displacement" and len(c.test)}
+    return [f for f, c in campaigns.items() if c.protocol == "displacement" and len(c.test)]
 
 
-def row_of(folder: Path, campaign: hx.Campaign, pictures: Path | None, overrides: Sequence[str]) -> dict[str, Any]:
-    """What comes out of one campaign; its loops before and after are drawn where there is a folder for pictures."""
+def row_of(case: Path, pictures: Path | None, overrides: Sequence[str], limit: float | None) -> dict[str, Any]:
+    """What comes out of a campaign or a raw file; its loops before and after are drawn where there is a folder for pictures."""
     with tempfile.TemporaryDirectory() as place:
-        work = Path(place) / folder.name
-        shutil.copytree(folder, work)
-        study = work / "study.yaml"
-        hx.initial_study(hx.read_campaign(work), study)
-        begin = time.perf_counter()
-        hx.run(hx.load_study(study, overrides), work / "run", progress=False)
+        work = Path(place) / case.stem
+        try:
+            if case.is_dir():
+                shutil.copytree(case, work)
+                _hsed("init", work, "--output", work / "study.yaml")
+            else:
+                _hsed("init", shutil.copy(case, place))
+            begin = time.perf_counter()
+            _hsed("run", work / "study.yaml", *overrides, "--output", work / "run", limit=limit)
+        except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as failure:
+            said = f"no end after {limit:.0f} s" if isinstance(failure, subprocess.TimeoutExpired) else failure.stderr
+            return {"case": case.stem, "failed": said.strip().splitlines()[-1]}
         seconds = time.perf_counter() - begin
         summary = json.loads((work / "run" / "summary.json").read_text(encoding="utf-8"))
         if pictures is not None:
             pictures.mkdir(parents=True, exist_ok=True)
-            shutil.copy(work / "run" / "figures" / "before_after.png", pictures / f"{folder.name}.png")
-    train, test = ([_cyclic(e) for e in part] for part in (campaign.train, campaign.test))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of scikit-learn, about its own bounds
-        generic = {"least squares": least_squares_error(train, test), **black_box_errors(train, test)}
+            shutil.copy(work / "run" / "figures" / "before_after.png", pictures / f"{case.stem}.png")
+        campaign = hx.read_campaign(work)
+    generic: dict[str, float] = {}
+    if case.is_dir():
+        train, test = ([_cyclic(e) for e in part] for part in (campaign.train, campaign.test))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of scikit-learn, about its own bounds
+            generic = {"least squares": least_squares_error(train, test), **black_box_errors(train, test)}
     found, learned = summary["diagnosis"], summary.get("discovery", {"found": False, "reason": "not looked for"})
     trail = summary["improvement"]["steps"]
     return {
-        "case": folder.name,
+        "case": case.stem,
         "noise": found["noise_floor"],
         "plain": trail[0]["error_test"],
         "named": next(s["error_test"] for s in trail[::-1] if set(s["effects"]) <= set(found["effects"])),
@@ -104,7 +130,14 @@ def row_of(folder: Path, campaign: hx.Campaign, pictures: Path | None, overrides
         "learning": f"{_place(learned['place'])}: {learned['formula']}" if learned["found"] else learned["reason"],
         "generic": generic,
         "seconds": seconds,
+        "behaviour": found.get("behaviour_sentence", ""),
     }
+
+
+def _hsed(*words: str | Path, limit: float | None = None) -> None:
+    """A command of the package in a process of its own, of whose progress nothing is shown."""
+    command = [sys.executable, "-m", "hsed_jax", *map(str, words)]
+    subprocess.run(command, check=True, capture_output=True, text=True, timeout=limit)
 
 
 def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
@@ -140,6 +173,7 @@ def _cyclic(experiment: hx.Experiment) -> Cyclic:
 
 def markdown(rows: Sequence[Mapping[str, Any]]) -> str:
     """The table of the results."""
+    rows, failed = [row for row in rows if "failed" not in row], [row for row in rows if "failed" in row]
     generic = list(dict.fromkeys(name for row in rows for name in row["generic"]))
     heads = ["specimen", "noise", "plain law", *generic, "with what is named", "named", "verdict", "with what is learned",
              "best published", "s"]  # fmt: skip
@@ -153,6 +187,7 @@ def markdown(rows: Sequence[Mapping[str, Any]]) -> str:
         ]
         about = [named or "–", f"`{row['verdict']}`", _error(row["learned"]), _error(row.get("published"))]
         lines.append([row["case"].replace("_", " "), _error(row["noise"]), *errors, *about, f"{row['seconds']:.0f}"])
+    lines += [[row["case"].replace("_", " "), row["failed"], *[""] * (len(heads) - 2)] for row in failed]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from builders.records import SIGMA, as_record, clean, in_mm, loop
 
 from hsed_jax.command_line import main
 from hsed_jax.errors import UserError
@@ -24,27 +25,6 @@ from hsed_jax.measurements import (
 )
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
-SIGMA = {"elongation": 2e-5, "force": 50.0}
-
-
-def clean(seed: int = 0, noise: float = 1.0) -> dict[str, np.ndarray]:
-    """A second at rest, then a slow burst of a hysteretic specimen, sampled at 200 Hz with white noise."""
-    draw = np.random.default_rng(seed)
-    time = np.arange(2000) * 0.005
-    burst = np.where(time > 1, np.sin(2 * np.pi * (time - 1)) * np.sin(np.pi * np.clip((time - 1) / 9, 0, 1)), 0.0)
-    elongation = 0.03 * burst
-    force = np.zeros_like(time)  # elastoplastic, rounded
-    for i in range(1, time.size):
-        step = elongation[i] - elongation[i - 1]
-        force[i] = force[i - 1] + 1e6 * step * (
-            1 - (0.5 + 0.5 * np.sign(force[i - 1] * step)) * abs(force[i - 1] / 1e4)
-        )
-    return {
-        "time": time,
-        "ground_acceleration": 3.0 * burst + noise * 0.002 * draw.normal(size=time.size),
-        "elongation": elongation + noise * SIGMA["elongation"] * draw.normal(size=time.size),
-        "force": force + noise * SIGMA["force"] * draw.normal(size=time.size),
-    }
 
 
 def campaign_of(data: dict[str, np.ndarray], noise: bool = True, **quantities: float) -> Campaign:
@@ -257,31 +237,6 @@ def test_measured_campaigns_have_no_errors(name):
 # --- what force and elongation say together --------------------------------------------------------------------------
 
 
-def loop(cycles=(2, 2, 4, 4, 8, 8, 12, 12), samples=60, noise=0.0, seed=0) -> dict[str, np.ndarray]:
-    """A rounded elastoplastic specimen in growing cycles, without a time, [m] and [N]."""
-    u = np.concatenate([a * np.sin(2 * np.pi * np.arange(samples) / samples) for a in cycles]) * 1e-3
-    force = np.zeros_like(u)
-    for i in range(1, u.size):
-        step = u[i] - u[i - 1]
-        force[i] = force[i - 1] + 1e7 * step * (
-            1 - (0.5 + 0.5 * np.sign(force[i - 1] * step)) * abs(force[i - 1] / 3e4)
-        )
-    draw = np.random.default_rng(seed)
-    return {
-        "elongation": u + noise * 1e-5 * draw.normal(size=u.size),
-        "force": force + noise * 100 * draw.normal(size=u.size),
-    }
-
-
-def in_mm(data: dict[str, np.ndarray], rate: float | None = None, **more) -> Campaign:
-    """The same as a campaign in mm and kN, with a time where there is a rate [samples/s]."""
-    record = {"elongation": 1e3 * data["elongation"], "force": 1e-3 * data["force"]}
-    channels = {"elongation": "mm", "force": "kN"}
-    if rate is not None:
-        record["time"], channels["time"] = np.arange(record["force"].size) / rate, "s"
-    return Campaign.from_frames(records={"E01": record}, protocol="displacement", channels=channels)
-
-
 @pytest.mark.parametrize("noise", [0.0, 1.0])
 @pytest.mark.parametrize("rate", [None, 100.0])
 def test_a_clean_loop_gives_no_finding(noise, rate):
@@ -378,10 +333,6 @@ def test_load_and_unload_is_a_loop():
 def two(first: Experiment, second: Experiment, inputs=None) -> list[Finding]:
     channels = {"elongation": Channel("elongation", "mm"), "force": Channel("force", "kN")}
     return check_campaign(Campaign("x", "displacement", inputs or {}, channels, experiments=(first, second)))
-
-
-def as_record(data) -> Record:
-    return Record(np.arange(data["force"].size, dtype=float), data)
 
 
 def test_samples_that_are_there_twice_are_doubted():

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_checks import as_record, clean, in_mm, loop
+from builders.records import as_record, clean, in_mm, loop
 
 from hsed_jax.command_line import main
 from hsed_jax.measurements import Campaign, Channel, Experiment, Finding, Record, check_campaign, write_campaign

@@ -294,7 +294,7 @@ ASKED = {
         "sheet 'raw' is hidden and is left out"),
     "Excel, all numbers as text": ("a.xlsx", lambda: xlsx(("data", [["Disp [mm]", "Load [kN]"], *([str(u), str(f)] for u, f in zip(U, F, strict=True))])),
         "row 2 holds '0.013' as text; format the cells as numbers"),
-    "a text that is called a workbook": ("a.xlsx", text("Disp [mm],Force [kN]") + rows(U, F), "no workbook; if it is a text, let its name end in .csv"),
+    "a text that is called a workbook": ("a.xlsx", text("Disp [mm],Force [kN]") + rows(U, F), "not a workbook; if it is a text file, give it the extension .csv"),
     "two tables, one below the other": ("a.csv", text("Disp [mm],Force [kN]") + rows(U, F) + "\n" + text("Disp [mm],Moment [kNm]") + rows(U, F),
         "row 51: 'Disp .mm. Moment .kNm.' stands between rows of numbers"),
     "a force of a factor": ("a.csv", text("Disp [mm],Force [x1000 N]") + rows(U, F), "the column of the force"),

@@ -27,7 +27,8 @@ def read_history(path: Path, channel: str) -> tuple[np.ndarray, np.ndarray]:
     if ending == "at2" and channel == "ground_acceleration":
         columns = read_motion(path)
     elif ending in TEXT:
-        table = read_record_table(path, ["time", channel])
+        # Columns of other names are taken by their places.
+        table = read_record_table(path, ())
         named = [name for name in ("time", channel) if name in table.columns]
         chosen = named if len(named) == 2 else table.columns[:2]
         if len(chosen) < 2:
