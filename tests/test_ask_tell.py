@@ -155,7 +155,7 @@ def test_what_an_experiment_is_expected_to_teach_is_said_in_words():
     assert (
         ACQUISITIONS["expected_improvement"]
         .lesson(0.03, [0.1, None, math.nan, 0.3])
-        .endswith("by 10 % of that, on average")
+        .endswith("by 10 % of it, on average")
     )
     assert ACQUISITIONS["expected_improvement"].lesson(0.03, [None]) == ACQUISITIONS["sobol"].lesson(1.0, [0.3]) == ""
     assert ACQUISITIONS["discriminate"].lesson(math.log(20), []).endswith("odds of 20 to 1")

@@ -254,7 +254,7 @@ def test_the_shares_of_the_inputs_are_those_of_the_nearest():
 def test_an_improvement_below_a_millionth_of_the_largest_is_shown_as_none():
     assert told([0.2, 0.05, 3e-7, 1e-9, 1e-44]) == [0.2, 0.05, 3e-7, 0.0, 0.0]
     assert told([]) == [] and told([0.0]) == [0.0]
-    assert "by 0 % of that" in ExpectedImprovement.lesson(1e-44, [0.3])
+    assert "by 0 % of it" in ExpectedImprovement.lesson(1e-44, [0.3])
 
 
 def test_few_candidates_are_used_up_one_by_one_and_then_there_are_none(toy):

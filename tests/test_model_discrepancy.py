@@ -270,7 +270,7 @@ def test_a_calibration_on_one_shaken_record_is_refused_before_it_begins():
     }
     campaign = Campaign("one", "ground_motion", inputs={"V_P": "m/s", "T_P": "s"}, channels=channels)
     campaign = campaign.add(Experiment("E1", {"V_P": 2.0, "T_P": 1.0}, record=record))
-    with pytest.raises(UserError, match="one experiment does not tell"):
+    with pytest.raises(UserError, match="one experiment does not show"):
         calibrate_built(Built(study), campaign)
 
 

@@ -112,7 +112,7 @@ class Site:
         assert structure is not None
         if len(structure.specimens) > 1:
             raise UserError(
-                f"experiments.{laboratory}: it performs tests of one specimen; several are for the laboratory virtual"
+                f"experiments.{laboratory}: it performs tests of one specimen; use the laboratory virtual for several"
             )
         if entry.damping.specimen_stiffness == "model":
             raise UserError(

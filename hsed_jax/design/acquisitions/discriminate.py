@@ -36,4 +36,4 @@ class Discriminate(AbstractAcquisition):
     def lesson(value: float, discrepancies: Sequence[float | None]) -> str:
         """The expected log Bayes factor, and the odds that it makes."""
         del discrepancies
-        return f"a log Bayes factor of {value:.3g} between the explanations that are left: odds of {odds(value)}"
+        return f"a log Bayes factor of {value:.3g} between the remaining explanations: odds of {odds(value)}"

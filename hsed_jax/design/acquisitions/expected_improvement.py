@@ -51,7 +51,7 @@ class ExpectedImprovement(AbstractAcquisition):
         if not known or not max(known) > 0:
             return ""
         share = 100 * value / max(known) if value >= LEAST_SHARE * max(known) else 0.0
-        return f"whether the model is wrong by more than anywhere so far: by {share:.3g} % of that, on average"
+        return f"whether the discrepancy exceeds the largest one so far: by {share:.3g} % of it, on average"
 
 
 def expected_improvement(

@@ -37,5 +37,5 @@ class Nuts(AbstractSampler):
             return found
         if made >= min(_TELLING, planned):
             return found._replace(doubt=f"{budget} after {made} of {planned} draws")
-        instead = f"{budget} before there were draws of the posterior: these are of the Gaussian around the MAP"
+        instead = f"{budget} before there were draws of the posterior: these draws are from the Gaussian around the MAP"
         return Laplace.draw(asked)._replace(doubt=instead)

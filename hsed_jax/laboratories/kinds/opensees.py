@@ -70,7 +70,7 @@ class OpenSeesEntry(SimulatedEntry):
         from hsed_jax.laboratories.command import CommandLaboratory
 
         if site.driver != "ground_acceleration":
-            raise UserError("experiments.opensees: it shakes the ground, and the excitation of the study is another")
+            raise UserError("experiments.opensees: it needs a ground motion, but the study has another excitation")
         structure = site.structure_of("opensees", self.structure)
         if isinstance(self.material, OwnMaterialEntry):
             file = site.folder / self.material.file
