@@ -244,6 +244,18 @@ def test_an_interval_of_a_few_telling_draws_is_no_point():
         assert sampled.moments(k)["q95"] - sampled.moments(k)["q05"] > 0.1
 
 
+def test_beside_many_bounds_an_interval_is_that_of_the_gaussian_up_to_them():
+    # Twelve amplitudes rest on their bounds: one draw in four thousand is within all of them.
+    names = [f"a{k}" for k in range(12)]
+    models, target, fit = fitted(
+        lambda theta: theta.T - 0.02, {n: Prior("half_normal", 1.0) for n in names}, np.full(12, -0.1), 0.1
+    )
+    sampled = sample_posterior(fit, models, target, 40, 0)
+    assert (sampled.thetas >= 0).all()
+    for k in range(12):
+        assert sampled.moments(k)["q95"] - sampled.moments(k)["q05"] > 0.02
+
+
 def test_evidence_leaves_out_where_the_simulation_diverges():
     # Half of the posterior is gone: half of the evidence, too.
     models, target, fit = fitted(wave, {"a": Prior("normal", [0.0, 1.0])}, pulled(0.0)[0])

@@ -17,6 +17,8 @@ from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.inference.importance import Proposal, flattened, weigh
 
 _FLOOR = 1e-6
+# Of fewer draws that count, even with their weights flattened, there is no interval.
+_TELLING = 8
 
 
 class Sampled(NamedTuple):
@@ -27,7 +29,7 @@ class Sampled(NamedTuple):
         effective: effective number of draws.
         thetas: draws, SI, (S, P).
         weights: of the draws, summing to one, (S,); flattened where only a few draws would count, so that an interval is too wide
-            and not too narrow.
+            and not too narrow.  Where hardly any draw counts, the draws are those of the Gaussian, alike.
     """
 
     log_evidence: float
@@ -107,12 +109,15 @@ def sample_posterior(fit: Descent, models: NestedModels, target: Target, draws: 
         return heights
 
     found = weigh(log_density, proposal, draws + 40 * len(fit.free), np.random.default_rng(seed))
-    if not np.isfinite(found.log_evidence):
-        return Sampled(-np.inf, 0.0, models.theta(fit.x, fit.member)[None], np.ones(1))
-    thetas = np.stack([models.theta(_at(fit, point), fit.member) for point in found.points])
     with np.errstate(divide="ignore"):
-        log_weights = np.log(found.weights)
-    return Sampled(found.log_evidence, found.worth, thetas, flattened(log_weights, len(fit.free)))
+        weights = flattened(np.log(found.weights), len(fit.free))
+    points = found.points
+    if not 1 / np.sum(weights**2) > _TELLING or not np.isfinite(found.log_evidence):
+        # Beside many bounds hardly any draw is within all of them: what is left is the Gaussian, up to them.
+        points = np.clip(proposal.draw(np.random.default_rng(seed), draws), low, high)
+        weights = np.full(draws, 1 / draws)
+    thetas = np.stack([models.theta(_at(fit, point), fit.member) for point in points])
+    return Sampled(found.log_evidence, found.worth, thetas, weights)
 
 
 def gaussian(fit: Descent) -> tuple[np.ndarray, np.ndarray]:
