@@ -322,6 +322,16 @@ def test_one_loading_branch_has_no_hysteresis(path):
     assert found.kind == "monotonic" and "no hysteresis to identify" in found.message
 
 
+def test_a_diagnosis_of_one_loading_branch_is_refused_until_it_is_accepted():
+    u = np.linspace(0, 0.02, 40)
+    branch = in_mm({"elongation": u, "force": 1e4 * np.tanh(200 * u)})
+    stop_at_errors(branch)
+    stop_at_errors(branch, {("E01", "monotonic")}, needs_loops=True)
+    with pytest.raises(UserError, match=r"one loading branch.*\[calibrate, compare\].*accept: \{E01: monotonic\}"):
+        stop_at_errors(branch, needs_loops=True)
+    stop_at_errors(in_mm(loop()), needs_loops=True)
+
+
 def test_load_and_unload_is_a_loop():
     u = np.concatenate([np.linspace(0, 0.02, 40), np.linspace(0.02, 0.01, 30)])
     assert check_campaign(in_mm({"elongation": u, "force": 1e6 * (u - 0.3 * np.maximum.accumulate(u))})) == []

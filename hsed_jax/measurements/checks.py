@@ -53,22 +53,32 @@ def check_campaign(campaign: Campaign) -> list[Finding]:
     return [replace(finding, has_time=campaign.has_time) for finding in found]
 
 
-def stop_at_errors(campaign: Campaign, accepted: Set[tuple[str, str]] = frozenset()) -> None:
-    """Refuse a campaign whose data have errors, or a sign that seems flipped.
+def stop_at_errors(campaign: Campaign, accepted: Set[tuple[str, str]] = frozenset(), needs_loops: bool = False) -> None:
+    """Refuse a campaign whose data have errors, or a sign that seems flipped, or no loop where one is needed.
 
     Arguments:
         campaign: the measurements.
         accepted: doubts that were looked at, each an experiment and a kind.
+        needs_loops: a diagnosis follows, which finds nothing in tests that are all one loading branch.
 
     Raises:
         UserError: names the first and says how many there are.
     """
-    found = check_campaign(campaign)
+    found, where = check_campaign(campaign), campaign.source or campaign.name
     errors = [f for f in found if f.level == "error"] + [
         f for f in found if f.kind == "sign" and (f.experiment, "sign") not in accepted
     ]
+    branches = {f.experiment: f for f in found if f.kind == "monotonic" and (f.experiment, f.kind) not in accepted}
+    fitted = [experiment.id for experiment in campaign.train]
+    if needs_loops and not errors and fitted and branches.keys() >= {*fitted}:
+        said = branches[fitted[0]].line.removeprefix("doubt: ")
+        key = "all" if len(fitted) > 1 else yaml_key(fitted[0])
+        raise UserError(
+            f"{where}: {said} Every fitted test is like this, so a diagnosis has nothing to find. Use the steps [calibrate, "
+            f"compare], or accept it in the study: measurements: {{accept: {{{key}: monotonic}}}}"
+        )
     if errors:
-        first, where = errors[0], campaign.source or campaign.name
+        first = errors[0]
         more = f" (and {len(errors) - 1} more: hsed check lists them)" if len(errors) > 1 else ""
         remedy = ""
         if first.kind == "sign":

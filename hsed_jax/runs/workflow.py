@@ -99,7 +99,8 @@ class Run:
         self.built = Built(study, workspace=laboratory_folder(output), function=laboratory)
         measured = self.built.experiments.measured
         if measured is not None:
-            stop_at_errors(measured, study.measurements.accepted(measured))
+            needs_loops = bool({"diagnose", "discover"} & {*study.steps})
+            stop_at_errors(measured, study.measurements.accepted(measured), needs_loops)
         self.built.check()
         if measured is not None and progress:
             print(forecast(self.built.inference, measured), flush=True)
