@@ -144,7 +144,7 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """A picture of the errors on the held-out part: plain law, with the named effects, noise; the worst specimen on top."""
     import matplotlib.pyplot as plt
 
-    ranked = sorted(rows, key=lambda row: row["named"])
+    ranked = sorted((row for row in rows if "failed" not in row), key=lambda row: row["named"])
     names = [row["case"].replace("_", " ") for row in ranked]
     figure, axes = plt.subplots(figsize=(7.2, 2.4), layout="constrained")
     axes.hlines(names, [row["noise"] for row in ranked], [row["plain"] for row in ranked], color="0.8", zorder=0)

@@ -7,8 +7,6 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from hsed_jax.config.functions import FunctionEntry
 from hsed_jax.plain import Number, Whole
-from hsed_jax.sections import DRIVER as DRIVER
-from hsed_jax.sections import FORM as FORM
 from hsed_jax.sections import (
     MODELS,
     EffectEntry,

@@ -249,6 +249,11 @@ class Study(Tabular, Section):
         return study
 
     @property
+    def needs_loops(self) -> bool:
+        """Whether its steps look for effects, which need a loop in the measurements."""
+        return not {"diagnose", "discover"}.isdisjoint(self.steps)
+
+    @property
     def code(self) -> list[str]:
         """What is executed where the study is built: its model, laws, effects, and its laboratory that is a Python function."""
         models, laboratory = (

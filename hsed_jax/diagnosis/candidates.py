@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Int
 
 from hsed_jax.behaviour.histories import Range, range_of
-from hsed_jax.config.mechanics import DRIVER, FORM
 from hsed_jax.config.schema import ImproveEntry, ScalesEntry, Study
 from hsed_jax.criticism.compare import compare
 from hsed_jax.criticism.prediction import HISTORY, Prediction
@@ -33,6 +32,7 @@ from hsed_jax.physics.outputs import is_driver
 from hsed_jax.physics.parameters import Parameter, parameters_of
 from hsed_jax.physics.simulator import Conditions, Simulator
 from hsed_jax.physics.timeline import Timeline, times
+from hsed_jax.sections import DRIVER, FORM
 from hsed_jax.study.build import Built
 from hsed_jax.study.laboratories import driver_of
 from hsed_jax.study.plan import ORDER, check_added

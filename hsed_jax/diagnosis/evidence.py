@@ -17,7 +17,7 @@ from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.inference.importance import Proposal, flattened, weigh
 
 _FLOOR = 1e-6
-# Of fewer draws that count, even with their weights flattened, there is no interval.
+# Fewer effective draws than this, even with flattened weights, give no interval.
 _TELLING = 8
 
 
@@ -28,8 +28,8 @@ class Sampled(NamedTuple):
         log_evidence: log Z.
         effective: effective number of draws.
         thetas: draws, SI, (S, P).
-        weights: of the draws, summing to one, (S,); flattened where only a few draws would count, so that an interval is too wide
-            and not too narrow.  Where hardly any draw counts, the draws are those of the Gaussian, alike.
+        weights: of the draws, summing to one, (S,); flattened if only a few draws have weight, so that an interval is too wide
+            rather than too narrow.  If even fewer have weight, the draws are from the Gaussian, with equal weights.
     """
 
     log_evidence: float
@@ -113,7 +113,7 @@ def sample_posterior(fit: Descent, models: NestedModels, target: Target, draws: 
         weights = flattened(np.log(found.weights), len(fit.free))
     points = found.points
     if not 1 / np.sum(weights**2) > _TELLING or not np.isfinite(found.log_evidence):
-        # Beside many bounds hardly any draw is within all of them: what is left is the Gaussian, up to them.
+        # With many active bounds hardly any draw lies within all of them.  The Gaussian, clipped to the bounds, replaces them.
         points = np.clip(proposal.draw(np.random.default_rng(seed), draws), low, high)
         weights = np.full(draws, 1 / draws)
     thetas = np.stack([models.theta(_at(fit, point), fit.member) for point in points])

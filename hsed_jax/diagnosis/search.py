@@ -227,7 +227,7 @@ class Search:
             return False
         self.best = instead
         self.path.append(instead)
-        # What each effect of it adds is told beside the set without it.
+        # The ranking compares each effect of the set with the set without it.
         self._fits.fit(self.target, [self._in_forms(less) for less in _less_one(instead)])
         self._score(is_over=True)
         return True

@@ -1,9 +1,9 @@
-r"""Simulations of all experiments at many points of u, and their derivatives: one compiled program for whoever asks.
+r"""Simulations of all experiments at many points of u, and their derivatives: one compiled program for all callers.
 
 Derivatives are central differences along the parameters of the model,
 $\partial f/\partial\theta_k \approx [f(\theta + h_k e_k) - f(\theta - h_k e_k)]/2h_k$, with $h_k = h\,|d\theta_k/du_k|$ and u
-the unconstrained coordinates, which are of order one.  So no second program has to be compiled, with tangents, and the parameters
-of errors and the offsets of a population cost no simulation.
+the unconstrained coordinates, which are of order one.  So no second program with tangents is compiled.
+The parameters of errors and the offsets of a population cost no simulation.
 """
 
 from typing import Any
@@ -21,7 +21,7 @@ from hsed_jax.programs import program
 
 # Simulations of a call of the program; those that are not asked for cost nothing.
 _LANES = 4 * TILE
-# h: of a program in another language some six digits are right, and a third derivative of order one leaves a millionth.
+# h: outputs of an external program have about six correct digits.  The truncation error is about a millionth.
 _DIFFERENCE = 1e-3
 
 
@@ -31,26 +31,24 @@ def points_of_a_call(data: Data) -> int:
 
 
 def outputs_at(
-    posterior: Posterior, data: Data, points: Float[np.ndarray | Array, "N p"]
+    posterior: Posterior, data: Data, points: Float[np.ndarray, "N p"]
 ) -> tuple[Float[np.ndarray, "N n J"], Float[np.ndarray, "N n"]]:
-    """Outputs of all experiments at points, and 1 where their simulations converged, else 0."""
-    size = points_of_a_call(data)
-    blocks = [np.asarray(points[at : at + size]) for at in range(0, len(points), size)]
-    own = [np.asarray(_parameters(posterior, data, filled(block, size)))[: len(block)] for block in blocks]
-    return _simulated(posterior, data, np.concatenate(own))
+    """Outputs of all experiments at the points of a call, and 1 where their simulations converged, else 0."""
+    thetas = np.asarray(_parameters(posterior, data, filled(points, points_of_a_call(data))))
+    return _simulated(posterior, data, thetas[: len(points)])
 
 
 def linearised_at(
     posterior: Posterior, data: Data, points: Float[np.ndarray, "N p"]
 ) -> tuple[Float[np.ndarray, "N n J"], Float[np.ndarray, "N n"], Float[np.ndarray, "N n J p"]]:
-    """As `outputs_at`, and the derivatives of the outputs along u; zero where too many simulations diverged."""
+    """As `outputs_at`, and the derivatives of the outputs along u; zero if the middle or both sides diverged."""
     theta, steps, along = map(np.asarray, _stencils(posterior, data, points))
     offsets = steps[:, :, None, None] * np.eye(steps.shape[1])[:, None, :]
     stencil = np.concatenate([theta[:, None], theta[:, None] + offsets, theta[:, None] - offsets], axis=1)
     outputs, ok = _simulated(posterior, data, stencil.reshape(-1, *stencil.shape[2:]))
     outputs, ok = (values.reshape(*stencil.shape[:2], *values.shape[1:]) for values in (outputs, ok))
     ahead, behind = np.split(np.arange(1, stencil.shape[1]), 2)
-    # Where one side diverged, the other one tells.
+    # If one side diverged, the difference uses the other side and the middle.
     here = outputs[:, :1]
     sides = [np.where(ok[:, side, :, None] > 0, outputs[:, side], here) for side in (ahead, behind)]
     lengths = steps[:, :, None] * (ok[:, ahead] + ok[:, behind]) * ok[:, :1]

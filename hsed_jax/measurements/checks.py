@@ -59,7 +59,7 @@ def stop_at_errors(campaign: Campaign, accepted: Set[tuple[str, str]] = frozense
     Arguments:
         campaign: the measurements.
         accepted: doubts that were looked at, each an experiment and a kind.
-        needs_loops: a diagnosis follows, which finds nothing in tests that are all one loading branch.
+        needs_loops: a diagnosis follows, so at least one fitted test must have a loop.
 
     Raises:
         UserError: names the first and says how many there are.

@@ -42,7 +42,7 @@ def check_study(study: Study, path: Path) -> None:
         for note in (*built.experiments.thinning_notes(measured), *frequency_doubts(built.mechanics, measured)):
             print(note)
         print(forecast(built.inference, measured))
-        stop_at_errors(measured, accepted, bool({"diagnose", "discover"} & {*study.steps}))
+        stop_at_errors(measured, accepted, study.needs_loops)
     if built.experiments.excitation is not None and built.simulation.grid is None:
         print(f"{sentence_of(study)}; {built.simulation.planned.steps} steps of the integration")
     if "diagnose" in study.steps:

@@ -99,8 +99,7 @@ class Run:
         self.built = Built(study, workspace=laboratory_folder(output), function=laboratory)
         measured = self.built.experiments.measured
         if measured is not None:
-            needs_loops = bool({"diagnose", "discover"} & {*study.steps})
-            stop_at_errors(measured, study.measurements.accepted(measured), needs_loops)
+            stop_at_errors(measured, study.measurements.accepted(measured), study.needs_loops)
         self.built.check()
         if measured is not None and progress:
             print(forecast(self.built.inference, measured), flush=True)

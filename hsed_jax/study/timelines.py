@@ -34,8 +34,8 @@ _MOST_PER_BRANCH = 100
 # these; and at most the yield elongation, however many it takes.
 _STEP_PER_YIELD = 0.2
 _DIVISIONS = 20
-# The least size of a compiled program, and how many times the one before each is: campaigns of similar length share it, and what
-# is padded is not simulated.  One that takes long to make has fewer sizes.
+# The smallest size of a compiled program, and the ratio of successive sizes: campaigns of similar length share a program.
+# Padding is not simulated.  A program that takes long to compile has fewer sizes.
 _LEAST, _TIMES = 256, 2
 _LEAST_SHARED, _TIMES_SHARED = 512, 4
 TOLD = 1000

@@ -68,8 +68,8 @@ class Plan:
                 built = Built(study, campaigns.get(where))
                 # Points have the measurements in common, as a rule, and reading them takes the longest.
                 campaigns[where] = built.experiments.measured
-                if built.experiments.measured is not None:
-                    stop_at_errors(built.experiments.measured, study.measurements.accepted(built.experiments.measured))
+                if (measured := built.experiments.measured) is not None:
+                    stop_at_errors(measured, study.measurements.accepted(measured), study.needs_loops)
                 built.check()
             except UserError as error:
                 raise UserError(f"{self._about(number)}: {error}") from None
