@@ -13,6 +13,7 @@ from hsed_jax.measurements import Campaign
 from hsed_jax.physics import gates
 from hsed_jax.physics.effects import EFFECTS as CATALOGUE
 from hsed_jax.physics.effects.base import merged, neutral
+from hsed_jax.physics.effects.shaped import shapes_of
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.simulator import Conditions
 from hsed_jax.study.build import Built
@@ -34,7 +35,11 @@ def case(request):
     space = built.experiments.space
     cube = space.initial_design(3)
     conditions = Conditions({n: jnp.asarray(x) for n, x in space.si(space.declared(cube)).items()})
-    parts = [Part(name, columns[name], neutral[columns[name]]) for name in EFFECTS]
+    shapes = {name: shapes_of(CATALOGUE[name]) for name in EFFECTS}
+    parts = [
+        Part(name, k, neutral[k], np.array([names[one].split(".")[1] in shapes[name] for one in k]))
+        for name, k in columns.items()
+    ]
     sets = [(), ("hardening",), ("viscous_damping", "hardening"), ("stiffness_degradation",), ("mass_error",),
             ("hardening", "stiffness_degradation"), tuple(EFFECTS)]  # fmt: skip
     thetas = np.tile(neutral, (3 * len(sets), 1))

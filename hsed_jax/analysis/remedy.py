@@ -33,7 +33,7 @@ from hsed_jax.tables import Table, Tabular
 # Candidates of a design among which the one that separates rivals best is looked for: a Sobol' set's beginning fills it.
 _DISCRIMINATED = 512
 # Samples of a record of a component test that a diagnosis looks at; an improvement is fitted to all.
-_SAMPLES = 2000
+_SAMPLES = 1000
 # Nats by which the model as it is may miss its best fit before that is looked into, and for another fit to be taken.
 _APART = 2.0
 

@@ -24,7 +24,7 @@ from jaxtyping import Array, Bool, Float, Int
 from hsed_jax.backend import cores
 from hsed_jax.inference.observation import Histories, Observation, Outputs
 from hsed_jax.physics.batch import tiled_map
-from hsed_jax.physics.gates import LANES
+from hsed_jax.physics.gates import LANES, Acts
 from hsed_jax.physics.simulator import AbstractModel, Conditions, Simulator
 from hsed_jax.programs import program
 
@@ -65,11 +65,13 @@ class Part(NamedTuple):
         effect: its name.
         columns: of its parameters, (q,).
         neutral: what these are where it is absent, (q,).
+        shapes: whether each tells a shape of the effect from the simplest one, (q,).
     """
 
     effect: str
     columns: Int[np.ndarray, " q"]
     neutral: Float[np.ndarray, " q"]
+    shapes: Bool[np.ndarray, " q"]
 
 
 class Present(NamedTuple):
@@ -78,17 +80,19 @@ class Present(NamedTuple):
     Attributes:
         effects: their names, E of them.
         neutral: parameters where all are absent, (P,).
-        owned: whether a parameter belongs to an effect, (E, P).
+        owned, shapes: whether a parameter belongs to an effect, and whether it is one of its shape, (E, P).
     """
 
     effects: tuple[str, ...]
     neutral: Float[Array, " P"]
     owned: Bool[Array, "E P"]
+    shapes: Bool[Array, "E P"]
 
-    def acting(self, thetas: Float[Array, "L P"]) -> dict[str, Bool[Array, ""]]:
-        """Whether each effect acts in any of several simulations."""
+    def acting(self, thetas: Float[Array, "L P"]) -> dict[str, Acts]:
+        """What each effect does in any of several simulations."""
         differs = jnp.any(thetas != self.neutral, axis=0)
-        return dict(zip(self.effects, jnp.any(self.owned & differs, axis=1), strict=True))
+        acts, is_shaped = (jnp.any(own & differs, axis=1) for own in (self.owned, self.shapes))
+        return {name: Acts(acts[k], is_shaped[k]) for k, name in enumerate(self.effects)}
 
 
 class Served(NamedTuple):
@@ -281,9 +285,10 @@ class Batch:
 
 def _present(parts: Sequence[Part], count: int) -> Present:
     neutral, owned = np.zeros(count), np.zeros((len(parts), count), dtype=bool)
-    for own, part in zip(owned, parts, strict=True):
-        neutral[part.columns], own[part.columns] = part.neutral, True
-    return Present(tuple(part.effect for part in parts), jnp.asarray(neutral), jnp.asarray(owned))
+    shapes = np.zeros_like(owned)
+    for row, part in enumerate(parts):
+        neutral[part.columns], owned[row, part.columns], shapes[row, part.columns] = part.neutral, True, part.shapes
+    return Present(tuple(part.effect for part in parts), *map(jnp.asarray, (neutral, owned, shapes)))
 
 
 def _steps_to(

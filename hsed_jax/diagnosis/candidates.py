@@ -26,6 +26,7 @@ from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Campaign, Experiment, Record
 from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.effects.forms import default_form
+from hsed_jax.physics.effects.shaped import shapes_of
 from hsed_jax.physics.excitations import AbstractExcitation
 from hsed_jax.physics.names import own_name, owner_of
 from hsed_jax.physics.outputs import is_driver
@@ -152,7 +153,10 @@ def problem_of(
     neutral = _neutral(free, declared)
     own = {name: _forms(large, name, order, (forms or {}).get(name)) for name in names}
     columns = {n: np.asarray([k for k, one in enumerate(order) if owner_of(one) == n], dtype=int) for n in names}
-    parts = [Part(name, k, neutral[k]) for name, k in columns.items()]
+    parts = [
+        Part(name, k, neutral[k], np.asarray([own_name(order[one]) in shapes_of(catalogue[name]) for one in k]))
+        for name, k in columns.items()
+    ]
     size = jax.tree.leaves(conditions)[0].shape[0]
     weights = np.asarray(data.weights)
     used = np.concatenate([weights > 0, np.zeros((size - len(weights), weights.shape[1]), dtype=bool)])

@@ -18,7 +18,7 @@ LANES = "lanes"
 _GROUP = 6
 
 
-def gated(acts: Bool[Array, ""] | None, there: Callable[[], PyTree], absent: Callable[[], PyTree]) -> Any:
+def gated[T](acts: Bool[Array, ""] | None, there: Callable[[], T], absent: Callable[[], T]) -> T:
     """One of two trees of numbers of the same structure.
 
     Arguments:
@@ -33,6 +33,18 @@ def gated(acts: Bool[Array, ""] | None, there: Callable[[], PyTree], absent: Cal
 def in_any_lane(happens: Bool[Array, ""]) -> Bool[Array, ""]:
     """Whether something happens in any of the lanes that run together."""
     return jax.lax.pmax(jnp.asarray(happens, int), LANES) > 0
+
+
+class Acts(NamedTuple):
+    """What an effect does in simulations that run together.
+
+    Attributes:
+        acts: whether it acts in any of them.
+        is_shaped: whether it has another than its simplest shape in any of them.
+    """
+
+    acts: Bool[Array, ""]
+    is_shaped: Bool[Array, ""]
 
 
 class Contributor(NamedTuple):

@@ -18,9 +18,10 @@ from hsed_jax.physics.effects.base import (
     Setup,
     combine,
 )
+from hsed_jax.physics.effects.shaped import Shaped
 from hsed_jax.physics.elements import Element
 from hsed_jax.physics.excitations import AbstractExcitation, AbstractForcing, Shaken, Tabulated
-from hsed_jax.physics.gates import gated
+from hsed_jax.physics.gates import Acts, gated
 from hsed_jax.physics.laws import Elastic
 from hsed_jax.physics.names import OWNER, number_of_spring, own_name, owner_of
 from hsed_jax.physics.outputs import further
@@ -60,13 +61,14 @@ class Conditions(NamedTuple):
     Attributes:
         inputs: by name, SI.
         recorded: its record, where it has one.
-        acting: whether each effect of the model acts, the same for all experiments that run together: those that do not are not
-            computed (`hsed_jax.physics.gates`).  None: all do, and so do those that are not named.
+        acting: whether each effect of the model acts, and in more than its simplest shape, the same for all experiments that run
+            together: what does not act is not computed (`hsed_jax.physics.gates`).  None: all act, and so do those that are not
+            named.
     """
 
     inputs: Mapping[str, Scalar]
     recorded: Recorded | None = None
-    acting: Mapping[str, Bool[Array, ""]] | None = None
+    acting: Mapping[str, Acts] | None = None
 
     @property
     def stop(self) -> Any:
@@ -272,7 +274,7 @@ class Simulator(AbstractModel):
         at = conditions.recorded.ends
         return response._replace(channels={name: values[at] for name, values in response.channels.items()})
 
-    def _given(self, parameters: Mapping[str, Scalar], acting: Mapping[str, Bool[Array, ""]] | None = None) -> "_Given":
+    def _given(self, parameters: Mapping[str, Scalar], acting: Mapping[str, Acts] | None = None) -> "_Given":
         owners: dict[str, dict[str, Scalar]] = defaultdict(dict)
         for name, value in {**dict(self.constants), **parameters}.items():
             owner, own = owner_of(name), own_name(name)
@@ -280,7 +282,13 @@ class Simulator(AbstractModel):
                 owners[owner].update(dimensionless(self.effects[owner], own, value, self.scales))
             else:
                 owners[owner][own] = value
-        return _Given(owners, {name: effect(**owners[name]) for name, effect in self.effects.items()}, acting)
+
+        def made(name: str, effect: type[AbstractEffect]) -> AbstractEffect:
+            if acting is None or name not in acting or not issubclass(effect, AbstractSpringEffect):
+                return effect(**owners[name])
+            return Shaped.of(effect, owners[name], acting[name].is_shaped)
+
+        return _Given(owners, {name: made(name, effect) for name, effect in self.effects.items()}, acting)
 
     def _setup(self, given: "_Given") -> Callable[..., Any] | None:
         """The slots of structure and test rig, and of the sensors of a specimen by its name; None where no effect writes."""
@@ -304,7 +312,7 @@ class _Given(NamedTuple):
 
     owners: dict[str, dict[str, Scalar]]
     effects: dict[str, AbstractEffect]
-    acting: Mapping[str, Bool[Array, ""]] | None
+    acting: Mapping[str, Acts] | None
 
     def of_spring(
         self, has: Callable[[str], bool], scales: Scales
@@ -319,7 +327,7 @@ class _Given(NamedTuple):
 
     def _acts(self, effect: str) -> Bool[Array, ""]:
         assert self.acting is not None
-        return jax.numpy.asarray(self.acting.get(effect, True))
+        return self.acting[effect].acts if effect in self.acting else jax.numpy.asarray(True)
 
     @property
     def rig_acts(self) -> Bool[Array, ""] | None:

@@ -23,7 +23,8 @@ from hsed_jax.physics.effects.base import (
     merged,
     neutral,
 )
-from hsed_jax.physics.effects.forms import slots_of, slots_of_any
+from hsed_jax.physics.effects.forms import slots_of
+from hsed_jax.physics.effects.shaped import written_by
 from hsed_jax.physics.gates import Contributor, gated, gathered, in_any_lane
 from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, Turn
 from hsed_jax.physics.scales import Scales, is_zero
@@ -123,7 +124,7 @@ class Specimen(eqx.Module):
                 raise ValueError(f"{effect.name}: {missing}")
             return contribution
 
-        parts = [Contributor(partial(slots_of_any, type(effect)), partial(written, effect)) for effect in self.effects]
+        parts = [Contributor(partial(written_by, effect), partial(written, effect)) for effect in self.effects]
         return combine([gathered(parts, self.acting, merged, neutral)])
 
     def _force(self, point: SpringPoint, slots: Slots, step: Scalar = 0.0) -> tuple[Scalar, SpringPoint]:

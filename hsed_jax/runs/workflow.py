@@ -1,7 +1,9 @@
 """Running a study: its steps in order, with files, progress and resume around the pure pieces."""
 
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 from tqdm import tqdm
@@ -136,6 +138,9 @@ class Run:
 
     def __call__(self) -> dict[str, Any]:
         """Run the steps; returns the content of `summary.json`."""
+        if self.figures:
+            # The charts of the report take seconds to load, and simulations leave Python idle.
+            Thread(target=import_module, args=("altair",), daemon=True).start()
         try:
             with answered_by(self._stopped):
                 for step in self.study.steps:

@@ -1,0 +1,79 @@
+"""An effect in its simplest shape, as long as nothing that runs together has another one.
+
+The expression of an effect with all its forms costs several times as much as its simplest form, which most models have.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any, final
+
+from jaxtyping import Array, Bool
+
+from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, neutral
+from hsed_jax.physics.effects.forms import chosen, slots_of_any
+from hsed_jax.physics.gates import gated
+from hsed_jax.physics.parameters import parameters_of
+from hsed_jax.physics.states import SharedState
+
+
+def shapes_of(effect: type[Any]) -> frozenset[str]:
+    """The parameters that tell the forms of an effect from its simplest one, whatever drives it."""
+    drivers = {chosen(number) for number in range(1, len(effect.drivers))}
+    return frozenset(name for name, known in parameters_of(effect).items() if known.shapes) - drivers
+
+
+@final
+class Shaped(AbstractSpringEffect):
+    """An effect, in its simplest shape where that is enough.
+
+    Attributes:
+        whole: the effect.
+        simplest: the same, with numbers for the parameters of its shape, so that these compute nothing.
+        is_shaped: whether any of these parameters is not neutral, the same for all that run together.
+    """
+
+    whole: AbstractSpringEffect
+    simplest: AbstractSpringEffect
+    is_shaped: Bool[Array, ""]
+
+    @classmethod
+    def of(
+        cls, effect: type[AbstractSpringEffect], values: Mapping[str, Scalar], is_shaped: Bool[Array, ""]
+    ) -> AbstractSpringEffect:
+        """The effect with these parameters; as it is, where it has but one shape."""
+        shapes = shapes_of(effect)
+        # Every parameter of a shape has a neutral value, which is what an effect has where it is told none.
+        simplest = {name: value for name, value in values.items() if name not in shapes}
+        return cls(effect(**values), effect(**simplest), is_shaped) if shapes else effect(**values)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Those of the effect."""
+        return self.whole.states
+
+    @property
+    def needs(self) -> tuple[SharedState, ...]:
+        """Those of the effect."""
+        return self.whole.needs
+
+    def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
+        """What the effect contributes."""
+        absent = {slot: neutral(slot) for slot in written_by(self)}
+        return self._either(lambda effect: absent | effect.contribute(point))
+
+    def flow(self, point: SpringPoint) -> dict[str, Scalar]:
+        """Rates of the effect's states."""
+        absent = dict.fromkeys(self.states, 0.0)
+        return self._either(lambda effect: absent | effect.flow(point)) if absent else {}
+
+    def settle(self, point: SpringPoint) -> dict[str, Scalar]:
+        """What a step commits of the effect's states."""
+        absent = {state: point.memory[state] for state in self.states}
+        return self._either(lambda effect: absent | effect.settle(point)) if absent else {}
+
+    def _either(self, of: Callable[[AbstractSpringEffect], dict[str, Scalar]]) -> dict[str, Scalar]:
+        return gated(self.is_shaped, lambda: of(self.whole), lambda: of(self.simplest))
+
+
+def written_by(effect: AbstractSpringEffect) -> tuple[str, ...]:
+    """The slots that an effect writes to, whatever its form."""
+    return slots_of_any(type(effect.whole if isinstance(effect, Shaped) else effect))
