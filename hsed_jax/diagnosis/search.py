@@ -124,12 +124,12 @@ class Search:
             self.on_round()
             before, self.best = self.best, self._next()
             self.on_round()
-            if self.best == before:
-                break
             if self.best in self.path:
-                self._judge()
                 break
             self.path.append(self.best)
+        self._step_back()
+        if self.best != before:
+            self._judge()
         self._score(is_over=True)
 
     def adopt(self, coarse: "Search") -> None:
@@ -187,6 +187,10 @@ class Search:
             before, unseen = self.unseen([here, larger])
             if not unseen <= before:
                 return "the model predicts the experiments that were not used better without it"
+        return self._unsupported(larger, here)
+
+    def _unsupported(self, larger: Set, here: Set) -> str | None:
+        """Why the measurements that are fitted do not support a set with more effects than another one; None where they do."""
         odds = self.odds(larger, here)
         if odds < ODDS:
             return f"its odds of {odds:.2g} by what it predicts are less than {ODDS:.0f}"
@@ -342,11 +346,19 @@ class Search:
         self._fits.probabilities = dict(zip(pool, weights_of(densities, priors).tolist(), strict=True))
 
     def _next(self) -> Set:
-        """The set to go on from: the most probable one that nothing is against."""
+        """The set to go on from: the most probable one that the measurements support."""
         for model in self.all()[:_TRIED]:
-            if len(model.effects) <= len(self.best) or self.obstacle(model.effects, self.best) is None:
+            if len(model.effects) <= len(self.best) or self._unsupported(model.effects, self.best) is None:
                 return model.effects
         return self.best
+
+    def _step_back(self) -> None:
+        """Take the set on the way that predicts best what nothing is fitted to.
+
+        Only now: beside the plain law one effect may predict worse, and with a second one better.
+        """
+        if self.held_out.test is not None:
+            self.best = self.path[int(np.argmin(self.unseen(self.path)))]
 
     def _neighbours(self) -> list[Set]:
         """The sets one change away from the best."""
