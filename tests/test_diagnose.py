@@ -387,6 +387,26 @@ def test_what_predicts_the_test_split_worse_than_the_model_as_it_is_has_no_proba
     assert sum(m.probability for m in found.all() if "effect_5" in m.effects) > 0.9
 
 
+@pytest.mark.parametrize("sixth", [0.35, 0.0])
+def test_an_effect_may_predict_the_test_split_worse_on_the_way_to_a_set_that_predicts_it_best(sixth):
+    """There the fifth effect is undone by the sixth: with it alone the model predicts worse than without both."""
+    known = {"effect_3": 0.6, "effect_5": 0.4, "effect_6": sixth}
+    there, (undone, own) = FUNCTIONS.copy(), np.random.default_rng(5).standard_normal((2, N, J))
+    there[COLUMNS["effect_5"][0]], there[COLUMNS["effect_6"][0]] = 1.2 * undone, own - 1.2 * 0.4 / 0.35 * undone
+    theta = np.concatenate([[1.5, -0.7], [known.get(name, 0.0) for name in EFFECTS]])
+    seen = theta if sixth else theta * (np.arange(2 + K) != COLUMNS["effect_5"][0])
+    models = NestedModels(Dictionary(np.concatenate([FUNCTIONS, there], axis=1)), BOX, np.zeros(2 + K))
+    unlike = measured_of(np.einsum("k,knj->nj", seen, there))
+    found = Search(models, measured_of(data_of(3, **known)), LAW, EFFECTS, lambda fit: False, test=unlike)
+    found.start()
+    found.run()
+    assert frozenset({"effect_3", "effect_5"}) in found.path
+    one, both = found.unseen([frozenset({"effect_3"}), frozenset({"effect_3", "effect_5"})])
+    assert one < both
+    assert found.best == ({name for name, size in known.items() if size} if sixth else {"effect_3"})
+    assert found.all()[0].effects == found.best
+
+
 def test_no_model_fits_worse_than_one_that_it_contains_or_than_a_larger_one_without_its_effect():
     search = found_in(data_of(0, effect_3=0.5))
     known, none, larger = search._fits._known, frozenset(), frozenset({("effect_3", "")})
