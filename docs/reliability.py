@@ -22,7 +22,8 @@ DIAGNOSES = {
     "hidden_effects": "partly used during development, an earlier diagnosis",
 }
 
-COVERAGE = """These results take hours, so they are kept beside the benchmark that measured them, and this page is computed from them.
+COVERAGE = """These results take hours. They are kept beside the benchmark that measured them, and this page is computed
+from them.
 
 ## Coverage of intervals
 

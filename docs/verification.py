@@ -2,9 +2,10 @@
 
     python docs/verification.py             # runs every test with the mark `verification`, which takes minutes
     python docs/verification.py TEST ...    # runs some of them, and keeps the other rows; options of pytest go with them
+    python docs/verification.py --pages     # runs nothing, and writes the pages from the kept errors
 
-The errors are kept in `docs/verification/observed.json`.  The pages are this file, the kept results of benchmarks
-(`docs/reliability.py`) and the words below.
+The errors are kept in `docs/verification/observed.json`.  The pages are made of this file, of the kept results of benchmarks
+(`docs/reliability.py`) and of the words below.
 """
 
 import json
@@ -16,14 +17,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
-
-HERE = Path(__file__).parent
-ROOT = HERE.parent
-sys.path.insert(0, str(HERE))
-
 import reliability
 
-FOLDER = HERE / "verification"
+FOLDER = Path(__file__).parent / "verification"
 KEPT = FOLDER / "observed.json"
 # Programs whose version an error may depend on.
 PROGRAMS = ("jax", "diffrax", "numpy", "scipy", "openseespy")
@@ -58,12 +54,18 @@ forces that OpenSees computed.""",
         "Effects and their forms",
         """Each form of each effect is compared with its equation in NumPy, at 60 random states of the spring and two sizes of
 its parameters. A row of an effect has the largest error over its forms. Effects outside the spring are compared with a
-structure, a motion or a record that was changed by hand. The exported laws are run by OpenSees.""",
+structure, a motion or a record that was changed by hand.""",
+    ),
+    "opensees": (
+        "Exported laws in OpenSees",
+        """`hsed export` writes a law with its effects as materials of OpenSees. OpenSees pulls each of them along growing cycles.
+The error is the root mean square of the difference over the standard deviation of the force. Materials of OpenSees that
+integrate their force are of first order in the step, and have most of the error.""",
     ),
     "inference": (
         "Calibration, evidence and sensitivity",
-        """Posteriors are compared with grids, quadrature and closed forms. An error of draws is divided by its Monte Carlo standard
-error, so it has no unit.""",
+        """Posteriors are compared with grids, quadrature and closed forms. An error of draws is divided by its Monte Carlo
+standard error where the row says so.""",
     ),
     "design": (
         "Kriging and expected improvement",
@@ -188,7 +190,15 @@ TREE += "\n".join([*CHAPTERS, "reliability", "requirements"]) + "\n```\n"
 def table(rows: Sequence[Row]) -> list[str]:
     """The rows of a chapter; further figures have a column each."""
     names = list(dict.fromkeys(name for row in rows for name in row.figures))
-    heads = ("problem", "reference", "tolerance", "observed error", *(n.replace("_", " ") for n in names), "cases", "test")
+    heads = (
+        "problem",
+        "reference",
+        "tolerance",
+        "observed error",
+        *(n.replace("_", " ") for n in names),
+        "cases",
+        "test",
+    )
     return _table(
         heads,
         [
@@ -244,8 +254,8 @@ def measured(words: Sequence[str]) -> dict[str, Any]:
     """
     reports, kept = Reports(), {"tests": {}, "skipped": {}}
     if any(not word.startswith("-") and Path(word.split("::")[0]).exists() for word in words):
-        kept = json.loads(KEPT.read_text(encoding="utf-8"))
-    status = pytest.main(["-m", "verification and not slow", "--measure", *words], plugins=[reports])
+        kept = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.is_file() else kept
+    status = pytest.main(["-m", "verification", "--measure", *words], plugins=[reports])
     if status != pytest.ExitCode.OK:
         raise SystemExit(int(status))
     done = {node.split("[")[0] for node in (*reports.tests, *reports.skipped)}
@@ -270,15 +280,20 @@ def versions() -> dict[str, str]:
 
 def main() -> None:
     """The command."""
-    kept = measured(sys.argv[1:])
-    # A line for each test, so that a change of one is a change of one line.
-    parts = {
-        part: "{\n" + ",\n".join(f"  {json.dumps(k)}: {json.dumps(v, ensure_ascii=False)}" for k, v in of.items()) + "\n }"
-        for part, of in kept.items()
-    }  # fmt: skip
-    KEPT.write_text("{\n" + ",\n".join(f' "{p}": {text}' for p, text in parts.items()) + "\n}\n", encoding="utf-8")
-    for name, text in pages(kept).items():
+    words = sys.argv[1:]
+    if words != ["--pages"]:
+        keep(measured(words))
+    for name, text in pages(json.loads(KEPT.read_text(encoding="utf-8"))).items():
         (FOLDER / name).write_text(text, encoding="utf-8")
+
+
+def keep(found: Mapping[str, Any]) -> None:
+    """Write what was measured, a line for each test, so that a change of one is a change of one line."""
+    parts = []
+    for part, of in found.items():
+        lines = [f"  {json.dumps(key)}: {json.dumps(value, ensure_ascii=False)}" for key, value in of.items()]
+        parts.append(f' "{part}": {{\n' + ",\n".join(lines) + "\n }")
+    KEPT.write_text("{\n" + ",\n".join(parts) + "\n}\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

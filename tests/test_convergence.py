@@ -1,4 +1,4 @@
-"""Steps that become shorter: the observed order of each law and of a frame, and the error that two steps predict of the shorter."""
+"""Steps that become shorter: the observed order of each law and of a frame, and the error that two steps predict."""
 
 import jax
 import jax.numpy as jnp
@@ -109,7 +109,12 @@ def judge(observed, problem, respond, promised):
 def test_an_oscillator_on_a_law_converges(law, observed):
     structure = Structure((MASS,), (), ((None, 0),), RayleighDamping(2 * 0.03 * np.sqrt(K / MASS), 0.0))
     simulator = Simulator(structure, None, Timeline(None, FINEST), elements=(Element(law=LAWS[law]),))
-    judge(observed, f"{law}: oscillator under 12 motions, {SHORT} steps", shaken(simulator, PARAMETERS[law]), PROMISED[law])
+    judge(
+        observed,
+        f"{law}: oscillator under 12 motions, {SHORT} steps",
+        shaken(simulator, PARAMETERS[law]),
+        PROMISED[law],
+    )
 
 
 @pytest.mark.verification("convergence")

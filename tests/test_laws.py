@@ -219,7 +219,9 @@ def test_a_shaken_oscillator_is_that_of_central_differences(law, ground, observe
         assert found.ok
         for name in NAMES:
             error = relative(found.quantities[name], expected[name])
-            observed(f"{law}: {name} of an oscillator, {steps} steps", "central differences, 20000 steps", error, within)
+            observed(
+                f"{law}: {name} of an oscillator, {steps} steps", "central differences, 20000 steps", error, within
+            )
 
 
 def test_an_elastic_oscillator_is_the_bouc_wen_one_without_yielding():

@@ -158,9 +158,7 @@ def test_method_is_of_fourth_order(elastic, observed):
 
 
 @pytest.mark.verification("dynamics")
-def test_work_of_the_ground_is_kinetic_strain_damping_and_specimen_energy(
-    paper_simulator, pulse_conditions, observed
-):
+def test_work_of_the_ground_is_kinetic_strain_damping_and_specimen_energy(paper_simulator, pulse_conditions, observed):
     simulator = paper_simulator(effects=("stiffness_degradation",), timeline=Timeline(0.0025, 4000))
     structure = simulator.structure
     names = ("ground_acceleration", "energy", *(f"{kind}_{i}" for kind in ("displacement", "velocity") for i in (1, 2)))

@@ -48,7 +48,9 @@ def test_paper_frequencies(paper_structure, observed):
     found = np.asarray(paper_structure.frequencies(5e5))
     np.testing.assert_allclose(found, [1.376, 2.276], atol=5e-4)
     observed("first frequency", "printed: 1.38 Hz", relative(found[0], 1.38), 5e-3)
-    observed("second frequency", "printed: 2.34 Hz, which its masses and springs do not give", relative(found[1], 2.34), 0.03)
+    observed(
+        "second frequency", "printed: 2.34 Hz, which its masses and springs do not give", relative(found[1], 2.34), 0.03
+    )
 
 
 @pytest.mark.verification("dynamics")
