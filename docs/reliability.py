@@ -41,7 +41,7 @@ DIAGNOSED = """
 
 The specimens have an effect that only the scorer knows; where the noise explains the residual of the plain law there is
 nothing to name, and the case does not count. Brackets hold the 95 % interval of a share (Clopper & Pearson 1934).
-[What the groups are](../benchmarks.md#hidden-effects).
+[What the groups are](../benchmarks.md).
 """
 DISCOVERED = """
 ## Discoveries
@@ -89,13 +89,13 @@ def paper() -> list[str]:
         for name, unit in UNITS.items():
             low, high = found["posterior"][name]
             own, printed = found["map"][name], PRINTED[name]
-            rows.append((reading, f"{name} [{unit}]", f"{printed:.3g}", f"{own:.3g}", f"{low:.3g} to {high:.3g}",
+            rows.append((reading, f"{name} [{unit}]", f"{printed:.3g}", f"{own:.4g}", f"{low:.4g} to {high:.4g}",
                          "yes" if low <= printed <= high else "no", f"{own / printed - 1:+.1%}"))  # fmt: skip
         about = (f"right before {PRINTED['settled']}", str(found["settled"]), "–", "–", "–")
         rows.append((reading, "iterations until the improvement stays below 1 %", *about))
     text = """The paper gives neither the size of the error (Eqs. 2 to 4) nor what its third quantity is. The estimates of
-each reading ([equations](../equations.md)) stand beside the printed ones; the difference is larger than the interval, so
-the interval does not hold what the paper leaves open (`python benchmarks/paper.py`)."""
+each reading ([equations](../equations.md)) stand beside the printed ones. An interval is the
+posterior of one reading, and the choice between readings is not part of it (`python benchmarks/paper.py`)."""
     return [text, "", *_table(heads, rows)]
 
 

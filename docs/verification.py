@@ -1,7 +1,8 @@
 """Writes the verification manual, `docs/verification/`, from errors that it measures.
 
     python docs/verification.py             # runs every test with the mark `verification`, which takes minutes
-    python docs/verification.py TEST ...    # runs some of them, and keeps the other rows; options of pytest go with them
+    python docs/verification.py TEST ...    # runs some of them, and keeps the other rows; options of pytest go with them,
+                                            # such as -m verification for the slow cases, too
     python docs/verification.py --pages     # runs nothing, and writes the pages from the kept errors
 
 The errors are kept in `docs/verification/observed.json`.  The pages are made of this file, of the kept results of benchmarks
@@ -60,7 +61,8 @@ structure, a motion or a record that was changed by hand.""",
         "Exported laws in OpenSees",
         """`hsed export` writes a law with its effects as materials of OpenSees. OpenSees pulls each of them along growing cycles.
 The error is the root mean square of the difference over the standard deviation of the force. Materials of OpenSees that
-integrate their force are of first order in the step, and have most of the error.""",
+integrate their force are of first order in the step, and have most of the error. `python docs/verification.py
+tests/test_export.py -m verification` measures every case of the export.""",
     ),
     "inference": (
         "Calibration, evidence and sensitivity",
@@ -105,7 +107,7 @@ class Row(NamedTuple):
 
 
 def rows_of(kept: Mapping[str, Any], chapter: str) -> list[Row]:
-    """The rows of a chapter, in the order of the tests."""
+    """The rows of a chapter, in the order of their problems."""
     found: dict[tuple[Any, ...], Row] = {}
     for node, rows in kept["tests"].items():
         for row in rows:
@@ -118,7 +120,7 @@ def rows_of(kept: Mapping[str, Any], chapter: str) -> list[Row]:
                 found[key] = so_far._replace(cases=cases)
             else:
                 found[key] = Row(*key, error=row["error"], cases=cases, figures=row.get("figures", {}))
-    return sorted(found.values(), key=lambda row: (row.test, row.problem))
+    return sorted(found.values(), key=lambda row: (row.problem, row.test))
 
 
 def pages(kept: Mapping[str, Any]) -> dict[str, str]:
@@ -255,7 +257,7 @@ def measured(words: Sequence[str]) -> dict[str, Any]:
     reports, kept = Reports(), {"tests": {}, "skipped": {}}
     if any(not word.startswith("-") and Path(word.split("::")[0]).exists() for word in words):
         kept = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.is_file() else kept
-    status = pytest.main(["-m", "verification", "--measure", *words], plugins=[reports])
+    status = pytest.main(["-m", "verification and not slow", "--measure", *words], plugins=[reports])
     if status != pytest.ExitCode.OK:
         raise SystemExit(int(status))
     done = {node.split("[")[0] for node in (*reports.tests, *reports.skipped)}

@@ -1,8 +1,8 @@
 """Rows of the verification manual: a test compares a number with its reference, and the row has the error and its tolerance.
 
 A test with the mark `verification` says its chapter there and asks for the fixture `observed`.  `docs/verification.py` runs these
-tests and writes the pages.  Every other run compares each row with the one that the manual has: its words and its tolerance, but
-not its error, which differs between machines.
+tests and writes the pages.  Every other run compares the rows of a test with those that the manual has of it: their words and
+their tolerances, but not their errors, which differ between machines.
 """
 
 import json
@@ -69,10 +69,10 @@ class Observed:
         assert largest <= tolerance, f"{problem} against {reference}: the error {largest:.3g} is above {tolerance:.3g}"
 
     def finish(self, is_measuring: bool) -> None:
-        """Hand the rows over to the report of the test, or compare them with those of the manual."""
+        """Hand the rows over to the report of the test, or compare them with those that the manual has of it."""
         if is_measuring:
             self.node.user_properties.append((PROPERTY, self.rows))
-        elif words(self.rows) != words(kept().get(self.node.nodeid, [])):
+        elif words(self.rows) != words(kept().get(self.node.nodeid, self.rows)):
             pytest.fail(f"{self.node.nodeid} has other rows than the manual: run `python docs/verification.py`", False)
 
 

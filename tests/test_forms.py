@@ -562,7 +562,7 @@ def test_a_form_is_its_equation(name, label, observed):
         assert set(found) == {slot for slot, _ in equations}
         for slot, equation in equations:
             expected = equation(SimpleNamespace(**values), x, s)
-            within = 2e-7 if name == "slip" else 1e-11
+            within = 1e-10 if name == "slip" else 1e-11
             observed(f"{name}: {slot} at random states", "equation in NumPy", of_largest(found[slot], expected), within)
             assert np.ptp(expected) > 1e-3 * np.abs(expected).max() or (name, form.name) in CONSTANT
 
@@ -975,7 +975,7 @@ def test_a_study_with_a_form_simulates_its_equation(case, observed):
     found, expected, plain = respond(effects), by_scipy(**equation), by_scipy()
     size = np.abs(expected).max()
     (name,) = effects
-    observed(f"{name}: force along two cycles, {case}", "SciPy DOP853", of_largest(found, expected), 1e-4)
+    observed(f"{name}: force along two cycles, {case}", "SciPy DOP853", of_largest(found, expected), 1e-7)
     assert np.abs(plain - expected).max() > 0.03 * size
 
 
