@@ -12,7 +12,7 @@ import json
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -28,7 +28,11 @@ KEPT = Path(__file__).with_suffix(".json")
 PAPER = Path(__file__).parents[1] / "configs" / "paper.yaml"
 A, BETA, DASHPOT, NOISE = 2.0e7, 200.0, 3.0e5, 1.5e3
 # Frequency [Hz], amplitude [m] and split of each test.
-TESTS = ((0.4, 0.02, "train"), (1.0, 0.014, "train"), (0.7, 0.018, "test"))
+TESTS: tuple[tuple[float, float, Literal["train", "test"]], ...] = (
+    (0.4, 0.02, "train"),
+    (1.0, 0.014, "train"),
+    (0.7, 0.018, "test"),
+)
 SAMPLES, PARTS = 120, 50
 CANDIDATES = ("viscous_damping", "hardening", "stiffness_degradation", "coulomb_friction")
 
