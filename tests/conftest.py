@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import pandas as pd
 import pytest
 import shape_checks
+from observations import Observed
 
 import hsed_jax
 from hsed_jax.backend import limit_threads, prepare
@@ -37,6 +38,11 @@ SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 # Default tests take most of their time in compiling small cases that run for milliseconds.
 QUICK = "JAX_DISABLE_MOST_OPTIMIZATIONS"
+
+
+def pytest_addoption(parser) -> None:
+    """What `docs/verification.py` asks for."""
+    parser.addoption("--measure", action="store_true", help="report the rows of the verification manual")
 
 
 def pytest_configure(config) -> None:
@@ -72,6 +78,22 @@ def optimised(request):
 def checked():
     """Shapes are checked anew in every test."""
     shape_checks.begin_test()
+
+
+@pytest.fixture
+def observed(request):
+    """Compares an error with its tolerance, and keeps it for the verification manual: `observations.py`."""
+    return Observed(request.node)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item):
+    """A test that passed hands over its rows of the verification manual."""
+    result = yield
+    rows = item.funcargs.get("observed")
+    if isinstance(rows, Observed):
+        rows.finish(item.config.getoption("--measure"))
+    return result
 
 
 @pytest.fixture(scope="module", autouse=True)

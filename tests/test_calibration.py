@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from builders.posteriors import EXACT, drawn, find, measured_at, posterior_of
+from observations import relative
 from scipy import stats
 from scipy.integrate import quad, trapezoid
 from scipy.optimize import minimize
@@ -109,23 +110,28 @@ def moments(A, beta, log_density):
     return mean, sd, covariance[0, 1] / sd.prod()
 
 
-def test_map_of_the_papers_case_is_the_top_of_the_grid(paper_maximum, paper_grid):
+@pytest.mark.verification("paper")
+def test_map_of_the_papers_case_is_the_top_of_the_grid(paper_maximum, paper_grid, observed):
     A, beta, log_density, _ = paper_grid
     i, j = np.unravel_index(log_density.argmax(), log_density.shape)
-    assert abs(paper_maximum.theta[0] - A[i]) < A[1] - A[0]
-    assert abs(paper_maximum.theta[1] - beta[j]) < beta[1] - beta[0]
+    for k, (name, axis, top) in enumerate((("A", A, i), ("beta", beta, j))):
+        off = float(paper_maximum.theta[k] - axis[top]) / (axis[1] - axis[0])
+        observed(f"MAP of {name}, 8 experiments: distance in cells", "top of a grid of the posterior", off, 1.0)
     # Not below any point of the grid, and not above it by more than a cell can hide.
     assert -1e-6 < float(paper_maximum.log_posterior) - log_density.max() < 0.5
     assert bool(paper_maximum.converged)
 
 
-def test_laplace_evidence_of_the_papers_case_is_the_grids_integral(paper_maximum, paper_grid):
+@pytest.mark.verification("paper")
+def test_laplace_evidence_of_the_papers_case_is_the_grids_integral(paper_maximum, paper_grid, observed):
     # The posterior is nearly Gaussian.
-    assert float(paper_maximum.log_evidence) == pytest.approx(paper_grid[3], abs=0.1)
+    off = float(paper_maximum.log_evidence) - paper_grid[3]
+    observed("log evidence by Laplace's method, 8 experiments", "integral over a grid", off, 0.1)
 
 
+@pytest.mark.verification("paper")
 @EXACT
-def test_draws_of_the_papers_case_have_the_moments_of_the_grid(paper, paper_maximum, paper_grid, sampler):
+def test_draws_of_the_papers_case_have_the_moments_of_the_grid(paper, paper_maximum, paper_grid, sampler, observed):
     built, data, _ = paper
     chains = drawn(built.inference.posterior, data, paper_maximum, Settings(4, 100, 500, sampler=sampler))
     assert chains.sampler == sampler
@@ -136,9 +142,13 @@ def test_draws_of_the_papers_case_have_the_moments_of_the_grid(paper, paper_maxi
     mean, sd, correlation = moments(*paper_grid[:3])
     draws = np.asarray(chains.theta).reshape(-1, 2)
     # Four standard errors of the Monte Carlo, from the effective sample size.
-    error = 4 / np.sqrt(judged.ess_bulk.min())
-    assert (np.abs(draws.mean(axis=0) - mean) < error * sd).all()
-    assert (np.abs(draws.std(axis=0) / sd - 1) < error).all()
+    error, worth = 4 / np.sqrt(judged.ess_bulk.min()), np.sqrt(judged.ess_bulk.min())
+    off = {
+        "means": worth * (draws.mean(axis=0) - mean) / sd,
+        "standard deviations": worth * (draws.std(axis=0) / sd - 1),
+    }
+    for name, values in off.items():
+        observed(f"{name} of the posterior by {sampler}, in standard errors", "grid of the posterior", values, 4.0)
     assert np.corrcoef(draws.T)[0, 1] == pytest.approx(correlation, abs=error * (1 - correlation**2) + 0.01)
 
 
@@ -178,14 +188,16 @@ def compared_by_hand(predicted, values, used, sigma):
     return tuple(jnp.asarray(np.where(used, x, 0.0)) for x in (z, log_sigma))
 
 
-def test_log_likelihood_is_the_sum_of_normal_log_densities_over_what_was_measured():
+@pytest.mark.verification("inference")
+def test_log_likelihood_is_the_sum_of_normal_log_densities_over_what_was_measured(observed):
     data, values, used, predicted, sigma = random_data(7, 3)
     expected = stats.norm.logpdf(values, predicted, sigma)[used].sum()
     found = likelihood(*compared_by_hand(predicted, values, used, sigma), jnp.ones(7), data)
-    assert float(found) == pytest.approx(expected, rel=1e-13)
+    observed("log likelihood of independent errors (Eqs. 3 and 4)", "SciPy normal", relative(found, expected), 1e-13)
 
 
-def test_log_likelihood_of_noise_with_a_memory_is_the_joint_normal_density():
+@pytest.mark.verification("inference")
+def test_log_likelihood_of_noise_with_a_memory_is_the_joint_normal_density(observed):
     # Two outputs of 12 samples at uneven times; one sample was not measured, and the memory begins anew after it.
     rng, m = np.random.default_rng(3), 12
     time = np.cumsum(rng.uniform(0.5, 1.5, m))
@@ -202,10 +214,11 @@ def test_log_likelihood_of_noise_with_a_memory_is_the_joint_normal_density():
     covariance = (correlation * sigma[:, None] * sigma)[np.ix_(keep, keep)]
     expected = stats.multivariate_normal(predicted[0, keep], covariance).logpdf(values[0, keep])
     found = likelihood(*compared_by_hand(predicted, values, used, sigma), jnp.ones(1), data)
-    assert float(found) == pytest.approx(expected, rel=1e-12)
+    observed("log likelihood of autocorrelated noise", "SciPy joint normal", relative(found, expected), 1e-12)
 
 
-def test_a_relative_error_of_a_quantity_is_one_of_its_logarithm():
+@pytest.mark.verification("inference")
+def test_a_relative_error_of_a_quantity_is_one_of_its_logarithm(observed):
     # y = θ x (1 + sε): the density of log y and its mode in closed form; anchored on the data the mode would be another.
     x, y, s = np.array([1.0, 2.0, 3.0]), np.array([1.3, 1.7, 4.1]), 0.1
     data = measured_at(x, y[:, None])
@@ -221,11 +234,12 @@ def test_a_relative_error_of_a_quantity_is_one_of_its_logarithm():
         u = posterior.unconstrain(jnp.asarray([theta]))
         expected = (stats.norm.logpdf(np.log(y), np.log(theta * x) + mean, sd) - np.log(y)).sum()
         expected -= np.log(theta) + np.log(np.log(100))
-        assert float(log_posterior(posterior, u, data)) == pytest.approx(expected, rel=1e-5)
+        error = relative(log_posterior(posterior, u, data), expected)
+        observed("log posterior with a relative error", "log-normal, moments by quadrature", error, 1e-5)
     # The prior's density falls as 1/θ: one of log θ that is flat, less log θ.
     mode = np.exp(np.mean(np.log(y / x)) - mean - sd**2 / 3)
     found = find(posterior, data)
-    assert float(found.theta[0]) == pytest.approx(mode, rel=1e-4)
+    observed("MAP with a relative error", "closed form", relative(found.theta[0], mode), 1e-4)
     assert float(found.covariance[0, 0]) == pytest.approx((mode * sd) ** 2 / 3, rel=1e-2)
 
 
@@ -336,8 +350,9 @@ def line_data(seed=1):
     return measured_at(X, (truth + SIGMA * np.random.default_rng(seed).standard_normal(X.size))[:, None])
 
 
+@pytest.mark.verification("inference")
 @pytest.mark.parametrize("noise", [SIGMA, 40 * SIGMA], ids=["data rule", "prior rules"])
-def test_normal_priors_and_a_linear_model_give_the_closed_form_to_rounding(noise):
+def test_normal_priors_and_a_linear_model_give_the_closed_form_to_rounding(noise, observed):
     priors = {"A": Prior("normal", [5e5, 1e5]), "beta": Prior("normal", {"loc": 1.0, "scale": 0.3})}
     data = line_data()
     found = find(posterior_of(line, priors, [noise]), data)
@@ -347,12 +362,13 @@ def test_normal_priors_and_a_linear_model_give_the_closed_form_to_rounding(noise
     mean = covariance @ (H.T @ y / noise**2 + np.linalg.inv(S) @ m)
     evidence = stats.multivariate_normal(H @ m, H @ S @ H.T + noise**2 * np.eye(X.size)).logpdf(y)
     # The mode of the prior is found on a grid of its quantiles; the optimiser stops at 1e-6.
-    np.testing.assert_allclose(found.theta, mean, atol=0, rtol=1e-4)
-    np.testing.assert_allclose(found.covariance, covariance, rtol=1e-6)
-    assert float(found.log_evidence) == pytest.approx(evidence, abs=1e-3)
+    observed("linear model: MAP", "closed form", relative(found.theta, mean), 1e-4)
+    observed("linear model: covariance", "closed form", relative(found.covariance, covariance), 1e-6)
+    observed("linear model: log evidence", "SciPy joint normal", float(found.log_evidence) - evidence, 1e-3)
 
 
-def test_uniform_priors_and_a_linear_model_give_the_gaussian_integral():
+@pytest.mark.verification("inference")
+def test_uniform_priors_and_a_linear_model_give_the_gaussian_integral(observed):
     priors = {"A": Prior("uniform", [2e5, 9e5]), "beta": Prior("uniform", [0.0, 2.0])}
     data = line_data()
     found = find(posterior_of(line, priors, [SIGMA]), data)
@@ -360,11 +376,12 @@ def test_uniform_priors_and_a_linear_model_give_the_gaussian_integral():
     best, covariance = np.linalg.lstsq(H, y, rcond=None)[0], SIGMA**2 * np.linalg.inv(H.T @ H)
     peak = stats.norm.logpdf(y, H @ best, SIGMA).sum()
     evidence = peak + 0.5 * np.linalg.slogdet(2 * np.pi * covariance)[1] - np.log(7e5 * 2.0)
-    np.testing.assert_allclose(found.theta, best, rtol=1e-4)
-    assert float(found.log_evidence) == pytest.approx(evidence, abs=0.1)
+    observed("linear model, uniform priors: MAP", "least squares", relative(found.theta, best), 1e-4)
+    observed("linear model, uniform priors: log evidence", "closed form", float(found.log_evidence) - evidence, 0.1)
 
 
-def test_lognormal_prior_of_a_stiffness_is_as_good_as_any():
+@pytest.mark.verification("inference")
+def test_lognormal_prior_of_a_stiffness_is_as_good_as_any(observed):
     priors = {"A": Prior("lognormal", [13.0, 0.4]), "beta": Prior("half_normal", 2.0)}
     data = line_data()
     posterior = posterior_of(line, priors, [SIGMA])
@@ -377,7 +394,8 @@ def test_lognormal_prior_of_a_stiffness_is_as_good_as_any():
         return -stats.norm.logpdf(y, A + 1e5 * beta * X, SIGMA).sum() - prior
 
     best = minimize(minus_log_posterior, [4.0, 0.8], method="Nelder-Mead", options={"xatol": 1e-8, "fatol": 1e-10})
-    np.testing.assert_allclose(found.theta, [1e5 * best.x[0], best.x[1]], rtol=1e-3)
+    error = relative(found.theta, [1e5 * best.x[0], best.x[1]])
+    observed("linear model, log-normal and half-normal priors: MAP", "SciPy Nelder-Mead", error, 1e-3)
     assert float(found.log_posterior) == pytest.approx(-best.fun, abs=1e-5)
 
 
@@ -391,8 +409,9 @@ def proportional(theta, conditions):
     return (theta[0] * conditions.inputs["x"])[None], True
 
 
+@pytest.mark.verification("inference")
 @EXACT
-def test_posterior_of_an_unknown_error_is_the_closed_form(sampler):
+def test_posterior_of_an_unknown_error_is_the_closed_form(sampler, observed):
     # y = θx + ε with a flat prior of θ: p(s | y) ∝ p(s) s^(1−n) exp(−RSS/2s²)
     rng = np.random.default_rng(3)
     x = rng.uniform(0.5, 2.0, 15)
@@ -413,9 +432,10 @@ def test_posterior_of_an_unknown_error_is_the_closed_form(sampler):
     mean = trapezoid(s * density, s)
     sd = np.sqrt(trapezoid((s - mean) ** 2 * density, s))
     draws = np.asarray(chains.theta)[..., 1].ravel()
-    error = 4 / np.sqrt(judged.ess_bulk[1])
-    assert draws.mean() == pytest.approx(mean, abs=error * sd)
-    assert draws.std() == pytest.approx(sd, rel=2 * error)
+    worth = np.sqrt(judged.ess_bulk[1])
+    problem = f"unknown error by {sampler}, in standard errors"
+    observed(f"{problem}: mean", "density on a line", worth * (draws.mean() - mean) / sd, 4.0)
+    observed(f"{problem}: standard deviation", "density on a line", worth * (draws.std() / sd - 1), 8.0)
     # The joint mode is another point: there s^n, not s^(n−1).
     joint = s[np.argmax(stats.halfnorm(scale=0.3).logpdf(s) - 15 * np.log(s) - rss / (2 * s**2))]
     np.testing.assert_allclose(found.theta, [best, joint], rtol=2e-3)
@@ -443,8 +463,9 @@ def test_an_unknown_relative_error_is_recovered(paper):
 # --- bounds, modes -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.verification("inference")
 @EXACT
-def test_a_map_beyond_the_prior_lies_on_its_bound_and_the_draws_do_not_care(sampler):
+def test_a_map_beyond_the_prior_lies_on_its_bound_and_the_draws_do_not_care(sampler, observed):
     # The likelihood's peak, 1.2, is outside of the prior [0, 1]: the posterior is a truncated normal.
     posterior = posterior_of(proportional, {"t": Prior("uniform", [0.0, 1.0])}, [0.3])
     data = measured_at(np.ones(4), np.full((4, 1), 1.2))
@@ -456,10 +477,11 @@ def test_a_map_beyond_the_prior_lies_on_its_bound_and_the_draws_do_not_care(samp
     chains = drawn(posterior, data, found, Settings(4, 200, 1000, sampler=sampler))
     judged = convergence(chains)
     assert judged.divergences == 0 and judged.rhat[0] < 1.02
-    error = 4 / np.sqrt(judged.ess_bulk[0])
-    draws = np.asarray(chains.theta).ravel()
-    assert draws.mean() == pytest.approx(truth.mean(), abs=error * truth.std())
-    assert draws.std() == pytest.approx(truth.std(), rel=2 * error)
+    worth, draws = np.sqrt(judged.ess_bulk[0]), np.asarray(chains.theta).ravel()
+    problem = f"posterior on a bound by {sampler}, in standard errors"
+    off = worth * (draws.mean() - truth.mean()) / truth.std()
+    observed(f"{problem}: mean", "SciPy truncated normal", off, 4.0)
+    observed(f"{problem}: standard deviation", "SciPy truncated normal", worth * (draws.std() / truth.std() - 1), 8.0)
 
 
 def test_several_starts_find_the_better_of_two_modes():

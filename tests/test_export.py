@@ -154,12 +154,13 @@ def ours(case):
 QUICK = ("both degradations", "pinching, sharp", "a series beside others")
 
 
+@pytest.mark.verification("opensees")
 @pytest.mark.parametrize("case", [c if c in QUICK else pytest.param(c, marks=pytest.mark.slow) for c in CASES])
-def test_the_exported_law_has_the_forces_of_our_simulation(case, by_opensees):
+def test_the_exported_law_has_the_forces_of_our_simulation(case, by_opensees, observed):
     expected, found = ours(case), by_opensees[case][::2]
     error = np.sqrt(np.mean((found - expected) ** 2)) / np.std(expected)
-    # Measured: 0.25 % at most, by the first-order materials; 1e-5 of the others.
-    assert error < 0.01
+    # The materials of first order have most of it.
+    observed(f"{case}: error of the force along growing cycles", "exported script in OpenSees", error, 0.01)
 
 
 # --- the scripts -------------------------------------------------------------------------------------------------

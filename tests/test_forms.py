@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from observations import of_largest, relative
 from scipy.integrate import quad, solve_ivp
 from scipy.stats import gennorm
 
@@ -488,14 +489,63 @@ def of_two(p):
     return {"damage_index": index, "path_and_elongation": each_with_a_power}
 
 
+def weakened(p, s):
+    """The side that buckles: weaker at once, and with its largest elongation."""
+    side, lost = np.sign(p.delta), np.abs(p.delta)
+    reached = (s.largest_compression if p.delta > 0 else s.largest_tension) / U
+    return np.where(s.z * side < 0, (1 + p.growth * lost * reached) / (1 - lost), 1.0)
+
+
+def returning(p, s):
+    """The other side of a strut that buckled: loading aims at the former peak."""
+    side = np.sign(p.delta)
+    loads = (s.z * side > 0) & (s.v * side > 0)
+    return 1 - p.late * min(4 * abs(p.delta), 1.0) * np.where(loads, 1 - towards_peak(s), 0.0)
+
+
+def slid_back(p, s):
+    """A flag: on unloading it slides back at its own force while it is open."""
+    open_by = np.clip((s.u - s.z / STIFFNESS) * np.sign(s.z) / (0.02 * U), 0.0, 1.0)
+    low = 1 / (1 + np.exp((np.abs(s.z) - p.delta * STRENGTH) / (0.03 * STRENGTH)))
+    return 1 - min(10 * p.delta, 1.0) * np.where(s.v * s.z < 0, open_by * low, 0.0)
+
+
+def first_way(p, s):
+    """A spring that is stiff on its first way."""
+    reached = np.maximum(np.maximum(s.largest_elongation, np.abs(s.u)), 1e-9 * U)
+    return p.delta * F * s.u / U * (np.abs(s.u) / reached) ** p.power
+
+
+SINGLE = {
+    "buckling": {"nu": weakened, "h": returning},
+    "self_centering": {"h": slid_back},
+    "scragging": {"force": first_way},
+}
+
+
 def test_every_form_has_its_equation_here():
     assert {name: list(forms) for name, forms in EQUATIONS.items()} == {
         name: [shape.name for shape in EFFECTS[name].forms] for name in SEVERAL
     }
 
 
+@pytest.mark.verification("effects")
+@pytest.mark.parametrize("name", SINGLE)
+def test_an_effect_of_one_form_is_its_equation(name, observed):
+    at = state()
+    for quantile in (0.3, 0.8):
+        values = drawn(name, "", quantile)
+        found = jax.vmap(EFFECTS[name](**values).contribute)(point(at))
+        assert set(found) == set(SINGLE[name])
+        for slot, equation in SINGLE[name].items():
+            expected = equation(SimpleNamespace(**values), SimpleNamespace(**at))
+            observed(f"{name}: {slot} at random states", "equation in NumPy", of_largest(found[slot], expected), 1e-11)
+            assert np.ptp(expected) > 1e-3 * np.abs(expected).max()
+
+
+@pytest.mark.verification("effects")
 @pytest.mark.parametrize(("name", "label"), FORMS)
-def test_a_form_is_its_equation(name, label):
+def test_a_form_is_its_equation(name, label, observed):
     effect, at = EFFECTS[name], state()
     form = forms_of(effect)[label]
     s = SimpleNamespace(**at)
@@ -512,8 +562,8 @@ def test_a_form_is_its_equation(name, label):
         assert set(found) == {slot for slot, _ in equations}
         for slot, equation in equations:
             expected = equation(SimpleNamespace(**values), x, s)
-            # A small power is linear next to zero: (1e-9)^p, where the virgin state has none.
-            np.testing.assert_allclose(found[slot], expected, rtol=2e-7 if name == "slip" else 1e-11, atol=1e-12 * F)
+            within = 1e-10 if name == "slip" else 1e-11
+            observed(f"{name}: {slot} at random states", "equation in NumPy", of_largest(found[slot], expected), within)
             assert np.ptp(expected) > 1e-3 * np.abs(expected).max() or (name, form.name) in CONSTANT
 
 
@@ -617,14 +667,16 @@ def test_no_form_of_a_damper_grows_with_the_rate_as_another_damper_does(name, le
             assert np.all((slopes > least - 1e-3) & (slopes < most + 1e-3)), (label, values)
 
 
+@pytest.mark.verification("effects")
 @pytest.mark.parametrize("label", CREEP)
-def test_a_relaxing_force_creeps_as_its_form_says(label):
+def test_a_relaxing_force_creeps_as_its_form_says(label, observed):
     effect, at = EFFECTS["relaxation"], state()
     values = drawn("relaxation", label, 0.7)
     found = jax.vmap(effect(**forms_of(effect)[label].held, **values).flow)(point(at))["relaxing"]
     # The virgin element has no force, and the sine over its argument there is one.
     creep = CREEP[label](SimpleNamespace(**values), at["relaxing"][1:] / F)
-    np.testing.assert_allclose(found[1:], F / U * at["v"][1:] - F * creep / (values["time"] * U / V), rtol=1e-12)
+    error = relative(found[1:], F / U * at["v"][1:] - F * creep / (values["time"] * U / V))
+    observed("relaxation: rate of its force at random states", "equation in NumPy", error, 1e-12)
     assert found[0] == 0.0
 
 
@@ -636,38 +688,41 @@ def sensed_force(slots, step):
     return found.channels["force"]
 
 
-def test_a_late_drift_begins_when_its_form_says():
+@pytest.mark.verification("effects")
+def test_a_late_drift_begins_when_its_form_says(observed):
     values = {"delta": 0.2, "onset": 0.3}
     found = EFFECTS["force_drift"](**values).contribute(Setup(SCALES, 1, 1))
     span = 100 * U / V
     assert found == pytest.approx({"force_drift": 0.2 * F / span, "drift_onset": 0.3 * span})
     time = np.linspace(0.0, span, 101)
-    np.testing.assert_allclose(
-        sensed_force(found, span / 100), 0.2 * F * np.maximum(time / span - 0.3, 0), atol=1e-9 * F
-    )
+    error = of_largest(sensed_force(found, span / 100), 0.2 * F * np.maximum(time / span - 0.3, 0))
+    observed("force_drift: force of a load cell, late", "equation in NumPy", error, 1e-9)
 
 
-def test_a_drift_slows_down_as_its_form_says():
+@pytest.mark.verification("effects")
+def test_a_drift_slows_down_as_its_form_says(observed):
     found = EFFECTS["force_drift"](delta=0.2, slowing=4.0).contribute(Setup(SCALES, 1, 1))
     span = 100 * U / V
     time = np.linspace(0.0, span, 101)
-    np.testing.assert_allclose(
-        sensed_force(found, span / 100), 0.2 * F * np.log(1 + 4 * time / span) / 4, atol=1e-9 * F
-    )
+    error = of_largest(sensed_force(found, span / 100), 0.2 * F * np.log(1 + 4 * time / span) / 4)
+    observed("force_drift: force of a load cell, slowing", "equation in NumPy", error, 1e-9)
 
 
-def test_an_offset_settles_as_its_form_says():
+@pytest.mark.verification("effects")
+def test_an_offset_settles_as_its_form_says(observed):
     values = {"delta": 0.2, "settling": 0.7, "settles": 0.1}
     found = EFFECTS["force_offset"](**values).contribute(Setup(SCALES, 1, 1))
     span = 100 * U / V
     time = np.linspace(0.0, span, 101)
     expected = 0.2 * F * (1 - 0.7 * np.exp(-time / span / 0.1))
-    np.testing.assert_allclose(sensed_force(found, span / 100), expected, atol=1e-9 * F)
+    error = of_largest(sensed_force(found, span / 100), expected)
+    observed("force_offset: force of a load cell, settling", "equation in NumPy", error, 1e-9)
 
 
+@pytest.mark.verification("effects")
 @pytest.mark.parametrize(("name", "label"), [("coulomb_friction", "bristle"), ("stribeck_friction", "bristle"),
                                              ("kinematic_hardening", "")])  # fmt: skip
-def test_a_bristle_follows_its_equation_along_a_path(name, label):
+def test_a_bristle_follows_its_equation_along_a_path(name, label, observed):
     values = drawn(name, label, 0.5)
     effect = EFFECTS[name](**forms_of(EFFECTS[name])[label].held, **values)
     # At the characteristic rate, and of an element without force, whose elongation is plastic.
@@ -682,7 +737,8 @@ def test_a_bristle_follows_its_equation_along_a_path(name, label):
                          rtol=1e-10, atol=1e-12)  # fmt: skip
         expected = bent.y[0, -1]
         at = SpringPoint(end, sign * V, 0.0, memory, SCALES, STRENGTH, STIFFNESS)
-        assert float(effect.contribute(at)["force"]) == pytest.approx(largest * expected, rel=1e-7)
+        error = relative(effect.contribute(at)["force"], largest * expected)
+        observed(f"{name}: force of the bristle along a path", "SciPy RK45, rtol 1e-10", error, 1e-7)
         memory = effect.settle(at)
 
 
@@ -912,12 +968,14 @@ CASES = {
 }
 
 
+@pytest.mark.verification("effects")
 @pytest.mark.parametrize("case", CASES)
-def test_a_study_with_a_form_simulates_its_equation(case):
+def test_a_study_with_a_form_simulates_its_equation(case, observed):
     effects, equation = CASES[case]
     found, expected, plain = respond(effects), by_scipy(**equation), by_scipy()
     size = np.abs(expected).max()
-    assert np.abs(found - expected).max() < 1e-4 * size
+    (name,) = effects
+    observed(f"{name}: force along two cycles, {case}", "SciPy DOP853", of_largest(found, expected), 1e-7)
     assert np.abs(plain - expected).max() > 0.03 * size
 
 

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from observations import of_largest, relative
 from scipy.linalg import null_space
 from scipy.optimize import minimize
 from scipy.stats import norm, qmc
@@ -77,22 +78,23 @@ def fitted(x, y, planned=43, filler=0.0, seed=0, **settings):
     return fit_kriging(*map(jnp.asarray, (inputs, responses, mask)), key=jax.random.key(seed), **settings)
 
 
+@pytest.mark.verification("design")
 @pytest.mark.parametrize("trend", TRENDS)
 @pytest.mark.parametrize("kernel", KERNELS)
-def test_prediction_equals_the_printed_equations(kernel, trend):
+def test_prediction_equals_the_printed_equations(kernel, trend, observed):
     x, y = training_set()
     new = np.random.default_rng(1).random((17, 2))
     model = conditioned(x, y, kernel=kernel, trend=trend)
     beta, sigma2, mean, variance = dense_kriging(x, y, new, LENGTHS, NUGGET, kernel, trend)
     got_mean, got_variance = model.predict(jnp.asarray(new))
-    np.testing.assert_allclose(model.trend_coefficients, beta, rtol=1e-8)
-    np.testing.assert_allclose(model.process_variance, sigma2, rtol=1e-9)
-    np.testing.assert_allclose(got_mean, mean, rtol=1e-9, atol=1e-9 * np.abs(y).max())
     # Eq. 11 for a known σ²; estimated, it makes a Student t of that many degrees of freedom.
     freedom = len(y) - len(beta)
-    np.testing.assert_allclose(
-        got_variance, variance * 20 / freedom * (freedom / (freedom - 2)), rtol=1e-7, atol=1e-9 * sigma2
-    )
+    variance = variance * 20 / freedom * (freedom / (freedom - 2))
+    dense = "dense matrices in NumPy"
+    observed("Kriging: trend (Eq. 8)", dense, relative(model.trend_coefficients, beta), 1e-8)
+    observed("Kriging: process variance (Eq. 9)", dense, relative(model.process_variance, sigma2), 1e-9)
+    observed("Kriging: mean (Eq. 10)", dense, of_largest(got_mean, mean), 1e-9)
+    observed("Kriging: variance (Eq. 11)", dense, of_largest(got_variance, variance), 1e-7)
 
 
 def test_means_at_tested_points_equal_predictions_there():
@@ -122,8 +124,9 @@ def test_tiny_nugget_interpolates_and_a_large_one_does_not(trend):
     assert np.abs(conditioned(x, y, nugget=1e-1, trend=trend).predict(jnp.asarray(x))[0] - y).max() > 0.05 * y.std()
 
 
+@pytest.mark.verification("design")
 @pytest.mark.parametrize("trend", TRENDS)
-def test_leave_one_out_equals_refits_without_the_point(trend):
+def test_leave_one_out_equals_refits_without_the_point(trend, observed):
     x, y = training_set(12)
     model = conditioned(x, y, planned=15, filler=np.nan, trend=trend)
     mean, variance = map(np.asarray, model.leave_one_out())
@@ -131,8 +134,9 @@ def test_leave_one_out_equals_refits_without_the_point(trend):
     for i in range(12):
         rest = np.arange(12) != i
         _, _, m, v = dense_kriging(x[rest], y[rest], x[i : i + 1], LENGTHS, NUGGET, "matern52", trend, sigma2)
-        np.testing.assert_allclose(mean[i], m[0], rtol=1e-7)
-        np.testing.assert_allclose(variance[i], v[0] + sigma2 * NUGGET, rtol=1e-7)
+        observed("Kriging: leave-one-out mean", "explicit refits", relative(mean[i], m[0]), 1e-7)
+        error = relative(variance[i], v[0] + sigma2 * NUGGET)
+        observed("Kriging: leave-one-out variance", "explicit refits", error, 1e-7)
     assert np.all(mean[12:] == 0) and np.all(variance[12:] == 0)
 
 
@@ -155,9 +159,10 @@ def log_prior(lengths, nugget):
     return of_lengths + norm(np.log(0.007), 2.0).logpdf(np.log(nugget))
 
 
+@pytest.mark.verification("design")
 @pytest.mark.parametrize("trend", TRENDS)
 @pytest.mark.parametrize("kernel", KERNELS)
-def test_log_posterior_is_that_of_the_contrasts_and_the_priors(kernel, trend):
+def test_log_posterior_is_that_of_the_contrasts_and_the_priors(kernel, trend, observed):
     x, y = training_set()
     contrasts = null_space(dense_trend(x, trend).T)
 
@@ -166,13 +171,15 @@ def test_log_posterior_is_that_of_the_contrasts_and_the_priors(kernel, trend):
 
     one, other = (np.array([0.4, 0.9]), 1e-3), (np.array([0.3, 1.5]), 1e-1)
     got = [conditioned(x, y, *h, kernel=kernel, trend=trend).log_posterior for h in (one, other)]
-    np.testing.assert_allclose(got[0] - got[1], log_posterior(*one) - log_posterior(*other), rtol=1e-8)
+    error = relative(got[0] - got[1], log_posterior(*one) - log_posterior(*other))
+    observed("Kriging: ratio of posterior densities of lengths and nugget", "density of the contrasts", error, 1e-8)
 
 
+@pytest.mark.verification("design")
 @pytest.mark.parametrize(
     ("kernel", "trend", "n"), [("matern52", "constant", 43), ("matern32", "linear", 20), ("gaussian", "quadratic", 30)]
 )
-def test_fit_reaches_the_best_of_many_scipy_starts(kernel, trend, n):
+def test_fit_reaches_the_best_of_many_scipy_starts(kernel, trend, n, observed):
     x, y = training_set(n)
     low, high = np.log([0.02, 0.02, 1e-10]), np.log([20.0, 20.0, 1.0])
     contrasts = null_space(dense_trend(x, trend).T)
@@ -189,16 +196,19 @@ def test_fit_reaches_the_best_of_many_scipy_starts(kernel, trend, n):
         for _ in range(8)
     ]
     model = fitted(x, y, kernel=kernel, trend=trend)
-    assert negative(np.log(np.append(model.lengths, model.nugget))) < min(run.fun for run in runs) + 1e-6
+    lost = negative(np.log(np.append(model.lengths, model.nugget))) - min(run.fun for run in runs)
+    observed("Kriging: log density that the fit misses", "best of 8 runs of SciPy's L-BFGS-B", max(lost, 0.0), 1e-6)
 
 
-def test_gradient_of_the_restricted_likelihood_matches_differences():
+@pytest.mark.verification("design")
+def test_gradient_of_the_restricted_likelihood_matches_differences(observed):
     x, y = map(jnp.asarray, training_set())
     value = jax.jit(lambda logs: objective(x, y, logs))
 
     logs, step = jnp.log(jnp.array([0.4, 0.9, 1e-3])), 1e-5
     differences = [(value(logs.at[i].add(step)) - value(logs.at[i].add(-step))) / (2 * step) for i in range(3)]
-    np.testing.assert_allclose(jax.jit(jax.grad(value))(logs), differences, rtol=1e-6)
+    error = relative(jax.jit(jax.grad(value))(logs), differences)
+    observed("Kriging: gradient of the restricted likelihood", "central differences", error, 1e-6)
 
 
 def objective(x, y, logs):
@@ -343,9 +353,11 @@ def coverage(field, n, noise, fields, seed=0):
     return np.mean(inside)
 
 
-def test_bands_of_eight_points_hold_what_they_say():
+@pytest.mark.verification("design")
+def test_bands_of_eight_points_hold_what_they_say(observed):
     # 40 fields of 60 correlated responses scatter by 2 %.  Maximum likelihood with σ² of Eq. 9: 67 %.
-    assert 0.85 <= coverage(matern_field, 8, 0.05, 40) <= 0.95
+    share = coverage(matern_field, 8, 0.05, 40)
+    observed("Kriging: share of new responses in 90 % bands, 8 points", "90 %", share - 0.9, 0.05, share=share)
 
 
 @pytest.fixture(scope="module")

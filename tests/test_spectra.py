@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from observations import relative
 from scipy.signal import lsim
 
 from hsed_jax.physics.spectra import response_spectrum
@@ -28,11 +29,13 @@ def peak_by_lsim(acceleration, step, period, damping, per_step):
     return np.abs(y).max()
 
 
+@pytest.mark.verification("dynamics")
 @pytest.mark.parametrize("damping", [0.0, 0.05, 0.7])
-def test_it_is_the_exact_solution_for_a_piecewise_linear_motion(damping):
+def test_it_is_the_exact_solution_for_a_piecewise_linear_motion(damping, observed):
     motion, step = noise_motion(), 0.01
     expected = [peak_by_lsim(motion, step, period, damping, per_step=4) for period in PERIODS]
-    np.testing.assert_allclose(response_spectrum(motion, step, PERIODS, damping), expected, rtol=1e-9)
+    found = response_spectrum(motion, step, PERIODS, damping)
+    observed("response spectrum of a sampled motion", "SciPy lsim", relative(found, expected), 1e-9)
 
 
 def test_peaks_between_the_samples_are_seen():
@@ -41,24 +44,26 @@ def test_peaks_between_the_samples_are_seen():
     np.testing.assert_allclose(response_spectrum(motion, step, PERIODS), expected, rtol=0.02)
 
 
-def test_a_suddenly_applied_constant_load():
+@pytest.mark.verification("dynamics")
+def test_a_suddenly_applied_constant_load(observed):
     """y = −a (1 − e^{−ζωt}(…)), whose first peak is a (1 + e^{−ζπ/√(1−ζ²)})."""
     damping, load = 0.1, 3.0
     step, periods = 1e-3, np.array([0.5, 1.0, 2.0])
     expected = load * (1 + np.exp(-damping * np.pi / np.sqrt(1 - damping**2)))
     spectrum = response_spectrum(np.full(4000, load), step, periods, damping)
-    np.testing.assert_allclose(spectrum, expected, rtol=1e-5)
+    observed("response spectrum of a sudden load", "closed form of the peak", relative(spectrum, expected), 1e-5)
 
 
+@pytest.mark.verification("dynamics")
 @pytest.mark.parametrize("ratio", [0.5, 1.0, 2.0])
-def test_the_steady_state_of_a_harmonic_load(ratio):
+def test_the_steady_state_of_a_harmonic_load(ratio, observed):
     """|y| = a / √((1−ρ²)² + (2ζρ)²), ρ = T/T_load; the amplitude grows in slowly, so that no transient exceeds it."""
     damping, load_period = 0.05, 1.0
     time = 0.005 * np.arange(24_000)
     motion = np.sin(np.pi / 2 * np.clip(time / 60, 0, 1)) ** 2 * np.sin(2 * np.pi * time / load_period)
     expected = 1 / np.hypot(1 - ratio**2, 2 * damping * ratio)
     spectrum = response_spectrum(motion, 0.005, np.array([ratio * load_period]), damping)
-    np.testing.assert_allclose(spectrum, expected, rtol=2e-3)
+    observed("response spectrum of a harmonic load", "steady state", relative(spectrum, expected), 2e-3)
 
 
 def test_a_rigid_oscillator_moves_with_the_ground():
@@ -69,13 +74,15 @@ def test_a_rigid_oscillator_moves_with_the_ground():
     assert spectrum[0] == peak
 
 
-def test_a_very_soft_oscillator_stays_where_it_is():
+@pytest.mark.verification("dynamics")
+def test_a_very_soft_oscillator_stays_where_it_is(observed):
     """Its elongation is the ground's displacement."""
     motion, step, period = noise_motion(), 0.01, 1e4
     velocity = np.concatenate([[0], np.cumsum((motion[1:] + motion[:-1]) * step / 2)])
     displacement = np.concatenate([[0], np.cumsum(velocity[:-1] * step + step**2 * (2 * motion[:-1] + motion[1:]) / 6)])
     expected = (2 * np.pi / period) ** 2 * np.abs(displacement).max()
-    np.testing.assert_allclose(response_spectrum(motion, step, np.array([period]), 0.05), [expected], rtol=5e-3)
+    found = response_spectrum(motion, step, np.array([period]), 0.05)
+    observed("response spectrum at a long period", "displacement of the ground", relative(found, expected), 5e-3)
 
 
 def test_a_batch_of_motions_is_the_motions_one_by_one():
