@@ -73,10 +73,20 @@ def cycles(peaks, steps={STEPS}):
     return path
 
 
+def read(file):
+    """A path from the first column of a CSV file [m]; it begins at zero."""
+    with open(file, encoding="utf-8") as lines:
+        words = [line.split(",")[0] for line in lines]
+    return [float(word) for word in words if word[:1] in "-.0123456789"]
+
+
 if __name__ == "__main__":
+    import sys
+
     import openseespy.opensees as ops
 
-    for elongation, force in loop(ops, cycles({peaks(reach)!r})):
+    path = read(sys.argv[1]) if len(sys.argv) > 1 else cycles({peaks(reach)!r})
+    for elongation, force in loop(ops, path):
         print(f"{{elongation:.9g}},{{force:.9g}}")
 '''
 

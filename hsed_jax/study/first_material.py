@@ -1,7 +1,7 @@
 """The model of a first study that is a material of OpenSees: its parameters, with priors from the record."""
 
 import math
-from typing import Any
+from typing import Any, cast
 
 from hsed_jax.config.opensees import known_material
 from hsed_jax.errors import UserError
@@ -47,7 +47,7 @@ def material_lines(model: str, campaign: Campaign) -> list[str]:
 
 def _flow(prior: dict[str, Any]) -> str:
     ((kind, given),) = prior.items()
-    numbers: list[float] = given if isinstance(given, list) else [given]
+    numbers = cast("list[float]", given if isinstance(given, list) else [given])
     text = ", ".join(map(_decimal, numbers))
     return f"{{{kind}: {f'[{text}]' if isinstance(given, list) else text}}}"
 
