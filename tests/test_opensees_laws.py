@@ -2,8 +2,10 @@
 
 import json
 import os
+import runpy
 import signal
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -334,6 +336,12 @@ def test_the_exported_script_has_the_forces_of_the_simulation(name):
     other = MATERIALS[name].arguments({**parameters, "k": 0.8 * STIFFNESS})
     wrong = python_script("A test.", [], [Command("uniaxialMaterial", (name, 1, *other))], REACH)
     assert difference(wrong, simulated) > 0.01
+
+
+def test_the_page_is_what_the_table_says():
+    docs = Path(__file__).resolve().parents[1] / "docs"
+    page = runpy.run_path(str(docs / "opensees_laws.py"))["page"]()
+    assert (docs / "opensees_laws.md").read_text(encoding="utf-8") == page
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ from hsed_jax.measurements import Campaign, characteristics
 from hsed_jax.models.differences import Differenced, unpadded
 from hsed_jax.models.function import FunctionModel
 from hsed_jax.models.opensees import MATERIALS
-from hsed_jax.models.opensees.base import AbstractMaterial, Marks, MaterialParameter
+from hsed_jax.models.opensees.base import NOTHING, AbstractMaterial, Marks, MaterialParameter
 from hsed_jax.models.opensees.simulated import Simulated
 from hsed_jax.models.opensees.workers import workers
 from hsed_jax.physics.outputs import is_quantity
@@ -77,10 +77,10 @@ class OpenSeesMechanics(CalledMechanics):
 
     def _prior(self, where: str, known: MaterialParameter) -> dict[str, Any]:
         measured = self.experiments.measured
-        prior = None if measured is None else known.prior_of(marks_of(measured))
+        prior = known.prior_of(NOTHING if measured is None else marks_of(measured))
         if prior is None:
             raise UserError(
-                f"{where}: this key is required, as no record of the training experiments tells a prior; give one, such as "
+                f"{where}: neither the table nor a record of the training experiments tells a prior; give one, such as "
                 "{uniform: [2.0e5, 9.0e5]}"
             )
         return prior

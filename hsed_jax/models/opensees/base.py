@@ -31,6 +31,10 @@ class Marks(NamedTuple):
     path: float
 
 
+NOTHING = Marks(math.nan, math.nan, math.nan, math.nan)
+"""The marks of no record."""
+
+
 @dataclass(frozen=True)
 class Scaled:
     """A prior in units of a mark of the record.
