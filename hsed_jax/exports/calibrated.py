@@ -22,7 +22,6 @@ from hsed_jax.physics.parameters import Parameter, dimensionless, parameters_of
 from hsed_jax.physics.scales import Scales
 from hsed_jax.runs.reading import read_run
 from hsed_jax.study.build import Built
-from hsed_jax.study.opensees_study import OpenSeesMechanics
 
 
 @dataclass(frozen=True)
@@ -53,11 +52,7 @@ class Calibrated:
 
     def known(self, name: str) -> Parameter | None:
         """What is known of a parameter of a law, an effect or the structure; None of another one."""
-        mechanics = self.built.mechanics
-        if isinstance(mechanics, OpenSeesMechanics):
-            own = mechanics.material.parameters.get(name)
-            return None if own is None else Parameter(name, own.symbol, own.unit, own.meaning)
-        return mechanics.naming.known(name)
+        return self.built.mechanics.known(name)
 
     def of(self, element: Element) -> tuple[AbstractSpringLaw, dict[str, AbstractSpringEffect], list[str]]:
         """The law of a specimen at θ_MAP, the effects in it, and the names of effects outside it.

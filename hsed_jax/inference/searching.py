@@ -3,6 +3,8 @@
 Differential evolution (Storn & Price 1997) on shares of the priors: every parameter lies between 0 and 1, whatever its unit.
 """
 
+from typing import Any, cast
+
 import equinox as eqx
 import jax
 import numpy as np
@@ -55,7 +57,7 @@ def searched(
         depths,
         [(_EDGE, 1 - _EDGE)] * count,
         maxiter=generations,
-        init=_first(members, count, seed),
+        init=cast("Any", _first(members, count, seed)),
         rng=np.random.default_rng(seed),
         tol=0.0,
         polish=False,

@@ -24,6 +24,7 @@ from hsed_jax.measurements import parse_unit
 from hsed_jax.models.differences import Differenced, failure, unpadded
 from hsed_jax.models.function import FunctionModel, Respond, is_told, known_outputs
 from hsed_jax.models.program import Program
+from hsed_jax.physics.parameters import Parameter
 from hsed_jax.physics.simulator import AbstractModel
 from hsed_jax.plain import shown
 from hsed_jax.python_files import module_of
@@ -40,6 +41,10 @@ class FunctionMechanics(CalledMechanics):
     def words(self) -> str:
         """What the model is, for messages."""
         return "a function"
+
+    def known(self, name: str) -> Parameter | None:
+        """Nothing: its parameters are the user's own."""
+        return None
 
     @cached_property
     def parameters(self) -> tuple[dict[str, Prior], dict[str, float]]:

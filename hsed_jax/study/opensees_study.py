@@ -22,6 +22,7 @@ from hsed_jax.models.opensees.base import NOTHING, AbstractMaterial, Marks, Mate
 from hsed_jax.models.opensees.simulated import Simulated
 from hsed_jax.models.opensees.workers import workers
 from hsed_jax.physics.outputs import is_quantity
+from hsed_jax.physics.parameters import Parameter
 from hsed_jax.physics.simulator import AbstractModel
 from hsed_jax.study import parts
 from hsed_jax.study.called_study import CalledMechanics, CalledSimulation, called, free_parameter
@@ -35,6 +36,11 @@ class OpenSeesMechanics(CalledMechanics):
     def words(self) -> str:
         """What the model is, for messages."""
         return f"the material {self.material.name} of OpenSees"
+
+    def known(self, name: str) -> Parameter | None:
+        """What the table says of a parameter."""
+        known = self.material.parameters.get(name)
+        return None if known is None else Parameter(name, known.symbol, known.unit, known.meaning)
 
     @property
     def material(self) -> type[AbstractMaterial]:
