@@ -282,12 +282,7 @@ def _read_back(
 
 
 def _most_probable(
-    posterior: Posterior,
-    data: Data,
-    points: Float[Array, "s p"],
-    errors: Sequence[Error],
-    support: "Support | None",
-    settled: float,
+    posterior: Posterior, data: Data, points: Array, errors: Sequence[Error], support: "Support | None", settled: float
 ) -> tuple[Posterior, Data, Maximum, "AbstractDiscrepancy | None"]:
     """The MAP, with what the samples are worth, the errors and the discrepancy that it was found with."""
     if any(error.discrepancy for error in errors):
