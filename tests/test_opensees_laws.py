@@ -338,6 +338,21 @@ def test_the_exported_script_has_the_forces_of_the_simulation(name):
     assert difference(wrong, simulated) > 0.01
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--materials", "SAWS,Stel4"], "--materials Stel4: there is no material 'Stel4' (did you mean Steel4?)"),
+        ([], "has laws already; say --resume to go on with them, --force to replace them, or choose --output"),
+    ],
+)
+def test_laws_refuses_a_mistake_before_it_calibrates(tmp_path, capsys, words, message):
+    (tmp_path / "study.yaml").write_text(STUDY, encoding="utf-8")
+    (tmp_path / "laws").mkdir()
+    (tmp_path / "laws" / "laws.json").touch()
+    assert main(["laws", str(tmp_path / "study.yaml"), "--output", str(tmp_path / "laws"), *words]) == 2
+    assert message in capsys.readouterr().err
+
+
 def test_the_page_is_what_the_table_says():
     docs = Path(__file__).resolve().parents[1] / "docs"
     page = runpy.run_path(str(docs / "opensees_laws.py"))["page"]()

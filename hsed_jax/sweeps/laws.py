@@ -107,7 +107,7 @@ def laws(
         The laws in order. A law whose run fails is among them with the reason.
 
     Raises:
-        UserError: the study has no campaign, or a material is unknown.
+        UserError: the study has no campaign, a material is unknown, the folder has laws already, or every law failed.
     """
     if study.experiments.campaign is None:
         raise UserError("experiments.campaign: laws are compared on measured tests; give a campaign")
@@ -117,6 +117,10 @@ def laws(
         except ValueError as error:
             raise UserError(f"--materials {name}: {error}") from None
     folder = Path(output) if output is not None else Path("runs") / f"{study.study}_laws"
+    if (folder / FILE).exists() and not (resume or force):
+        raise UserError(
+            f"{folder} has laws already; say --resume to go on with them, --force to replace them, or choose --output"
+        )
     models: dict[str, Any] = {study.model.described[1]: None}
     if study.model.described[0] == "opensees":
         models = {f"{PREFIX}{study.model.described[1]}": None}
@@ -129,6 +133,8 @@ def laws(
         found.append(law)
         if tell is not None:
             tell(law)
+    if all(law.failed is not None for law in found):
+        raise UserError(f"no law could be calibrated; {found[0].name}: {found[0].failed}")
     ranked = sorted(found, key=lambda law: law.rank)
     done = Laws(study.study, tuple(ranked), floors[ranked[0].name])
     write_whole(folder / FILE, done.written())
