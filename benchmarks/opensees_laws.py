@@ -128,8 +128,10 @@ def case(
                 simulated = Simulated(material)(parameters, {"elongation": record["elongation"]})["force"]
             except ExperimentFailed:
                 return 1e3
-            # What is scored is the end of what is simulated.
-            left = simulated[len(record) - len(scored) :] - scored["force"]
+            left = (
+                simulated[np.ones(len(record), bool) if experiment.window is None else experiment.in_window]
+                - scored["force"]
+            )
             found.append(np.mean(left**2) / np.var(scored["force"]))
         return float(np.sqrt(np.mean(found)))
 

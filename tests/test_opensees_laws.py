@@ -338,6 +338,17 @@ def test_the_exported_script_has_the_forces_of_the_simulation(name):
     assert difference(wrong, simulated) > 0.01
 
 
+def test_a_record_that_begins_loaded_is_followed_from_zero_as_it_is():
+    begun = CYCLES[70:]
+    built = Built(load_study(parse_yaml(STUDY, "study")), campaign(elongation=begun))
+    told = np.asarray(built.simulation.simulator.told(built.simulation.first)["elongation"])
+    assert told == pytest.approx(begun)
+    # The first sample has the force of a path from zero to it.
+    assert force("SelfCentering", told)[0] == pytest.approx(
+        force("SelfCentering", np.linspace(0, begun[0], 500))[-1], rel=1e-3
+    )
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -135,7 +135,7 @@ class CalledSimulation(AbstractSimulation):
     def grid(self) -> Grid | None:
         """Samples of the measured records, a step for each; None where there are none."""
         records = self.experiments.records
-        return Grid(max(len(record) for record in records), 1) if records else None
+        return Grid(max(len(record) for record in records), 1, from_zero=False) if records else None
 
     @cached_property
     def planned(self) -> Timeline:
