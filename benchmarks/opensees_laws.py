@@ -128,10 +128,7 @@ def case(
                 simulated = Simulated(material)(parameters, {"elongation": record["elongation"]})["force"]
             except ExperimentFailed:
                 return 1e3
-            left = (
-                simulated[np.ones(len(record), bool) if experiment.window is None else experiment.in_window]
-                - scored["force"]
-            )
+            left = simulated[experiment.in_window] - scored["force"]
             found.append(np.mean(left**2) / np.var(scored["force"]))
         return float(np.sqrt(np.mean(found)))
 
