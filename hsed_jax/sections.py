@@ -189,8 +189,8 @@ def _spread(value: Any) -> Any:
 SpreadEntry = Annotated[dict[str, Any], BeforeValidator(_spread)]
 LevelsEntry = dict[str, Annotated[dict[str, SpreadEntry], Field(min_length=1), BeforeValidator(_by_parameter)]]
 """By column of the experiments, the parameters that vary with it: a list, or by name the prior of each spread."""
-MODELS = ("a model of a spring law", "a model that is a function")
-"""The two shapes of `model`, as validation names them."""
+MODELS = ("a model of a spring law", "a model that is a function", "a model that is a material of OpenSees")
+"""The shapes of `model`, as validation names them."""
 
 
 class InputEntry(Section):

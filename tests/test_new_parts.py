@@ -26,8 +26,17 @@ FILES = {
     "sampler": {"inference/samplers/renamed.py": "renamed.py"},
     "laboratory": {"laboratories/kinds/bench.py": "bench.py"},
     "excitation": {"physics/excitations/repeated.py": "repeated.py"},
+    "material of OpenSees": {"models/opensees/elastic_pp.py": "elastic_pp.py"},
 }
 ENTRIES = {
+    "material of OpenSees": [
+        (
+            "models/opensees/__init__.py",
+            "\n_ALL = ",
+            "from hsed_jax.models.opensees.elastic_pp import ElasticPP\n",
+        ),
+        ("models/opensees/__init__.py", "Pinching4, IMKPeakOriented", "ElasticPP, "),
+    ],
     "excitation": [
         (
             "physics/declared.py",
@@ -194,6 +203,11 @@ def test_a_quantity_is_one_entry(tried):
 
 def test_a_pair_is_an_entry_and_its_new_dimensions(tried):
     assert tried["pair"] == "curvature"
+
+
+def test_a_material_is_one_file_and_its_name(tried):
+    # Twice its yield elongation at 2e6 N/m and 1 kN.
+    assert tried["material"] == pytest.approx([1.0e3, 1.0e3])
 
 
 def test_a_coordinate_is_two_entries(tried):

@@ -22,6 +22,7 @@ from hsed_jax.diagnosis.batch import Apart
 from hsed_jax.errors import UserError
 from hsed_jax.inference.fit import Fit, fit
 from hsed_jax.inference.nuts import Settings
+from hsed_jax.inference.searching import searched
 from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Campaign, stop_at_errors
 from hsed_jax.physics.batch import tiled_map
@@ -173,9 +174,13 @@ def calibrate_built(
     """
     study = built.study
     built.inference.check_told(len(campaign.train))
+    posterior = built.inference.posterior
+    data = built.inference.data(campaign, campaign.train.experiments, size)
+    if start is None and built.inference.search:
+        start = searched(posterior, data, built.inference.search, study.seed, watch)
     found = fit(
-        built.inference.posterior,
-        built.inference.data(campaign, campaign.train.experiments, size),
+        posterior,
+        data,
         starts=study.calibration.starts,
         settings=settings or built.inference.settings,
         key=jax.random.fold_in(jax.random.key(study.seed), _CALIBRATION_KEY),
@@ -186,6 +191,7 @@ def calibrate_built(
         seconds=study.calibration.seconds,
         support=built.inference.support,
         possible=built.inference.possible,
+        settled=built.inference.settled,
     )
     return Calibration(built, campaign, found)
 

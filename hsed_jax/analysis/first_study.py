@@ -9,10 +9,16 @@ from hsed_jax.drafting.initial import Frame, text_of_study
 from hsed_jax.drafts import write_whole
 from hsed_jax.measurements import Campaign
 from hsed_jax.plain import parse_yaml
+from hsed_jax.study.first_material import material_lines
 
 
 def initial_study(
-    campaign: Campaign, file: str | Path | None = None, *, masses: Sequence[float] = (), height: float = 0.0
+    campaign: Campaign,
+    file: str | Path | None = None,
+    *,
+    masses: Sequence[float] = (),
+    height: float = 0.0,
+    model: str | None = None,
 ) -> Study:
     """A study for a campaign, with priors around the stiffness and strength that its records show.
 
@@ -21,6 +27,7 @@ def initial_study(
         file: where to write the study, with a comment beside each number that says where it comes from.
         masses: of a shaken frame: masses of its floors from the lowest up [kg].
         height: height of a storey [m]: gravity acts on its drift.
+        model: `opensees:` and a material, such as `opensees:Pinching4`; by default the Bouc-Wen spring.
 
     Returns:
         The study. It names the folder that the campaign was read from; of a campaign made in memory, it names the folder of
@@ -37,7 +44,8 @@ def initial_study(
     """
     output = Path(file) if file is not None else Path("study.yaml")
     folder = Path(campaign.source) if campaign.source else output.parent / campaign.name
-    text = text_of_study(campaign, folder, output, Frame(tuple(masses), height))
+    lines = [] if model is None else material_lines(model, campaign)
+    text = text_of_study(campaign, folder, output, Frame(tuple(masses), height), model=lines)
     if file is not None:
         write_whole(output, text)
         return load_study(output)

@@ -118,7 +118,7 @@ class Variant:
             if own in effect:
                 return effect[own].meaning, effect[own].neutral
             return next((p.meaning for p in effect.values() if p.physical and p.physical.name == own), own), None
-        known = self.built.mechanics.naming.of_laws.get(name)
+        known = self.built.mechanics.known(name)
         return (own if known is None else known.meaning), None
 
 

@@ -9,7 +9,16 @@ from hsed_jax.plain import Number, shown
 from hsed_jax.sections import InputEntry, LevelsEntry, ProgramEntry, Section
 
 
-class FunctionEntry(Section):
+class CalledEntry(Section):
+    """A model that is called and is no spring law: it has no effects."""
+
+    levels: LevelsEntry = {}
+    effects: ClassVar[dict[str, dict[str, Number | dict[str, Any]]]] = {}
+    """None: they are a spring law's."""
+    own_effects: ClassVar[list[str]] = []
+
+
+class FunctionEntry(CalledEntry):
     """A model that is a function, `FILE:NAME` relative to the study, or a program; its parameters have the names it gives them.
 
     `derivatives` says how it is differentiated: by JAX or by differences; by default by JAX wherever JAX can trace it.
@@ -19,10 +28,6 @@ class FunctionEntry(Section):
     command: ProgramEntry | None = None
     derivatives: Literal["jax", "differences"] | None = None
     parameters: Annotated[dict[str, Number | InputEntry], Field(min_length=1)]
-    levels: LevelsEntry = {}
-    effects: ClassVar[dict[str, dict[str, Number | dict[str, Any]]]] = {}
-    """None: they are a spring law's."""
-    own_effects: ClassVar[list[str]] = []
 
     @model_validator(mode="after")
     def _one_kind(self) -> "FunctionEntry":

@@ -194,9 +194,10 @@ def _allowed(model: type[BaseModel], place: list[str]) -> list[str]:
     """Keys allowed at a place, the location of an error, walking the fields of the schema."""
     current: list[Any] = [model]
     for key in place:
-        if key == MODELS[1]:
-            # Of the two shapes of a model this is the other one; without its keys, either was meant.
-            current = current[1:]
+        if key in MODELS[1:]:
+            # Of the shapes of a model this is another one; without its keys, any was meant.
+            at = MODELS.index(key)
+            current = current[at : at + 1]
         elif not _is_branch(key):
             fields = [found for one in current if (found := one.model_fields.get(key)) is not None]
             if not (inner := [found for field in fields for found in _models(field.annotation)]):

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from hsed_jax.config.functions import FunctionEntry
+from hsed_jax.config.opensees import OpenSeesEntry
 from hsed_jax.plain import Number, Whole
 from hsed_jax.sections import (
     MODELS,
@@ -142,10 +143,13 @@ class ModelEntry(SpecimenModelEntry):
 
 def _kind_of_model(value: Any) -> str:
     keys = value if isinstance(value, dict) else getattr(value, "model_fields_set", ())
-    return MODELS[bool({"function", "command"} & set(keys))]
+    return MODELS[2 if "opensees" in keys else 1 if {"function", "command"} & set(keys) else 0]
 
 
 AnyModelEntry = Annotated[
-    Annotated[ModelEntry, Tag(MODELS[0])] | Annotated[FunctionEntry, Tag(MODELS[1])], Discriminator(_kind_of_model)
+    Annotated[ModelEntry, Tag(MODELS[0])]
+    | Annotated[FunctionEntry, Tag(MODELS[1])]
+    | Annotated[OpenSeesEntry, Tag(MODELS[2])],
+    Discriminator(_kind_of_model),
 ]
-"""A spring law with effects, or a function."""
+"""A spring law with effects, a function, or a material of OpenSees."""

@@ -7,7 +7,6 @@ from pydantic import AfterValidator, Field, PrivateAttr, create_model, field_val
 
 from hsed_jax.config.excitation_entry import ExcitationEntry
 from hsed_jax.config.experiments import ExperimentsEntry
-from hsed_jax.config.functions import FunctionEntry
 from hsed_jax.config.mechanics import AnyModelEntry, ModelEntry, SpecimenModelEntry, StructureEntry
 from hsed_jax.design.acquisitions import ACQUISITIONS
 from hsed_jax.errors import UserError
@@ -263,7 +262,7 @@ class Study(Tabular, Section):
         return list(dict.fromkeys([*models, *([] if laboratory is None else laboratory.code)]))
 
     @property
-    def models(self) -> dict[str, SpecimenModelEntry | FunctionEntry]:
+    def models(self) -> dict[str, SpecimenModelEntry | AnyModelEntry]:
         """The model of the study, and those of specimens that have their own, by their keys."""
         several = (None if self.structure is None else self.structure.specimens) or {}
         own = {name: entry.model for name, entry in several.items() if entry.model is not None}
@@ -280,7 +279,7 @@ class Study(Tabular, Section):
                 given = f"{kind} {', '.join(map(str, numbers)) if isinstance(numbers, list) else numbers}"
             return f"{name} {given}"
 
-        def of_model(key: str, model: SpecimenModelEntry | FunctionEntry) -> list[tuple[str, str]]:
+        def of_model(key: str, model: SpecimenModelEntry | AnyModelEntry) -> list[tuple[str, str]]:
             of = "" if key == "model" else f" of {key.split('.')[2]}"
             kind, which = model.described
             return [

@@ -16,6 +16,7 @@ from hsed_jax.measurements import Campaign, characteristics, parse_unit
 from hsed_jax.measurements.pairs import check_masses
 from hsed_jax.measurements.units import TIME, VELOCITY
 from hsed_jax.physics.outputs import is_driver
+from hsed_jax.physics.pairs import Pair
 
 # Words that YAML reads as something else than a text.
 _WORDS = ("y", "n", "yes", "no", "on", "off", "true", "false", "null", ".inf", ".nan")
@@ -41,7 +42,12 @@ class _Guess(NamedTuple):
 
 
 def text_of_study(
-    campaign: Campaign, folder: Path, output: Path, frame: Frame | None = None, taken: Sequence[str] = ()
+    campaign: Campaign,
+    folder: Path,
+    output: Path,
+    frame: Frame | None = None,
+    taken: Sequence[str] = (),
+    model: Sequence[str] = (),
 ) -> str:
     """The text of a study file.
 
@@ -51,6 +57,7 @@ def text_of_study(
         output: where the study will be; the path to the campaign is written relative to it.
         frame: what is known of a frame that was shaken.
         taken: what the campaign was made of, lines for its head.
+        model: lines of a model that has no effects, in the place of the Bouc-Wen spring.
 
     Raises:
         UserError: the campaign has no completed training experiment, or nothing that tells stiffness and strength; or it was
@@ -80,19 +87,7 @@ def text_of_study(
         *_structure(campaign, stiffness.value, mass, frame),
         *_excitation(campaign),
         *_inputs(campaign),
-        "model:",
-        "  spring: bouc_wen",
-        "  parameters:",
-        f"    # initial stiffness [{pair.unit('N/m')}]: {_round(stiffness.value)} is the {pair.words(stiffness.source)};",
-        "    # within a factor of 4 with 95 %"
-        + (", plus the reduction by gravity" if frame.masses and frame.height else ""),
-        f"    A: {{lognormal: [{math.log(stiffness.value + _of_gravity(frame)):.3f}, 0.7]}}",
-        f"    # stiffness over strength [{pair.unit('1/m')}]: the strength A/beta is about {pair.words(strength.source)},",
-        f"    # {_round(strength.value)} {pair.force_unit} (median over experiments); within a factor of 4 with 95 %",
-        f"    beta: {{lognormal: [{math.log((stiffness.value + _of_gravity(frame)) / strength.value):.3f}, 0.7]}}",
-        "    gamma: 0.0                              # symmetric loading and unloading: the usual first assumption",
-        "    n: 1.0                                  # the smoothest yielding: the usual first assumption",
-        *_effects(frame),
+        *(model or _bouc_wen(pair, stiffness, strength, frame)),
         "",
         "experiments:",
         f"  campaign: {_text(where)}",
@@ -111,10 +106,30 @@ def text_of_study(
         "error: {inflate: true}                      # the residual beyond it counts as error too",
         "",
         "calibration: {seconds: 10}                  # time limit of NUTS, used where importance sampling is unreliable",
-        "steps: [calibrate, compare, diagnose, improve]   # find the error, where it is, and the missing effect; add it",
+        "steps: [calibrate, compare]                 # a diagnosis needs a spring law (model.spring)"
+        if model
+        else "steps: [calibrate, compare, diagnose, improve]   # find the error, where it is, and the missing effect; add it",
         "",
     ]
     return "\n".join(lines)
+
+
+def _bouc_wen(pair: Pair, stiffness: _Guess, strength: _Guess, frame: Frame) -> list[str]:
+    return [
+        "model:",
+        "  spring: bouc_wen",
+        "  parameters:",
+        f"    # initial stiffness [{pair.unit('N/m')}]: {_round(stiffness.value)} is the {pair.words(stiffness.source)};",
+        "    # within a factor of 4 with 95 %"
+        + (", plus the reduction by gravity" if frame.masses and frame.height else ""),
+        f"    A: {{lognormal: [{math.log(stiffness.value + _of_gravity(frame)):.3f}, 0.7]}}",
+        f"    # stiffness over strength [{pair.unit('1/m')}]: the strength A/beta is about {pair.words(strength.source)},",
+        f"    # {_round(strength.value)} {pair.force_unit} (median over experiments); within a factor of 4 with 95 %",
+        f"    beta: {{lognormal: [{math.log((stiffness.value + _of_gravity(frame)) / strength.value):.3f}, 0.7]}}",
+        "    gamma: 0.0                              # symmetric loading and unloading: the usual first assumption",
+        "    n: 1.0                                  # the smoothest yielding: the usual first assumption",
+        *_effects(frame),
+    ]
 
 
 def _name(folder: Path) -> str:

@@ -52,7 +52,7 @@ class Calibrated:
 
     def known(self, name: str) -> Parameter | None:
         """What is known of a parameter of a law, an effect or the structure; None of another one."""
-        return self.built.mechanics.naming.known(name)
+        return self.built.mechanics.known(name)
 
     def of(self, element: Element) -> tuple[AbstractSpringLaw, dict[str, AbstractSpringEffect], list[str]]:
         """The law of a specimen at θ_MAP, the effects in it, and the names of effects outside it.

@@ -8,9 +8,11 @@ from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
 from hsed_jax.exports.calibrated import Calibrated, calibrated
 from hsed_jax.exports.counterparts import material
+from hsed_jax.exports.materials import check_text, command_of, difference, test_of, version
 from hsed_jax.exports.scripts import python_script, tcl_script
 from hsed_jax.exports.table import latex, markdown, rows
 from hsed_jax.runs.reading import holding
+from hsed_jax.study.opensees_study import OpenSeesMechanics
 
 if TYPE_CHECKING:
     from hsed_jax.analysis.calibration import Calibration
@@ -36,7 +38,8 @@ def export(
             returns.
         output: folder to write into; by default `export` in the run folder, else in the working directory.
         kind: `opensees` writes `specimen.py` (OpenSeesPy) and `specimen.tcl` (of several specimens two files each, by their
-            names), `table` writes `parameters.md` and `parameters.tex`.
+            names; of a material of OpenSees also `protocol.csv`, the test along which the script was run, and `check.json`, its
+            difference from the simulation and the version of OpenSees), `table` writes `parameters.md` and `parameters.tex`.
         before: the model as it was, in place of the improved one.
 
     Returns:
@@ -74,9 +77,31 @@ def export(
 
 def _files(model: Calibrated, kind: str) -> dict[str, str]:
     if kind == "opensees":
-        return _scripts(model)
+        return _material(model) if isinstance(model.built.mechanics, OpenSeesMechanics) else _scripts(model)
     table = rows(model)
     return {"parameters.md": markdown(table), "parameters.tex": latex(table)}
+
+
+def _material(model: Calibrated) -> dict[str, str]:
+    """The scripts of a material of OpenSees, the test that they were checked along, and what the check found."""
+    command, test, opensees, reach = command_of(model), test_of(model), version(), model.reach()
+    title = (
+        f"The calibrated {command.words[0]} of the study {' '.join(model.name.split())}, for OpenSees; in N, m and s."
+    )
+    notes = [
+        f"Its parameters are those at the maximum of the posterior.  It assumes the semantics of OpenSees {opensees}."
+    ]
+    script = python_script(title, notes, [command], reach)
+    share = difference(script, test)
+    notes.append(
+        f"Along protocol.csv its force differs from the simulation by {share:.2g} (RMS over standard deviation)."
+    )
+    return {
+        "specimen.py": python_script(title, notes, [command], reach),
+        "specimen.tcl": tcl_script(title, notes, [command], reach),
+        "protocol.csv": test.csv,
+        "check.json": check_text(share, opensees),
+    }
 
 
 def _scripts(model: Calibrated) -> dict[str, str]:

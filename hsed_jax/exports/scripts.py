@@ -52,7 +52,8 @@ def loop(ops, path):
     """Elongations and forces along a path of elongations [m] that begins at zero."""
 {body}
     specimen(ops, 1)
-    ops.timeSeries("Path", 1, "-dt", 1.0, "-values", *path)
+    # The series is zero from its last time on, so the last elongation stands there twice.
+    ops.timeSeries("Path", 1, "-dt", 1.0, "-values", *path, path[-1])
     ops.pattern("Plain", 1, 1)
     ops.sp(2, 1, 1.0)
 {after}
@@ -73,10 +74,20 @@ def cycles(peaks, steps={STEPS}):
     return path
 
 
+def read(file):
+    """A path from the first column of a CSV file [m]; it begins at zero."""
+    with open(file, encoding="utf-8") as lines:
+        words = [line.split(",")[0] for line in lines]
+    return [float(word) for word in words if word[:1].isdigit() or word[:1] in ("-", ".")]
+
+
 if __name__ == "__main__":
+    import sys
+
     import openseespy.opensees as ops
 
-    for elongation, force in loop(ops, cycles({peaks(reach)!r})):
+    path = read(sys.argv[1]) if len(sys.argv) > 1 else cycles({peaks(reach)!r})
+    for elongation, force in loop(ops, path):
         print(f"{{elongation:.9g}},{{force:.9g}}")
 '''
 

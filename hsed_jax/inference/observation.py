@@ -45,12 +45,14 @@ class Grid:
         change: of an imposed elongation, the largest change in one step [m]: each interval then has steps of its own number, and
             `every` is 1; None where every interval has as many.
         steps: of the integration; a record that needs fewer is padded with steps of length zero.
+        from_zero: whether an imposed record that begins loaded gets a sample before it; a model that is called gets it as it is.
     """
 
     samples: int
     every: int
     change: float | None = None
     steps: int = 0
+    from_zero: bool = True
 
     def __post_init__(self):
         """Count the steps where every interval has as many."""
@@ -256,7 +258,7 @@ def conditions_of(experiment: Experiment, campaign: Campaign, grid: Grid | None,
             "model was built for; calibrate on a campaign that holds it (as a test experiment)"
         )
     is_imposed = campaign.protocol == "displacement" and (record.channels or excitation is None)
-    moved = from_unloaded(record) if is_imposed else record
+    moved = from_unloaded(record) if is_imposed and grid.from_zero else record
     divisions = grid.divisions(moved)
     if (steps := int(divisions.sum())) > grid.steps:
         raise UserError(

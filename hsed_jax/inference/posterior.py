@@ -160,6 +160,10 @@ class Posterior(eqx.Module):
         # However few they are, no side of a prior is without one: a second mode may lie there.
         parts = qmc.LatinHypercube(len(self._priors), scramble=False, rng=0).random(max(count - 1, 1))
         shares = np.vstack([np.full((1, len(self._priors)), 0.5), 0.1 + 0.8 * parts])[:count]
+        return self.at_shares(shares)
+
+    def at_shares(self, shares: Float[np.ndarray, "s q"]) -> Float[Array, "s p"]:
+        """Points of u where so large a share of each prior lies below its parameter."""
         columns = [np.asarray(prior.quantile(share)) for prior, share in zip(self._priors, shares.T, strict=True)]
         theta = np.stack(columns, axis=1)
         # Of offsets nobody knows a sign.

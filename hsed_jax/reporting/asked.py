@@ -92,6 +92,9 @@ def _one_model(what: str, model: Mapping[str, Any]) -> str:
         return f"{what}: the function {model['function'].rpartition('/')[2]}; {parameters} (SI)."
     if model.get("command"):
         return f"{what}: the program {model['command']['run']}; {parameters} (SI)."
+    if model.get("opensees"):
+        known = f"; {parameters} (SI)" if parameters else ""
+        return f"{what}: the material {model['opensees']} of OpenSees{known}; other parameters as its table has them."
     return f"{what}: {_law(model['spring'])}{known}; {parameters} (SI)."
 
 

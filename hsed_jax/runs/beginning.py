@@ -80,6 +80,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     text = "of files: unit of a column or channel; one option for each"
     parser.add_argument("--unit", action="append", default=[], metavar="COLUMN=UNIT", help=text)
     parser.add_argument("--sheet", metavar="NAME", help="of a workbook: the sheet to read")
+    text = "the model: opensees: and a material, such as opensees:Pinching4 (default: the Bouc-Wen spring)"
+    parser.add_argument("--model", metavar="MODEL", help=text)
     text = "share of each record, its end, that is held out and never fitted (default: a third; 0 holds out nothing)"
     parser.add_argument("--split", type=float, metavar="FRACTION", help=text)
     text = "a number that marks a missing sample, such as -9999; none if such numbers were measured"
@@ -160,7 +162,7 @@ def study_of_files(files: Sequence[Path], options: Any, output: str | None, *, r
         campaign = read_campaign(folder)
         names = ", ".join(file.name for file in files[:3]) + (" ..." if len(files) > 3 else "")
         taken = [f"Made of {names}:", *(f"  {line}" for line in (*made.taken, *made.notes))]
-        _write_study(study, text_of_study(campaign, folder, study, _frame(options), taken))
+        _write_study(study, text_of_study(campaign, folder, study, _frame(options), taken, _model(options, campaign)))
         if (picture := loops_picture(campaign)) is not None:
             _write(folder / "loops.png", picture)
         findings = [*check_campaign(campaign), *made.doubts]
@@ -205,7 +207,7 @@ def _study_of_campaign(folder: Path, options: Any) -> Path:
     output = Path(options.output) if options.output else folder / "study.yaml"
     if output.exists() and not options.force:
         raise UserError(f"{output} exists already; say --force to replace it or choose another --output")
-    _write_study(output, text_of_study(campaign, folder, output, _frame(options)))
+    _write_study(output, text_of_study(campaign, folder, output, _frame(options), model=_model(options, campaign)))
     return output
 
 
@@ -247,6 +249,15 @@ def _frame(options: Any) -> Any:
     except ValueError:
         raise UserError(f"--masses {masses}: write numbers in kg, such as 22118,18810") from None
     return Frame(numbers, getattr(options, "height", None) or 0.0)
+
+
+def _model(options: Any, campaign: "Campaign") -> list[str]:
+    """The lines of the model that was asked for; none of the Bouc-Wen spring."""
+    if options.model is None:
+        return []
+    from hsed_jax.study.first_material import material_lines
+
+    return material_lines(options.model, campaign)
 
 
 def _said(options: Any) -> "Said":

@@ -3,7 +3,7 @@
 import math
 
 from hsed_jax.backend import cores
-from hsed_jax.config.functions import FunctionEntry
+from hsed_jax.config.functions import CalledEntry
 from hsed_jax.drafting.floors import floors_of, top_channel
 from hsed_jax.measurements import Campaign
 from hsed_jax.physics.names import OWNER, by_owner, own_name, owner_of
@@ -33,7 +33,7 @@ def frequency_doubts(mechanics: AbstractMechanics, campaign: Campaign) -> list[s
     Where the noise is inferred, nothing else tells: a prior that excludes the stiffness leaves a larger noise.
     """
     structure = mechanics.structure
-    if isinstance(mechanics.study.model, FunctionEntry) or structure is None:
+    if isinstance(mechanics.study.model, CalledEntry) or structure is None:
         return []
     on_ground = any(None in ends for ends in structure.specimens)
     if top_channel(campaign) == "elongation" and not on_ground:
@@ -89,7 +89,7 @@ def _remedy(mechanics: AbstractMechanics, priors: list[str], factor: float) -> s
 def forecast(inference: Inference, campaign: Campaign) -> str:
     """Time and memory that a run of measured experiments will take, in a sentence."""
     model, asked, count = inference.study.model, inference.study.steps, len(campaign.completed)
-    if isinstance(model, FunctionEntry):
+    if isinstance(model, CalledEntry):
         return f"{count} experiments; their time depends on the model's {model.described[0]}"
     timeline = inference.simulation.timeline
     assert timeline is not None

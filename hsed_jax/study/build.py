@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from hsed_jax.backend import prepare
-from hsed_jax.config.functions import FunctionEntry
+from hsed_jax.config.functions import CalledEntry, FunctionEntry
+from hsed_jax.config.opensees import OpenSeesEntry
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
@@ -18,6 +19,7 @@ from hsed_jax.study.function_study import FunctionMechanics, FunctionSimulation
 from hsed_jax.study.inference import Inference
 from hsed_jax.study.mechanics import AbstractMechanics, SpringMechanics
 from hsed_jax.study.observed import Observed
+from hsed_jax.study.opensees_study import OpenSeesMechanics, OpenSeesSimulation
 from hsed_jax.study.plan import check_plan
 from hsed_jax.study.simulation import AbstractSimulation, SpringSimulation
 from hsed_jax.study.site import Site
@@ -52,7 +54,10 @@ class Built:
     @cached_property
     def mechanics(self) -> AbstractMechanics:
         """What the model is made of."""
-        if self._is_function:
+        model = self.study.model
+        if isinstance(model, OpenSeesEntry):
+            return OpenSeesMechanics(self.study, self.experiments)
+        if isinstance(model, FunctionEntry):
             return FunctionMechanics(self.study, self.experiments)
         return SpringMechanics(self.study, self.experiments, self.open_forms)
 
@@ -64,7 +69,14 @@ class Built:
     @cached_property
     def simulation(self) -> AbstractSimulation:
         """How the experiments are simulated."""
-        kind = FunctionSimulation if self._is_function else SpringSimulation
+        model = self.study.model
+        kind = (
+            OpenSeesSimulation
+            if isinstance(model, OpenSeesEntry)
+            else FunctionSimulation
+            if isinstance(model, FunctionEntry)
+            else SpringSimulation
+        )
         return kind(self.study, self.experiments, self.mechanics, self.observed)
 
     @cached_property
@@ -98,10 +110,6 @@ class Built:
         except UserError as error:
             raise parts.in_study(self.study.file, error) from None
 
-    @property
-    def _is_function(self) -> bool:
-        return isinstance(self.study.model, FunctionEntry)
-
     def _needed(self, performs: bool) -> list[tuple[Any, str]]:
         """What a check builds: of spring laws no simulator, nor a specimen that is one, whose scales may take a simulation."""
         study, mechanics = self.study, self.mechanics
@@ -121,6 +129,6 @@ class Built:
                 needed.append((mechanics, "virtual"))
             elif performs:
                 needed.append((self.site, "laboratory"))
-        if self._is_function:
+        if isinstance(study.model, CalledEntry):
             needed += [(mechanics, "units"), (self.simulation, "simulator"), (self.design, "limits")]
         return needed

@@ -14,15 +14,18 @@ import numpy as np
 from jaxtyping import Array
 
 from hsed_jax.config.functions import FunctionEntry
+from hsed_jax.config.opensees import OpenSeesEntry
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
 from hsed_jax.inference.leaning import ANYTHING, Range
 from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.maximum import SETTLED
 from hsed_jax.inference.observation import Histories, Observation, Outputs, Quantities, assemble
 from hsed_jax.inference.population import Level
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.predict import Predictor
 from hsed_jax.measurements import Campaign, Experiment
+from hsed_jax.models.opensees import MATERIALS
 from hsed_jax.physics.names import own_name
 from hsed_jax.physics.simulator import Conditions
 from hsed_jax.study import structures
@@ -42,6 +45,7 @@ _SPREAD = 128
 # Of fewer shaken experiments nobody knows how far the best parameters of another one are from theirs: with one, bands held 60 %
 # of new records instead of 90 %; with two, 43 % in the worst of 20 campaigns, and intervals one value in two.
 _LEAST_SHAKEN = 3
+_SETTLED_AT_KINKS = 0.01
 
 
 @dataclass(frozen=True)
@@ -112,11 +116,25 @@ class Inference:
         return Settings(sizes.chains, sizes.warmup, sizes.draws, sizes.target_acceptance, sizes.sampler)
 
     @property
+    def search(self) -> int:
+        """Simulations of a search without derivatives before the descents; none where the response has derivatives."""
+        return self.study.model.search if isinstance(self.study.model, OpenSeesEntry) else 0
+
+    @property
+    def settled(self) -> float:
+        """A gain of a descent that is none [nats]: materials of OpenSees have kinks, at which smaller ones mean nothing."""
+        return _SETTLED_AT_KINKS if isinstance(self.study.model, OpenSeesEntry) else SETTLED
+
+    @property
     def possible(self) -> dict[str, Range]:
         """Lowest and highest value of each free parameter that physics allows, SI; nothing is known of those of a function."""
-        if isinstance(self.study.model, FunctionEntry):
+        model = self.study.model
+        if isinstance(model, FunctionEntry):
             return {}
         free, _ = self.mechanics.parameters
+        if isinstance(model, OpenSeesEntry):
+            known = MATERIALS[model.opensees].parameters
+            return {name: (known[name].lower, known[name].upper) for name in free}
         return {name: self._possible(name) for name in free}
 
     def _possible(self, name: str) -> Range:

@@ -21,6 +21,7 @@ from hsed_jax.physics.elements import Element
 from hsed_jax.physics.laws import AbstractSpringLaw
 from hsed_jax.physics.names import OWNER
 from hsed_jax.physics.pairs import Pair
+from hsed_jax.physics.parameters import Parameter
 from hsed_jax.physics.structures import Structure
 from hsed_jax.study import structures
 from hsed_jax.study.elements import elements_of, placed
@@ -97,6 +98,10 @@ class AbstractMechanics(ABC):
     @abstractmethod
     def has_specimens(self) -> bool:
         """Whether structure and specimens tell what the model gives; a function tells it when it is called."""
+
+    @abstractmethod
+    def known(self, name: str) -> Parameter | None:
+        """What is known of a parameter of the model; None of one that only the user knows."""
 
     @property
     def is_shared(self) -> bool:
@@ -225,6 +230,10 @@ class SpringMechanics(AbstractMechanics):
     def steepest(self) -> tuple[AbstractSpringLaw, ...]:
         """The laws where their priors make them stiffest and let them yield soonest."""
         return self.naming.laws(self.parameters, steepest=True)
+
+    def known(self, name: str) -> Parameter | None:
+        """What is known of a parameter of a law, an effect or the structure."""
+        return self.naming.known(name)
 
     @property
     def has_specimens(self) -> bool:

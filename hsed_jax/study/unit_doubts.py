@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import jax
 import numpy as np
 
-from hsed_jax.config.functions import FunctionEntry
+from hsed_jax.config.functions import CalledEntry
 from hsed_jax.measurements import Campaign, Finding, Record
 from hsed_jax.measurements.unit_doubts import mixed
 from hsed_jax.measurements.units import LENGTH, channel_dimension
@@ -73,7 +73,7 @@ def period_doubts(built: Built) -> Iterator[Finding]:
     """A first period, in the middle of the priors, that no structure has."""
     mechanics = built.mechanics
     structure = mechanics.structure
-    if structure is None or isinstance(built.study.model, FunctionEntry):
+    if structure is None or isinstance(built.study.model, CalledEntry):
         return
     frequency = frequency_of(mechanics, structure, 0.5)
     if frequency > 0 and not PERIOD[0] <= 1 / frequency <= PERIOD[1]:

@@ -1,4 +1,4 @@
-"""The commands `hsed sweep` and `hsed sensitivity`.  Parsing and telling only."""
+"""The commands `hsed sweep`, `hsed sensitivity` and `hsed laws`.  Parsing and telling only."""
 
 import argparse
 import sys
@@ -55,6 +55,17 @@ def add_commands(commands: Any) -> None:
     )
     sensitivity.add_argument("--output", metavar="DIR", help="write indices.nc and the figure into this folder")
     sensitivity.set_defaults(command=_sensitivity)
+    text = (
+        "calibrate materials of OpenSees on the tests of a study, and rank them by their error on what was not fitted"
+    )
+    laws = commands.add_parser("laws", help=text, description=text.capitalize() + ".")
+    _add_study(laws, "override a key by its dotted path")
+    laws.add_argument("--materials", metavar="NAME,NAME,...", help="the materials (default: all of the table)")
+    laws.add_argument("--output", metavar="DIR", help="folder of the runs (default: runs/<study>_laws)")
+    existing = laws.add_mutually_exclusive_group()
+    existing.add_argument("--resume", action="store_true", help="go on with the runs in the folder")
+    existing.add_argument("--force", action="store_true", help="replace the runs in the folder")
+    laws.set_defaults(command=_laws)
 
 
 def _add_study(parser: argparse.ArgumentParser, help: str) -> None:
@@ -116,6 +127,22 @@ def _sensitivity(options: Any) -> int:
     if options.output:
         found.write(options.output)
         print(f"results in {options.output}: indices.nc, sensitivity.png")
+    return 0
+
+
+def _laws(options: Any) -> int:
+    from hsed_jax.config.load import load_study
+
+    study = load_study(options.study, options.overrides)
+    names = tuple(filter(None, (word.strip() for word in (options.materials or "").split(","))))
+    # A wrong key is told before what calculates is loaded.
+    from hsed_jax.sweeps.laws import Law, laws
+
+    def tell(law: Law) -> None:
+        error = law.error_train if law.error_test is None else law.error_test
+        print(f"{law.name}: {law.failed or f'error {error:.3f}'}", flush=True)
+
+    print(laws(study, names, options.output, resume=options.resume, force=options.force, tell=tell))
     return 0
 
 

@@ -12,6 +12,7 @@ import hsed_jax as hx
 from hsed_jax.discovery.grammar import SHAPES
 from hsed_jax.discovery.places import Motion, places, values
 from hsed_jax.measurements import Channel
+from hsed_jax.models.opensees.simulated import Simulated
 from hsed_jax.physics.effects.coordinates import COORDINATES
 from hsed_jax.physics.effects.free_function import SLOTS
 from hsed_jax.physics.scales import Scales
@@ -116,6 +117,7 @@ def main() -> None:
             shaken({"repeated": {"file": str(motion)}}), shaken({"recorded": {"file": str(motion), "scale": 2.0}}),
         ],
         "coordinate": coordinate(),
+        "material": Simulated("ElasticPP")({"k": 2.0e6, "F_y": 1e3}, {"elongation": [5e-4, 1e-3]})["force"].tolist(),
         "shape": SHAPES[-1].at(jnp.asarray([2.0]), ()).tolist(),
         "pair": campaign.pair.elongation,
     }  # fmt: skip
