@@ -286,7 +286,7 @@ def draw(results: Mapping[str, Any], path: Path) -> None:
     """Errors over the number of runs: medians of the designs, and the band of nine tenths of the random orders."""
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(figsize=(7.2, 3.0), layout="constrained")
+    figure, axes = plt.subplots(figsize=(8.0, 3.0), layout="constrained")
     for name in (RANDOM, *DESIGNS):
         curves = np.asarray([curve for draw in results["draws"] for curve in draw[name]])
         used = INITIAL + np.arange(len(curves[0]))
@@ -297,9 +297,9 @@ def draw(results: Mapping[str, Any], path: Path) -> None:
             )
             style["color"] = "0.5"
         axes.plot(used, np.median(curves, axis=0), label=name, **style)
-    axes.set(xlabel="runs used", ylabel="error of held-out runs", yscale="log")
+    axes.set(xlabel="runs used", ylabel="error of held-out runs", ylim=(0, None))
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, fontsize=7)
+    figure.legend(loc="outside right upper", frameon=False, fontsize=8)
     figure.savefig(path, dpi=110)
     plt.close(figure)
 

@@ -1,5 +1,6 @@
 """The replay of designs: energy of a loop of known area, the count of runs, scatter of pairs, orders that use each run once."""
 
+import json
 import sys
 from itertools import pairwise
 from pathlib import Path
@@ -55,6 +56,22 @@ def made(count=14, noise=0.02):
     outputs = np.stack([np.asarray(exact[name]) for name in replay.OUTPUTS], axis=1)
     names = np.asarray([f"r{k}" for k in range(len(inputs))])
     return replay.Runs(names, inputs, outputs * np.exp(noise * random.normal(size=outputs.shape)))
+
+
+def test_the_page_quotes_the_results():
+    page = (Path(replay.__file__).parent / "README.md").read_text(encoding="utf-8")
+    results = json.loads(replay.RESULTS.read_text(encoding="utf-8"))
+    assert replay.markdown(results) in page
+    median = {
+        name: round(float(np.median([replay.needed(curve) for draw in results["draws"] for curve in draw[name]])))
+        for name in (*replay.DESIGNS, replay.RANDOM)
+    }
+    assert (
+        f"expected improvement needs {median['expected improvement']}, the largest variance {median['largest variance']}, "
+        f"a Sobol' sequence {median["Sobol' sequence"]} and random orders {median[replay.RANDOM]}"
+    ) in " ".join(page.split())
+    peak, energy = (100 * results["scatter"][name] for name in replay.OUTPUTS)
+    assert f"{peak:.0f} % of the peak force and {energy:.0f} % of the energy" in " ".join(page.split())
 
 
 @pytest.fixture(scope="module")

@@ -96,7 +96,7 @@ hsed_jax ended {" to ".join(sorted({min(days), max(days)})) if days else "never"
 
 ![Distribution of the errors of every method on rows that were not fitted](images/measured_specimens.png)
 
-*Errors on the last rows. A point is a record. It is dark where every method has run, and the line is the median of the dark points.*
+*Errors on the last rows. A point is a record. It is dark where every method has run. The line is the median of the dark points.*
 
 ## Loops
 
