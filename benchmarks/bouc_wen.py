@@ -89,7 +89,7 @@ GIVEN: dict[str, Any] = {
 
 def main() -> None:
     """The command."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--data", type=Path, default=DATA, metavar="FOLDER", help="holds the folder bouc_wen_benchmark")
     parser.add_argument("--markdown", action="store_true", help="the table of the last results, nothing measured")
     parser.add_argument("--output", type=Path, default=RESULTS, metavar="FILE.json")
@@ -115,23 +115,14 @@ def signal(campaign: hx.Campaign) -> float:
     return float(np.std(test.record[MOTION][np.asarray(test.in_window)]))
 
 
-def in_units_of_the_signal() -> dict[str, Any]:
-    """The structure found beside the linear model, as a row of `published.py`: errors over the root mean square of the signal."""
+def in_units_of_the_signal() -> dict[str, float]:
+    """Errors on the test signal over its root mean square: linear model, structure found beside it, best published one."""
     results = json.loads(RESULTS.read_text(encoding="utf-8"))
-    by_model = {row["model"]: row for row in results["rows"]}
-    linear, found = by_model["linear"], by_model["structure found"]
+    errors = {row["model"]: row["test"] / results["signal"] for row in results["rows"]}
     return {
-        "case": RESULTS.stem + "_benchmark",
-        "noise": None,
-        "plain": linear["test"] / results["signal"],
-        "named": found["test"] / results["signal"],
-        "verdict": "missing_effects",
-        "effects": found["effects"],
-        "forms": found["forms"],
-        "learned": None,
-        "generic": {},
+        "linear": errors["linear"],
+        "found": errors["structure found"],
         "published": BEST_LEARNED / results["signal"],
-        "seconds": found["seconds"],
     }
 
 
@@ -139,7 +130,9 @@ def campaign_of(folder: Path) -> hx.Campaign:
     """The benchmark as a campaign of settled experiments."""
     raw = hx.read_campaign(folder)
     experiments = {e.id: _settled(e) for e in raw}
-    periods = len(next(e for e in raw if e.split == "train").record) // PERIOD
+    record = next(e for e in raw if e.split == "train").record
+    assert record is not None
+    periods = len(record) // PERIOD
     noise = raw.channels[MOTION].noise
     assert noise is not None and noise.absolute is not None
     # The noise of the mean of the periods.

@@ -1,199 +1,140 @@
-"""What is learned from measured specimens that lie in a folder?  `python benchmarks/published.py [--data FOLDER]`
+"""The scoreboard of measured specimens.  `python benchmarks/published.py [CASE ...] [--data FOLDER] [--resume]`
 
-Every campaign with a held-out part is taken as a stranger would take it: `hsed init` writes the study, `hsed run` calibrates
-the plain law, names what it lacks and adds it; nothing is told by hand, and no case by its name. With `--discover` it also
-learns what no name is for. With `--files` the cases are raw files of laboratories, which `hsed init FILE` opens. Errors are
-those of the run's improvement, on all samples. Seconds are those of the whole run in a new process, to its report. Beside the
-error on the held-out part stand those of generic tools on the same samples: the same law by SciPy's least squares, and two
-black boxes that know the history of the elongation (`peers/generic.py`). Errors are root mean squares in units of what was
-measured, about its mean. The table ends with what `bouc_wen.py` found last, which has a published figure beside it: of the
-specimens none is known that is of a part nothing was fitted to.
+Every record of a folder of data sets is taken as a stranger takes it: the raw file goes in, every default is kept, nothing is
+set by hand. The program calibrates the plain law, names what it lacks and adds it (`board/own_run.py`). Four other methods get
+the same rows (`board/comparisons.py`). All errors are those of rows that were not fitted: the RMS of the residual over the RMS of
+the measured force. A line of JSON for each specimen is kept, so a board that was stopped goes on with `--resume`.
 """
 
 import argparse
 import json
-import shutil
-import subprocess
 import sys
-import tempfile
-import time
-import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import bouc_wen
-import numpy as np
-from peers.generic import Cyclic, black_box_errors, least_squares_error
-from run import machine
+from board.comparisons import compared
+from board.own_run import finished_run, own_run
+from board.page import page, picture_of_errors
+from board.records import DATA, Specimen, specimens
+from board.table import markdown
 
 import hsed_jax as hx
+from hsed_jax.backend import limit_threads, prepare
 
-RESULTS = Path(__file__).with_suffix(".json")
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+RESULTS = Path(__file__).with_name("board.jsonl")
+PARTS = ("comparisons", "own")
 _DISCOVER = ("steps=[calibrate, compare, diagnose, discover, improve]",)
 
 
 def main() -> None:
     """The command."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument(
-        "cases", nargs="*", metavar="CASE", help="folders of the data (default: all that can be judged)"
-    )
-    parser.add_argument("--data", type=Path, default=DATA, metavar="FOLDER", help="holds the folders of the campaigns")
-    parser.add_argument(
-        "--pictures", type=Path, metavar="FOLDER", help="draw the loops of every case there, before and after"
-    )
-    parser.add_argument(
-        "--files",
-        nargs="+",
-        type=Path,
-        metavar="FILE",
-        help="raw files in place of campaigns; no generic tools beside them",
-    )
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
+    parser.add_argument("cases", nargs="*", metavar="CASE", help="names of records (default: all)")
+    parser.add_argument("--data", type=Path, default=DATA, metavar="FOLDER", help="holds the data sets")
+    parser.add_argument("--files", nargs="+", type=Path, metavar="FILE", help="raw files in place of the data sets")
+    parser.add_argument("--only", choices=PARTS, help="the other methods alone, or the program's own run alone")
     parser.add_argument(
         "--seconds",
         type=float,
         metavar="LIMIT",
-        help="give up a case after so long, which its row says (default: never)",
+        help="give up a run of the program after so long on the clock (default: never)",
     )
-    parser.add_argument("--discover", action="store_true", help="learn what no name is for, too, which takes minutes")
-    parser.add_argument("--resume", action="store_true", help="keep the cases that were measured already")
-    parser.add_argument("--markdown", action="store_true", help="the table of the last results, nothing measured")
     parser.add_argument(
-        "--draw", type=Path, metavar="FILE.png", help="draw the errors of the last results, nothing measured"
+        "--runs",
+        nargs="+",
+        type=Path,
+        metavar="FOLDER",
+        help="take finished runs of `hsed run FILE` from there, run nothing",
     )
-    parser.add_argument("--output", type=Path, default=RESULTS, metavar="FILE.json")
+    parser.add_argument("--discover", action="store_true", help="the program also learns what no name is for")
+    parser.add_argument("--resume", action="store_true", help="keep what was measured already")
+    parser.add_argument("--markdown", action="store_true", help="print the table of the last results, measure nothing")
+    parser.add_argument("--page", type=Path, metavar="FOLDER", help="write board.md and its pictures, measure nothing")
+    parser.add_argument("--draw", type=Path, metavar="FILE.png", help="draw the errors, measure nothing")
+    parser.add_argument("--output", type=Path, default=RESULTS, metavar="FILE.jsonl", help="where results are kept")
     options = parser.parse_args()
-    if options.draw is not None:
-        draw(json.loads(options.output.read_text(encoding="utf-8"))["rows"], options.draw)
+    if options.markdown or options.page or options.draw:
+        rows = read(options.output)
+        if options.draw:
+            picture_of_errors(rows, options.draw)
+        if options.page:
+            page(rows, specimens(options.data), options.page)
+        if options.markdown:
+            print(markdown(rows))
         return
-    keeps = options.resume or options.markdown
-    rows = json.loads(options.output.read_text(encoding="utf-8"))["rows"] if keeps and options.output.exists() else []
-    if not options.markdown:
-        known = [row["case"] for row in rows]
-        overrides = _DISCOVER if options.discover else ()
-        for case in options.files or judged(options.data, options.cases):
-            if case.stem in known:
-                continue
-            rows.append(row_of(case, options.pictures, overrides, options.seconds))
-            results = {"machine": machine(), "rows": rows}
-            options.output.write_text(json.dumps(results, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    print(markdown(rows if options.files else [*rows, bouc_wen.in_units_of_the_signal()]))
-
-
-def judged(data: Path, wanted: Sequence[str]) -> list[Path]:
-    """The folders of the component tests with a held-out part."""
-    folders = [path.parent for path in sorted(data.glob("*/campaign.yaml")) if not wanted or path.parent.name in wanted]
-    campaigns = {folder: hx.read_campaign(folder) for folder in folders}
-    return [f for f, c in campaigns.items() if c.protocol == "displacement" and len(c.test)]
-
-
-def row_of(case: Path, pictures: Path | None, overrides: Sequence[str], limit: float | None) -> dict[str, Any]:
-    """What comes out of a campaign or a raw file; its loops before and after are drawn where there is a folder for pictures."""
-    with tempfile.TemporaryDirectory() as place:
-        work = Path(place) / case.stem
-        try:
-            if case.is_dir():
-                shutil.copytree(case, work)
-                _hsed("init", work, "--output", work / "study.yaml")
-            else:
-                _hsed("init", shutil.copy(case, place))
-            begin = time.perf_counter()
-            _hsed("run", work / "study.yaml", *overrides, "--output", work / "run", limit=limit)
-        except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as failure:
-            said = f"no end after {limit:.0f} s" if isinstance(failure, subprocess.TimeoutExpired) else failure.stderr
-            return {"case": case.stem, "failed": said.strip().splitlines()[-1]}
-        seconds = time.perf_counter() - begin
-        summary = json.loads((work / "run" / "summary.json").read_text(encoding="utf-8"))
-        if pictures is not None:
-            pictures.mkdir(parents=True, exist_ok=True)
-            shutil.copy(work / "run" / "figures" / "before_after.png", pictures / f"{case.stem}.png")
-        campaign = hx.read_campaign(work)
-    generic: dict[str, float] = {}
-    if case.is_dir():
-        train, test = ([_cyclic(e) for e in part] for part in (campaign.train, campaign.test))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of scikit-learn, about its own bounds
-            generic = {"least squares": least_squares_error(train, test), **black_box_errors(train, test)}
-    found, learned = summary["diagnosis"], summary.get("discovery", {"found": False, "reason": "not looked for"})
-    trail = summary["improvement"]["steps"]
-    return {
-        "case": case.stem,
-        "noise": found["noise_floor"],
-        "plain": trail[0]["error_test"],
-        "named": next(s["error_test"] for s in trail[::-1] if set(s["effects"]) <= set(found["effects"])),
-        "verdict": found["verdict"],
-        "effects": found["effects"],
-        "forms": {c["effect"]: c["form"] for c in found["ranking"] if c["effect"] in found["effects"] and "form" in c},
-        "learned": learned["error_test"] if learned["found"] else None,
-        "learning": f"{_place(learned['place'])}: {learned['formula']}" if learned["found"] else learned["reason"],
-        "generic": generic,
-        "seconds": seconds,
-        "behaviour": found.get("behaviour_sentence", ""),
-    }
-
-
-def _hsed(*words: str | Path, limit: float | None = None) -> None:
-    """A command of the package in a process of its own, of whose progress nothing is shown."""
-    command = [sys.executable, "-m", "hsed_jax", *map(str, words)]
-    subprocess.run(command, check=True, capture_output=True, text=True, timeout=limit)
-
-
-def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """A picture of the errors on the held-out part: plain law, with the named effects, noise; the worst specimen on top."""
-    import matplotlib.pyplot as plt
-
-    ranked = sorted((row for row in rows if "failed" not in row), key=lambda row: row["named"])
-    names = [row["case"].replace("_", " ") for row in ranked]
-    figure, axes = plt.subplots(figsize=(7.2, 2.4), layout="constrained")
-    axes.hlines(names, [row["noise"] for row in ranked], [row["plain"] for row in ranked], color="0.8", zorder=0)
-    marks = (
-        ("plain", "plain law", "s", "0.45"),
-        ("named", "with the named effects", "o", "C0"),
-        ("noise", "noise", "|", "k"),
+    if options.runs:
+        take(options.runs, options.output)
+        return
+    overrides = _DISCOVER if options.discover else ()
+    chosen = [Specimen(file, "files") for file in options.files or ()] or specimens(options.data)
+    if unknown := set(options.cases) - {one.name for one in chosen}:
+        parser.error(f"there is no record {sorted(unknown)[0]!r} in {options.data}")
+    wanted = [one for one in chosen if not options.cases or one.name in options.cases]
+    measure(
+        wanted, options.output, (options.only,) if options.only else PARTS, options.resume, overrides, options.seconds
     )
-    for key, label, marker, colour in marks:
-        axes.scatter([row[key] for row in ranked], names, 48, color=colour, marker=marker, label=label)
-    axes.set(xscale="log", xlabel="error on the part of the test that was not fitted (1: as bad as the mean)")
-    axes.spines[["top", "right"]].set_visible(False)
-    figure.legend(loc="outside upper right", ncols=3, frameon=False)
-    figure.savefig(path, dpi=110)
+    print(markdown(read(options.output)))
 
 
-def _place(place: Mapping[str, Any]) -> str:
-    return f"{place['slot']} of {' × '.join(place['of'])}"
+def measure(
+    wanted: Sequence[Specimen],
+    output: Path,
+    parts: Sequence[str],
+    resume: bool,
+    overrides: Sequence[str],
+    limit: float | None,
+) -> None:
+    """Measure parts of the rows of some specimens, and keep the file of results after each.
+
+    Arguments:
+        wanted: the specimens.
+        output: the file, a line of JSON for each specimen; lines of other specimens stay as they are.
+        parts: of `PARTS`.
+        resume: whether a part that is there stays as it is.
+        overrides, limit: of `own_run`.
+    """
+    prepare()
+    limit_threads()
+    rows = {row["case"]: row for row in read(output)}
+    for one in wanted:
+        row = rows.setdefault(one.name, {"case": one.name, "set": one.group})
+        if resume and all(part in row or "refused" in row for part in parts):
+            continue
+        try:
+            row.pop("refused", None)
+            if "comparisons" in parts:
+                row["comparisons"] = compared(one, row.get("comparisons", {}) if resume else {})
+            if "own" in parts and not (resume and "own" in row):
+                row["own"] = own_run(one, overrides, limit)
+        except hx.UserError as refusal:
+            row["refused"] = str(refusal).replace(str(one.source), one.source.name)
+        print(one.name, row.get("refused", "done"), file=sys.stderr, flush=True)
+        write(list(rows.values()), output)
 
 
-def _cyclic(experiment: hx.Experiment) -> Cyclic:
-    record = experiment.record
-    assert record is not None
-    return Cyclic(*(np.asarray(record[name]) for name in ("elongation", "force")), np.asarray(experiment.in_window))
-
-
-def markdown(rows: Sequence[Mapping[str, Any]]) -> str:
-    """The table of the results."""
-    rows, failed = [row for row in rows if "failed" not in row], [row for row in rows if "failed" in row]
-    generic = list(dict.fromkeys(name for row in rows for name in row["generic"]))
-    heads = ["specimen", "noise", "plain law", *generic, "with what is named", "named", "verdict", "with what is learned",
-             "best published", "s"]  # fmt: skip
-    lines = [heads, ["---"] * len(heads)]
+def take(folders: Sequence[Path], output: Path) -> None:
+    """Put the finished runs of some folders into the rows that are there, in place of older ones."""
+    rows = read(output)
     for row in rows:
-        named = ", ".join(f"`{e}`" + (f" ({row['forms'][e]})" if e in row["forms"] else "") for e in row["effects"])
-        errors = [
-            _error(row["plain"]),
-            *(_error(row["generic"].get(name)) for name in generic),
-            f"**{_error(row['named'])}**",
-        ]
-        about = [named or "–", f"`{row['verdict']}`", _error(row["learned"]), _error(row.get("published"))]
-        lines.append([row["case"].replace("_", " "), _error(row["noise"]), *errors, *about, f"{row['seconds']:.0f}"])
-    lines += [[row["case"].replace("_", " "), row["failed"], *[""] * (len(heads) - 2)] for row in failed]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+        if (found := finished_run(folders, row["case"])) is not None and found["ended"] > row.get("own", {}).get(
+            "ended", ""
+        ):
+            row["own"] = found
+    write(rows, output)
+    print(f"{sum('own' in row for row in rows)} of {len(rows)} rows have a run of the program")
 
 
-def _error(value: float | None) -> str:
-    """Three decimals, or two digits of what is smaller than these can tell."""
-    return "–" if value is None else f"{value:.3f}" if value >= 1e-3 else f"{value:.1e}"
+def read(output: Path) -> list[dict[str, Any]]:
+    """The rows of a file of results; none where there is no file."""
+    return [json.loads(line) for line in output.read_text(encoding="utf-8").splitlines()] if output.exists() else []
+
+
+def write(rows: Sequence[dict[str, Any]], output: Path) -> None:
+    """Keep rows; a stop while it writes leaves the old file."""
+    draft = output.with_suffix(".part")
+    draft.write_text("".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows), encoding="utf-8")
+    draft.replace(output)
 
 
 if __name__ == "__main__":
