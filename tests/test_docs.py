@@ -24,7 +24,9 @@ from hsed_jax.physics.effects.free_function import SLOTS
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = sorted([*DOCS.glob("*.md"), *DOCS.glob("verification/*.md"), *ROOT.glob("*.md"), ROOT / "benchmarks" / "README.md"])
+PAGES = sorted(
+    [*DOCS.glob("*.md"), *DOCS.glob("verification/*.md"), *ROOT.glob("*.md"), ROOT / "benchmarks" / "README.md"]
+)
 # Written in a study without the word `prior`.
 WRITTEN = {f"{key}.NAME.prior": f"{key}.NAME.DISTRIBUTION" for key in ("inputs", "model.parameters")}
 

@@ -191,7 +191,6 @@ def calibrate_built(
         seconds=study.calibration.seconds,
         support=built.inference.support,
         possible=built.inference.possible,
-        settled=built.inference.settled,
     )
     return Calibration(built, campaign, found)
 

@@ -15,7 +15,7 @@ from hsed_jax.inference.correlation import SIGNIFICANT, Judged, correlation_note
 from hsed_jax.inference.expansion import centred, expand
 from hsed_jax.inference.leaning import Leaning, Range, caution, leaning
 from hsed_jax.inference.likelihood import Data, Error
-from hsed_jax.inference.maximum import SETTLED, Maximum, maximise
+from hsed_jax.inference.maximum import Maximum, maximise
 from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence
 from hsed_jax.inference.population import Varying
 from hsed_jax.inference.posterior import Posterior
@@ -215,7 +215,6 @@ def fit(
     seconds: float | None = None,
     support: "Support | None" = None,
     possible: Mapping[str, Range] | None = None,
-    settled: float = SETTLED,
 ) -> Fit:
     """Calibrate: MAP from several starts, then draws of the posterior around it.
 
@@ -232,7 +231,6 @@ def fit(
         seconds: budget of NUTS.
         support: what a discrepancy of quantities is a function of.
         possible: what is physically possible of each parameter of the model, SI, by name.
-        settled: a search for the MAP ends where it expects to gain less [nats].
     """
     watch, points = watch or Watch(), posterior.starts(starts)
     if start is not None:
@@ -244,7 +242,7 @@ def fit(
         posterior, data, maximum, process = _read_back(posterior, data, kept, errors)
     else:
         watch.report("the most probable parameters")
-        posterior, data, maximum, process = _most_probable(posterior, data, points, errors, support, settled)
+        posterior, data, maximum, process = _most_probable(posterior, data, points, errors, support)
         kept = (posterior.declared, posterior.population, data.weights, data.memory, process, maximum)
         watch.keep(name, arrays_of(kept))
     (there,) = expand(posterior, data, [np.asarray(maximum.u)])
@@ -282,14 +280,14 @@ def _read_back(
 
 
 def _most_probable(
-    posterior: Posterior, data: Data, points: Array, errors: Sequence[Error], support: "Support | None", settled: float
+    posterior: Posterior, data: Data, points: Float[Array, "s p"], errors: Sequence[Error], support: "Support | None"
 ) -> tuple[Posterior, Data, Maximum, "AbstractDiscrepancy | None"]:
     """The MAP, with what the samples are worth, the errors and the discrepancy that it was found with."""
     if any(error.discrepancy for error in errors):
         from hsed_jax.inference.discrepancy.kinds import none_yet
 
         data = none_yet(posterior, data)
-    maximum = maximise(posterior, data, points, settled)
+    maximum = maximise(posterior, data, points)
     declared, process, is_centred = posterior, None, False
     for _ in range(_ROUNDS):
         standardised = _standardised(declared, posterior, data, maximum)
@@ -314,7 +312,9 @@ def _most_probable(
                 decorrelation=None if process is None else process.whitening,
             )
         posterior, is_centred = centred(posterior, data, maximum.theta), True
-        maximum = maximise(posterior, data, points.at[0].set(posterior.unconstrain(maximum.theta)), settled)
+        # With other errors the modes move, and starts all over the prior were looked at.
+        points = jnp.stack([posterior.unconstrain(mode.theta) for mode in maximum.modes])
+        maximum = maximise(posterior, data, points)
     return posterior, data, maximum, process
 
 

@@ -24,14 +24,14 @@ from hsed_jax.programs import program
 # in its basin, and the kinks of the simulated response make the last digits slow.
 _RACE = 10
 _MOST_STEPS = 60
-# A descent ends where it expects to gain less than this many nats; or where it gains less than that many, and not a quarter of
-# what it expected: at a kink.
-SETTLED, _AT_A_KINK = 1e-9, 1e-5
+# A descent ends where it expects to gain less than this many nats; or where it expects less than that many and does not gain a
+# quarter of it: at a kink.
+_SETTLED, _AT_A_KINK = 1e-9, 3e-2
 # Two have met that are this near, in standard deviations and in u.
 _MET = 0.5
 # Newton's method towards the mode of the density in u ends where it expects to gain less than this many nats.
-_LEAST_GAIN = 1e-4
-_MOST_NEWTON_STEPS, _MOST_HALVINGS = 20, 6
+_LEAST_GAIN = 1e-2
+_MOST_NEWTON_STEPS, _MOST_HALVINGS = 10, 4
 # No coordinate, of order one, goes further at once.
 _LONGEST = 8.0
 # What ended at a bound starts again at this share of the way to it, at most so often.
@@ -92,21 +92,18 @@ class Maximum(NamedTuple):
         return f"the posterior has {len(places)} modes: {told}"
 
 
-def maximise(
-    posterior: Posterior, data: Data, starts: Float[Array | np.ndarray, "s p"], settled: float = SETTLED
-) -> Maximum:
+def maximise(posterior: Posterior, data: Data, starts: Float[Array | np.ndarray, "s p"]) -> Maximum:
     """Find the MAP, and what other modes the starts end in.
 
     Arguments:
         posterior: of the study.
         data: measured outputs.
         starts: unconstrained starting points.
-        settled: a descent ends where it expects to gain less [nats].
 
     Raises:
         UserError: the posterior has no curvature at its maximum.
     """
-    race = _begun(posterior, data, np.asarray(starts), settled)
+    race = _begun(posterior, data, np.asarray(starts))
     _descend(posterior, data, race, _RACE)
     heights = np.asarray([float(search.here.log_posterior) for search in race])
     heights = np.where(np.isfinite(heights), heights, -np.inf)
@@ -129,13 +126,12 @@ class _Search:
     Attributes:
         u: where it is, (p,).
         here: the posterior there.
-        settled: the gain that is none [nats].
         is_settled: whether no step promises anything.
         is_over: whether it met a better one, or came where there is no step.
     """
 
-    def __init__(self, u: Float[np.ndarray, " p"], here: Expansion, settled: float):
-        self.u, self.here, self.settled, self.is_settled, self.is_over = u, here, settled, False, False
+    def __init__(self, u: Float[np.ndarray, " p"], here: Expansion):
+        self.u, self.here, self.is_settled, self.is_over = u, here, False, False
         self._damping, self._growth = 1.0, 2.0
 
     def step(self) -> Float[np.ndarray, " p"]:
@@ -154,9 +150,9 @@ class _Search:
 
     def judge(self, step: Float[np.ndarray, " p"], there: Expansion) -> None:
         """Take a step or not, and adapt the damping (Nielsen 1999): where a kink stops a descent, it soon ends."""
-        gain = float(there.log_posterior - self.here.log_posterior)
-        share = gain / self.promise(step)
-        self.is_settled = 0 < share < 0.25 and gain < max(_AT_A_KINK, self.settled)
+        promise = self.promise(step)
+        share = float(there.log_posterior - self.here.log_posterior) / promise
+        self.is_settled = share < 0.25 and promise < _AT_A_KINK
         if share > 0:
             self.u, self.here = self.u + step, there
             self._damping *= max(1 / 3, 1 - (2 * min(share, 1.0) - 1) ** 3)
@@ -166,8 +162,8 @@ class _Search:
             self._growth *= 2
 
 
-def _begun(posterior: Posterior, data: Data, starts: Float[np.ndarray, "s p"], settled: float) -> list[_Search]:
-    return [_Search(start, here, settled) for start, here in zip(starts, expand(posterior, data, starts), strict=True)]
+def _begun(posterior: Posterior, data: Data, starts: Float[np.ndarray, "s p"]) -> list[_Search]:
+    return [_Search(start, here) for start, here in zip(starts, expand(posterior, data, starts), strict=True)]
 
 
 def _descend(posterior: Posterior, data: Data, searches: Sequence[_Search], most_steps: int) -> None:
@@ -179,7 +175,7 @@ def _descend(posterior: Posterior, data: Data, searches: Sequence[_Search], most
                 continue
             step = search.step()
             promise = search.promise(step)
-            search.is_settled, search.is_over = promise < search.settled, not np.isfinite(promise)
+            search.is_settled, search.is_over = promise < _SETTLED, not np.isfinite(promise)
             if np.isfinite(promise) and not search.is_settled:
                 going.append(search)
                 steps.append(step)
@@ -253,7 +249,7 @@ def _off_the_bounds(posterior: Posterior, data: Data, search: _Search) -> _Searc
         held = _held(search.u)
         if np.array_equal(held, search.u):
             break
-        (again,) = _begun(posterior, data, np.where(held == search.u, search.u, _RETURN * held)[None], search.settled)
+        (again,) = _begun(posterior, data, np.where(held == search.u, search.u, _RETURN * held)[None])
         search.is_over = True
         _descend(posterior, data, [again, search], _MOST_STEPS)
         if not again.here.log_posterior > search.here.log_posterior + _LEAST_GAIN:

@@ -19,7 +19,6 @@ from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
 from hsed_jax.inference.leaning import ANYTHING, Range
 from hsed_jax.inference.likelihood import Data
-from hsed_jax.inference.maximum import SETTLED
 from hsed_jax.inference.observation import Histories, Observation, Outputs, Quantities, assemble
 from hsed_jax.inference.population import Level
 from hsed_jax.inference.posterior import Posterior
@@ -45,7 +44,6 @@ _SPREAD = 128
 # Of fewer shaken experiments nobody knows how far the best parameters of another one are from theirs: with one, bands held 60 %
 # of new records instead of 90 %; with two, 43 % in the worst of 20 campaigns, and intervals one value in two.
 _LEAST_SHAKEN = 3
-_SETTLED_AT_KINKS = 0.01
 
 
 @dataclass(frozen=True)
@@ -119,11 +117,6 @@ class Inference:
     def search(self) -> int:
         """Simulations of a search without derivatives before the descents; none where the response has derivatives."""
         return self.study.model.search if isinstance(self.study.model, OpenSeesEntry) else 0
-
-    @property
-    def settled(self) -> float:
-        """A gain of a descent that is none [nats]: materials of OpenSees have kinks, at which smaller ones mean nothing."""
-        return _SETTLED_AT_KINKS if isinstance(self.study.model, OpenSeesEntry) else SETTLED
 
     @property
     def possible(self) -> dict[str, Range]:
