@@ -4,6 +4,8 @@ import json
 import os
 import runpy
 import signal
+import subprocess
+import sys
 from itertools import pairwise
 from pathlib import Path
 
@@ -22,7 +24,7 @@ from hsed_jax.exports.scripts import python_script
 from hsed_jax.laboratories.base import ExperimentFailed
 from hsed_jax.laboratories.opensees import interpreter
 from hsed_jax.measurements import Campaign, Channel, Noise
-from hsed_jax.models.opensees import MATERIALS
+from hsed_jax.models.opensees import MATERIALS, driver
 from hsed_jax.models.opensees.base import Marks
 from hsed_jax.models.opensees.envelope import four_points
 from hsed_jax.models.opensees.simulated import Simulated, finely
@@ -31,6 +33,8 @@ from hsed_jax.study.build import Built
 from hsed_jax.study.first_material import material_lines
 
 STIFFNESS, STRENGTH, REACH = 2.0e7, 1.0e5, 0.04
+# A pinched branch that is stiffer than the asymptote, which the table excludes.
+ENDLESS = (67.8, 53.6, 0.0146, 34900.0, 0.101, -0.0309, 1.18, 0.239, 0.308, 1.03)
 # Of every material a set of parameters in which nothing degrades.
 PARAMETERS = {
     "Pinching4": {
@@ -204,12 +208,20 @@ def test_a_killed_process_is_a_failed_simulation_and_the_next_one_works(own_work
 
 def test_a_simulation_that_never_ends_is_stopped(own_workers):
     p = PARAMETERS["SAWS"]
-    # A pinched branch that is stiffer than the asymptote, which the table excludes.
-    endless = (67.8, 53.6, 0.0146, 34900.0, 0.101, -0.0309, 1.18, 0.239, 0.308, 1.03)
     with pytest.raises(ExperimentFailed, match="longer than 1 s"):
-        own_workers.forces("SAWS", endless, CYCLES)
+        own_workers.forces("SAWS", ENDLESS, CYCLES)
     found = own_workers.forces("SAWS", MATERIALS["SAWS"].arguments(p), CYCLES)
     assert np.isfinite(found).all()
+
+
+def test_a_simulation_that_never_ends_does_not_outlive_whoever_asked():
+    """A killed program ends no process of its own."""
+    request = {"material": "SAWS", "arguments": list(ENDLESS), "points": len(CYCLES)}
+    with subprocess.Popen([sys.executable, driver.__file__, "1"], stdin=-1, stdout=subprocess.DEVNULL) as process:
+        assert process.stdin is not None
+        process.stdin.write(json.dumps(request).encode() + b"\n" + CYCLES.tobytes())
+        process.stdin.flush()
+        assert process.wait(timeout=60) == -signal.SIGALRM
 
 
 def test_refused_arguments_are_told_and_the_process_goes_on(own_workers):

@@ -4,6 +4,9 @@ It knows nothing of the package, so that the Python that has openseespy needs no
 prints what it likes; so the answers have a channel of their own, the standard output of the start, and what OpenSees prints goes
 to a file, whose end is told where a request fails.
 
+It is started with the seconds that a simulation may take.  One that takes a second more ends the process, as no exception could:
+whoever asked may be gone, and OpenSees may never come back.
+
 A request is a line of JSON, `{"material": ..., "arguments": [...], "points": n}`, and n doubles, the elongations.  An answer is a
 line of JSON, `{"points": n}` or `{"error": ...}`, and n doubles, the forces.  The first answer is the version of OpenSees.
 """
@@ -11,6 +14,7 @@ line of JSON, `{"points": n}` or `{"error": ...}`, and n doubles, the forces.  T
 import array
 import json
 import os
+import signal
 import sys
 import tempfile
 from importlib import import_module
@@ -21,6 +25,7 @@ _LAST = 300
 
 def main() -> int:
     """Answer requests until there are no more."""
+    seconds = int(sys.argv[1]) + 1
     answers = os.fdopen(os.dup(1), "wb")
     with tempfile.TemporaryFile() as printed:
         for stream in (1, 2):
@@ -32,6 +37,7 @@ def main() -> int:
             path = array.array("d")
             path.frombytes(sys.stdin.buffer.read(8 * request["points"]))
             start = os.lseek(1, 0, os.SEEK_END)
+            signal.alarm(seconds)
             try:
                 forces = forces_of(ops, request["material"], request["arguments"], path)
             except Exception as error:
@@ -39,6 +45,7 @@ def main() -> int:
                 answer(answers, {"error": f"{error} {' '.join(said)}".strip()[-_LAST:]})
             else:
                 answer(answers, {"points": len(forces)}, forces)
+            signal.alarm(0)
             os.ftruncate(1, 0)
             os.lseek(1, 0, os.SEEK_SET)
     return 0

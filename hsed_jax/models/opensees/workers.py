@@ -6,6 +6,7 @@ that failed; the next request gets a new worker.
 
 import atexit
 import json
+import math
 import os
 import select
 import subprocess
@@ -86,7 +87,7 @@ class _Worker:
         try:
             # A session of its own: Ctrl-C at the terminal is ours to handle.
             self._process = subprocess.Popen(
-                [python, str(_DRIVER)],
+                [python, str(_DRIVER), str(math.ceil(timeout))],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
