@@ -77,7 +77,7 @@ def page() -> Iterator[str]:
     yield "\n`python benchmarks/discoveries.py`."
     yield MEASURED
     heads = ("specimen", "noise", "plain law", "with the named effects", "verdict")
-    yield from _table(heads, [_specimen(row) for row in _kept("published")["rows"] if "failed" not in row])
+    yield from _table(heads, [_specimen(row) for row in _board() if "named" in row.get("own", {})])
     yield "\n`python benchmarks/published.py`."
 
 
@@ -151,8 +151,9 @@ def _discoveries(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, ...]]
 
 
 def _specimen(row: Mapping[str, Any]) -> tuple[str, ...]:
-    errors = (f"{row[key]:.3f}" for key in ("noise", "plain", "named"))
-    return row["case"].replace("_", " "), *errors, f"`{row['verdict']}`"
+    own = row["own"]
+    errors = (f"{own[key]:.3f}" for key in ("noise", "plain", "named"))
+    return row["case"].replace("_", " "), *errors, f"`{own['verdict']}`"
 
 
 def _share(rows: Sequence[Any], is_one: Callable[[Any], bool]) -> str:
@@ -174,6 +175,11 @@ def _interval(count: int, of: int) -> tuple[float, float]:
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
     yield from ("| " + " | ".join(cells) + " |" for cells in (heads, ["---"] * len(heads), *rows))
+
+
+def _board() -> list[dict[str, Any]]:
+    """Lines of the scoreboard: of some records only other methods have run."""
+    return [json.loads(line) for line in (BENCHMARKS / "board.jsonl").read_text(encoding="utf-8").splitlines()]
 
 
 def _kept(name: str) -> Any:

@@ -410,7 +410,7 @@ def test_a_function_that_cannot_be_used_is_one_clear_message(folder, tmp_path, t
     ("changes", "words"),
     [
         (["model.function=mine.py"], r"model\.function: this is FILE:NAME"),
-        (["model.spring=takeda"], r"model\.spring: there is no such key; allowed here are function, command"),
+        (["model.spring=takeda"], r"model\.spring: there is no such key; allowed here are levels, function, command"),
         (["model.effects={}"], r"model\.effects: there is no such key"),
         (["model.command=prog"], r"model: give either function or command"),
         (["model.parameters.a.unit=kN"], r"model\.parameters\.a\.unit: parameters of a model are in SI"),

@@ -499,3 +499,14 @@ def test_files_of_a_specimens_own_law_are_code_and_are_written_by_their_whole_pa
         "class": "Mine",
     }
     assert load_study(written).written() == written
+
+
+def test_the_name_of_a_file_in_place_of_a_study_is_told(tmp_path):
+    """In a process without the checks of types that tests have."""
+    said = subprocess.run(
+        [sys.executable, "-c", "import hsed_jax as hx; hx.calibrate('study.yaml')"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+    )
+    assert "UserError: study: 'study.yaml' is no study; hx.load_study" in said.stderr

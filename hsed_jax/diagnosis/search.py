@@ -127,7 +127,9 @@ class Search:
             if self.best in self.path:
                 break
             self.path.append(self.best)
-        self._step_back()
+        if self.held_out.test is not None:
+            # Only now: beside the plain law one effect may predict worse, and with a second one better.
+            self.best = self.path[int(np.argmin(self.unseen(self.path)))]
         if self.best != before:
             self._judge()
         self._score(is_over=True)
@@ -205,11 +207,8 @@ class Search:
     def _material(self, before: float, now: float) -> float:
         """The squared error on what is left out that a further effect has to take away.
 
-        It is a share of what the model as it is leaves beyond the noise, since the formula of an effect is off by as much.  What
-        leaves clearly more than the noise is no such rest: the noise once more and the same share of the rest are enough.
-
-        Arguments:
-            before, now: error of the model as it is, and of the one that the effect is added to.
+        It is a share of what the model as it is leaves beyond the noise (`before`), since the formula of an effect is off by as
+        much.  If the model without the effect (`now`) leaves much more, the noise and this share of the rest are enough.
         """
         noise = self.measured.noise**2
         return min(_MATERIAL * max(before**2 - noise, 0.0), noise + _MATERIAL * max(now**2 - noise, 0.0))
@@ -324,11 +323,8 @@ class Search:
     def _score(self, is_over: bool = False) -> None:
         """Give the choices that may lead their probabilities by what they predict.
 
-        All others have none, nor has a choice that predicts what nothing is fitted to worse than the model as it is.
-
-        Arguments:
-            is_over: the best set is the one to be named.  Sets with more effects were not accepted in its place, and count only
-                if they have its effects, too.
+        All others have none, nor has a choice that predicts what nothing is fitted to worse than the model as it is.  When the
+        search `is_over`, larger sets than the best one were not accepted, and count only if they have its effects.
         """
         self._report("what they predict of what is left out")
         near = [s for s in (frozenset(), self.best, *_less_one(self.best)) if s in self._fits]
@@ -351,14 +347,6 @@ class Search:
             if len(model.effects) <= len(self.best) or self._unsupported(model.effects, self.best) is None:
                 return model.effects
         return self.best
-
-    def _step_back(self) -> None:
-        """Take the set on the way that predicts best what nothing is fitted to.
-
-        Only now: beside the plain law one effect may predict worse, and with a second one better.
-        """
-        if self.held_out.test is not None:
-            self.best = self.path[int(np.argmin(self.unseen(self.path)))]
 
     def _neighbours(self) -> list[Set]:
         """The sets one change away from the best."""

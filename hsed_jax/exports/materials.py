@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
 from hsed_jax.exports.calibrated import Calibrated
 from hsed_jax.exports.counterparts import Command
@@ -92,8 +93,8 @@ def difference(script: str, test: Test) -> float:
     """
     with tempfile.TemporaryDirectory(prefix="export-") as name:
         folder = Path(name)
-        (folder / "specimen.py").write_text(script, encoding="utf-8")
-        (folder / "protocol.csv").write_text(test.csv, encoding="utf-8")
+        write_whole(folder / "specimen.py", script)
+        write_whole(folder / "protocol.csv", test.csv)
         words = [interpreter(), "specimen.py", "protocol.csv"]
         done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=_TIMEOUT)
     if done.returncode:

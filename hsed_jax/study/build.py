@@ -35,6 +35,9 @@ class Built:
         workspace: folder in which the laboratory has its folders; by default a temporary one.
         function: the laboratory, where it is a function given from Python.
         open_forms: effects of which what tells their forms from one another is free, too: of a model that holds all forms.
+
+    Raises:
+        UserError: it is no study, but its file, say.
     """
 
     study: Study
@@ -44,6 +47,9 @@ class Built:
     open_forms: tuple[str, ...] = ()
 
     def __post_init__(self):
+        # In a notebook nothing checks types before.
+        if not isinstance(self.study, Study):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise UserError(f"study: {self.study!r} is no study; hx.load_study('study.yaml') reads one from its file")
         prepare()
 
     @cached_property
