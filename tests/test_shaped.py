@@ -9,9 +9,9 @@ import pytest
 
 from hsed_jax.diagnosis.batch import Part, Present, _present
 from hsed_jax.physics.effects import EFFECTS
-from hsed_jax.physics.effects.base import AbstractSpringEffect, SpringPoint, neutral
+from hsed_jax.physics.effects.base import AbstractSpringEffect, SpringPoint
 from hsed_jax.physics.effects.forms import forms_of
-from hsed_jax.physics.effects.shaped import Shaped, shapes_of, written_by
+from hsed_jax.physics.effects.shaped import Shaped, shapes_of
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.scales import Scales
 
@@ -32,12 +32,17 @@ def test_an_effect_in_its_simplest_shape_contributes_what_the_whole_one_does(nam
     for form in forms_of(effect).values():
         values = {n: 1.2 * p.neutral + 0.05 if not p.shapes else p.neutral for n, p in parameters_of(effect).items()}
         values |= {n: v for n, v in form.held.items() if n not in shapes_of(effect)}
-        whole = {slot: neutral(slot) for slot in written_by(effect())} | effect(**values).contribute(POINT)
-        assert whole.keys() == contributions(effect, values, False).keys()
+        whole = effect(**values).contribute(POINT)
         for is_shaped in (False, True):
             found = contributions(effect, values, is_shaped)
             for slot, value in whole.items():
                 np.testing.assert_allclose(found[slot], value, rtol=1e-12)
+
+
+def test_a_form_that_a_law_cannot_have_writes_to_no_slot_of_it():
+    """Told no parameter of the form that writes to `nu`, as of a law without that slot, the effect writes to `n` alone."""
+    found = contributions(EFFECTS["yield_sharpness"], {"delta": 0.5}, True)
+    assert {slot: float(value) for slot, value in found.items()} == {"n": 0.5}
 
 
 def test_the_shape_of_an_effect_is_not_computed_where_nothing_has_one():

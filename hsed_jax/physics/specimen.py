@@ -23,8 +23,8 @@ from hsed_jax.physics.effects.base import (
     merged,
     neutral,
 )
-from hsed_jax.physics.effects.forms import slots_of
-from hsed_jax.physics.effects.shaped import written_by
+from hsed_jax.physics.effects.forms import slots_of, slots_of_any
+from hsed_jax.physics.effects.shaped import kind_of
 from hsed_jax.physics.gates import Contributor, gated, gathered, in_any_lane
 from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, Turn
 from hsed_jax.physics.scales import Scales, is_zero
@@ -121,10 +121,12 @@ class Specimen(eqx.Module):
         def written(effect: AbstractSpringEffect) -> Mapping[str, Scalar]:
             contribution = effect.contribute(point)
             if missing := _missing(contribution, type(self.law)):
-                raise ValueError(f"{effect.name}: {missing}")
+                raise ValueError(f"{kind_of(effect).name}: {missing}")
             return contribution
 
-        parts = [Contributor(partial(written_by, effect), partial(written, effect)) for effect in self.effects]
+        parts = [
+            Contributor(partial(slots_of_any, kind_of(effect)), partial(written, effect)) for effect in self.effects
+        ]
         return combine([gathered(parts, self.acting, merged, neutral)])
 
     def _force(self, point: SpringPoint, slots: Slots, step: Scalar = 0.0) -> tuple[Scalar, SpringPoint]:

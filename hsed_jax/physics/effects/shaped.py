@@ -6,10 +6,11 @@ The expression of an effect with all its forms costs several times as much as it
 from collections.abc import Callable, Mapping
 from typing import Any, final
 
+import jax
 from jaxtyping import Array, Bool
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Scalar, SpringPoint, neutral
-from hsed_jax.physics.effects.forms import chosen, slots_of_any
+from hsed_jax.physics.effects.forms import chosen
 from hsed_jax.physics.gates import gated
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.states import SharedState
@@ -56,8 +57,10 @@ class Shaped(AbstractSpringEffect):
         return self.whole.needs
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
-        """What the effect contributes."""
-        absent = {slot: neutral(slot) for slot in written_by(self)}
+        """What the effect contributes, to the slots of its whole expression and of its simplest one."""
+        both = self.whole, self.simplest
+        written: list[dict[str, Any]] = jax.eval_shape(lambda: [effect.contribute(point) for effect in both])  # pyright: ignore[reportUnknownMemberType]
+        absent = {slot: neutral(slot) for part in written for slot in part}
         return self._either(lambda effect: absent | effect.contribute(point))
 
     def flow(self, point: SpringPoint) -> dict[str, Scalar]:
@@ -74,6 +77,6 @@ class Shaped(AbstractSpringEffect):
         return gated(self.is_shaped, lambda: of(self.whole), lambda: of(self.simplest))
 
 
-def written_by(effect: AbstractSpringEffect) -> tuple[str, ...]:
-    """The slots that an effect writes to, whatever its form."""
-    return slots_of_any(type(effect.whole if isinstance(effect, Shaped) else effect))
+def kind_of(effect: AbstractSpringEffect) -> type[AbstractSpringEffect]:
+    """What an effect is, whatever its shape."""
+    return type(effect.whole if isinstance(effect, Shaped) else effect)
