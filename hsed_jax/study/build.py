@@ -4,15 +4,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from hsed_jax.backend import prepare
-from hsed_jax.config.functions import CalledEntry, FunctionEntry
+from hsed_jax.config.functions import FunctionEntry
 from hsed_jax.config.opensees import OpenSeesEntry
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
 from hsed_jax.study import parts
+from hsed_jax.study.called_study import CalledMechanics, CalledSimulation
 from hsed_jax.study.design import Design
 from hsed_jax.study.experiments import Experiments
 from hsed_jax.study.function_study import FunctionMechanics, FunctionSimulation
@@ -23,6 +24,20 @@ from hsed_jax.study.opensees_study import OpenSeesMechanics, OpenSeesSimulation
 from hsed_jax.study.plan import check_plan
 from hsed_jax.study.simulation import AbstractSimulation, SpringSimulation
 from hsed_jax.study.site import Site
+
+
+class _Called(NamedTuple):
+    """How a model that is called is built."""
+
+    mechanics: type[CalledMechanics]
+    simulation: type[CalledSimulation]
+
+
+_CALLED: dict[type[Any], _Called] = {
+    FunctionEntry: _Called(FunctionMechanics, FunctionSimulation),
+    OpenSeesEntry: _Called(OpenSeesMechanics, OpenSeesSimulation),
+}
+"""By what a study says of the model; every other one is of spring laws."""
 
 
 @dataclass(frozen=True)
@@ -60,11 +75,8 @@ class Built:
     @cached_property
     def mechanics(self) -> AbstractMechanics:
         """What the model is made of."""
-        model = self.study.model
-        if isinstance(model, OpenSeesEntry):
-            return OpenSeesMechanics(self.study, self.experiments)
-        if isinstance(model, FunctionEntry):
-            return FunctionMechanics(self.study, self.experiments)
+        if (called := _CALLED.get(type(self.study.model))) is not None:
+            return called.mechanics(self.study, self.experiments)
         return SpringMechanics(self.study, self.experiments, self.open_forms)
 
     @cached_property
@@ -75,14 +87,8 @@ class Built:
     @cached_property
     def simulation(self) -> AbstractSimulation:
         """How the experiments are simulated."""
-        model = self.study.model
-        kind = (
-            OpenSeesSimulation
-            if isinstance(model, OpenSeesEntry)
-            else FunctionSimulation
-            if isinstance(model, FunctionEntry)
-            else SpringSimulation
-        )
+        called = _CALLED.get(type(self.study.model))
+        kind = SpringSimulation if called is None else called.simulation
         return kind(self.study, self.experiments, self.mechanics, self.observed)
 
     @cached_property
@@ -135,6 +141,6 @@ class Built:
                 needed.append((mechanics, "virtual"))
             elif performs:
                 needed.append((self.site, "laboratory"))
-        if isinstance(study.model, CalledEntry):
+        if type(study.model) in _CALLED:
             needed += [(mechanics, "units"), (self.simulation, "simulator"), (self.design, "limits")]
         return needed

@@ -103,6 +103,15 @@ class CalledMechanics(AbstractMechanics):
         if own := [key for key in self.study.models if key != "model"]:
             raise UserError(f"{own[0]}: the model is {self.words}, which has its own specimens; leave this model out")
 
+    def refuse_all_fixed(self, free: Mapping[str, Prior]) -> None:
+        """Refuse a model that has nothing to calibrate.
+
+        Raises:
+            UserError: no parameter has a prior.
+        """
+        if not free:
+            raise UserError("model.parameters: at least one parameter needs a prior, such as {uniform: [2.0e5, 9.0e5]}")
+
     def check(self) -> None:
         """Refuse steps that need effects."""
         design = self.study.design

@@ -57,8 +57,7 @@ class FunctionMechanics(CalledMechanics):
                 free[name] = parts.prior(f"model.parameters.{name}", entry.prior)
             else:
                 fixed[name] = entry
-        if not free:
-            raise UserError("model.parameters: at least one parameter needs a prior, such as {uniform: [2.0e5, 9.0e5]}")
+        self.refuse_all_fixed(free)
         return free, fixed
 
     @cached_property

@@ -72,8 +72,7 @@ class OpenSeesMechanics(CalledMechanics):
                 raise UserError(f"{where}: {said:g} is outside the allowed range, {one.range}")
             else:
                 fixed[name] = said
-        if not free:
-            raise UserError("model.parameters: at least one parameter needs a prior, such as {uniform: [2.0e5, 9.0e5]}")
+        self.refuse_all_fixed(free)
         return free, fixed
 
     @cached_property

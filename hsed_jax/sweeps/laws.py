@@ -121,9 +121,8 @@ def laws(
         raise UserError(
             f"{folder} has laws already; say --resume to go on with them, --force to replace them, or choose --output"
         )
-    models: dict[str, Any] = {study.model.described[1]: None}
-    if study.model.described[0] == "opensees":
-        models = {f"{PREFIX}{study.model.described[1]}": None}
+    kind, own = study.model.described
+    models: dict[str, Any] = {f"{PREFIX}{own}" if kind == "opensees" else own: None}
     models |= {
         f"{PREFIX}{name}": {"opensees": name} for name in materials or MATERIALS if f"{PREFIX}{name}" not in models
     }

@@ -1,6 +1,21 @@
-"""The points of a backbone that materials with points share."""
+"""The backbone that materials with points share: its parameters, and its points."""
 
 from collections.abc import Mapping
+
+from hsed_jax.models.opensees.base import MaterialParameter, length, share, stiffness, strength
+
+SHAPE = {
+    "k": stiffness(),
+    "F_m": strength("F_m", "strength", 0.95),
+    "u_p": length("u_p", "elongation from F_m/k to the strength", 0.3),
+    "u_c": length("u_c", "elongation from the strength to zero force on the falling branch", 3.0),
+}
+"""Parameters of every such backbone."""
+
+
+def residual() -> MaterialParameter:
+    """The residual force."""
+    return share("r", "residual force over strength", 0.01, 0.5, 0.05)
 
 
 def three_points(p: Mapping[str, float], first: float) -> list[tuple[float, float]]:

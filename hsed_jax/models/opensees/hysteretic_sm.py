@@ -8,13 +8,10 @@ from hsed_jax.models.opensees.base import (
     Arguments,
     MaterialParameter,
     damage,
-    length,
     negative,
     share,
-    stiffness,
-    strength,
 )
-from hsed_jax.models.opensees.envelope import three_points
+from hsed_jax.models.opensees.envelope import SHAPE, residual, three_points
 
 
 @final
@@ -28,12 +25,9 @@ class HystereticSM(AbstractMaterial):
     name: ClassVar[str] = "HystereticSM"
     reference: ClassVar[str] = "Scott & Filippou 2000; Mazzoni 2022"
     parameters: ClassVar[dict[str, MaterialParameter]] = {
-        "k": stiffness(),
-        "F_m": strength("F_m", "strength", 0.95),
-        "u_p": length("u_p", "elongation from F_m/k to the strength", 0.3),
-        "u_c": length("u_c", "elongation from the strength to zero force on the falling branch", 3.0),
+        **SHAPE,
         "y": share("y", "yield force over strength", 0.1, 0.98),
-        "r": share("r", "residual force over strength", 0.01, 0.5, 0.05),
+        "r": residual(),
         "pinchX": share("p_x", "elongation at which reloading stiffens, from none (0) to all of it (1)", 0.0, 1.0),
         "pinchY": share("p_y", "force at which reloading stiffens, from none (0) to all of it (1)", 0.0, 1.0),
         "damage1": damage("d_1", "damage by ductility", 0.02),

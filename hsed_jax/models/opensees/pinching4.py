@@ -8,13 +8,10 @@ from hsed_jax.models.opensees.base import (
     Arguments,
     MaterialParameter,
     damage,
-    length,
     negative,
     share,
-    stiffness,
-    strength,
 )
-from hsed_jax.models.opensees.envelope import four_points
+from hsed_jax.models.opensees.envelope import SHAPE, four_points, residual
 
 
 @final
@@ -30,14 +27,11 @@ class Pinching4(AbstractMaterial):
     name: ClassVar[str] = "Pinching4"
     reference: ClassVar[str] = "Lowes, Mitra & Altoontash 2003"
     parameters: ClassVar[dict[str, MaterialParameter]] = {
-        "k": stiffness(),
-        "F_m": strength("F_m", "strength", 0.95),
-        "u_p": length("u_p", "elongation from F_m/k to the strength", 0.3),
-        "u_c": length("u_c", "elongation from the strength to zero force on the falling branch", 3.0),
+        **SHAPE,
         "c": share("c", "cracking force over strength", 0.1, 0.95),
         "y": share("y", "force of the second point, from cracking (0) to strength (1)", 0.05, 0.95),
         "q": share("q", "elongation of the second point over that of a straight line", 0.05, 0.95, 0.4),
-        "r": share("r", "residual force over strength", 0.01, 0.5, 0.05),
+        "r": residual(),
         "rDisp": share(r"r_u", "elongation at which reloading begins, over the furthest one", -0.3, 0.9, bounds=(-1.0, 1.0)),
         "rForce": share(r"r_F", "force at which reloading begins, over that of the furthest point", 0.0, 0.9, bounds=(-1.0, 1.0)),
         "uForce": share(r"u_F", "force after unloading, over the strength", -0.5, 0.5, bounds=(-1.0, 1.0)),

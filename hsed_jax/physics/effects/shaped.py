@@ -3,7 +3,7 @@
 The expression of an effect with all its forms costs several times as much as its simplest form, which most models have.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, final
 
 import jax
@@ -61,20 +61,16 @@ class Shaped(AbstractSpringEffect):
         both = self.whole, self.simplest
         written: list[dict[str, Any]] = jax.eval_shape(lambda: [effect.contribute(point) for effect in both])  # pyright: ignore[reportUnknownMemberType]
         absent = {slot: neutral(slot) for part in written for slot in part}
-        return self._either(lambda effect: absent | effect.contribute(point))
+        there, simpler = (lambda effect=effect: absent | effect.contribute(point) for effect in both)
+        return gated(self.is_shaped, there, simpler)
 
     def flow(self, point: SpringPoint) -> dict[str, Scalar]:
         """Rates of the effect's states."""
-        absent = dict.fromkeys(self.states, 0.0)
-        return self._either(lambda effect: absent | effect.flow(point)) if absent else {}
+        return self.whole.flow(point)
 
     def settle(self, point: SpringPoint) -> dict[str, Scalar]:
         """What a step commits of the effect's states."""
-        absent = {state: point.memory[state] for state in self.states}
-        return self._either(lambda effect: absent | effect.settle(point)) if absent else {}
-
-    def _either(self, of: Callable[[AbstractSpringEffect], dict[str, Scalar]]) -> dict[str, Scalar]:
-        return gated(self.is_shaped, lambda: of(self.whole), lambda: of(self.simplest))
+        return self.whole.settle(point)
 
 
 def kind_of(effect: AbstractSpringEffect) -> type[AbstractSpringEffect]:
