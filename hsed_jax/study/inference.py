@@ -24,7 +24,6 @@ from hsed_jax.inference.population import Level
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.predict import Predictor
 from hsed_jax.measurements import Campaign, Experiment
-from hsed_jax.models.opensees import MATERIALS
 from hsed_jax.physics.names import own_name
 from hsed_jax.physics.simulator import Conditions
 from hsed_jax.study import structures
@@ -121,17 +120,13 @@ class Inference:
     @property
     def possible(self) -> dict[str, Range]:
         """Lowest and highest value of each free parameter that physics allows, SI; nothing is known of those of a function."""
-        model = self.study.model
-        if isinstance(model, FunctionEntry):
+        if isinstance(self.study.model, FunctionEntry):
             return {}
         free, _ = self.mechanics.parameters
-        if isinstance(model, OpenSeesEntry):
-            known = MATERIALS[model.opensees].parameters
-            return {name: (known[name].lower, known[name].upper) for name in free}
         return {name: self._possible(name) for name in free}
 
     def _possible(self, name: str) -> Range:
-        known = self.mechanics.naming.known(name)
+        known = self.mechanics.known(name)
         if known is None:
             return ANYTHING
         bounds = (known.lower, known.upper)

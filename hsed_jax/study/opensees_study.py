@@ -40,7 +40,9 @@ class OpenSeesMechanics(CalledMechanics):
     def known(self, name: str) -> Parameter | None:
         """What the table says of a parameter."""
         known = self.material.parameters.get(name)
-        return None if known is None else Parameter(name, known.symbol, known.unit, known.meaning)
+        if known is None:
+            return None
+        return Parameter(name, known.symbol, known.unit, known.meaning, lower=known.lower, upper=known.upper)
 
     @property
     def material(self) -> type[AbstractMaterial]:
