@@ -15,6 +15,8 @@ from observations import Observed
 
 import hsed_jax
 from hsed_jax.backend import limit_threads, prepare
+from hsed_jax.errors import UserError
+from hsed_jax.laboratories.opensees import require_openseespy
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.excitations import NearFaultPulse
 from hsed_jax.physics.scales import Scales
@@ -72,6 +74,15 @@ def optimised(request):
         yield
     jax.config.update(QUICK.lower(), True)
     jax.clear_caches()
+
+
+@pytest.fixture(scope="session")
+def openseespy() -> None:
+    """OpenSees, without which what asks for it is skipped."""
+    try:
+        require_openseespy()
+    except UserError as error:
+        pytest.skip(str(error))
 
 
 @pytest.fixture(autouse=True)

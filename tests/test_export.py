@@ -115,9 +115,8 @@ def commands_of(case):
 
 
 @pytest.fixture(scope="module")
-def by_opensees(tmp_path_factory):
+def by_opensees(openseespy, tmp_path_factory):
     """Forces by OpenSees of every case, from its exported script."""
-    pytest.importorskip("openseespy", reason="the optional extra `opensees` is not installed")
     folder = tmp_path_factory.mktemp("scripts")
     _, elongation, rate = motion()
     files = {}
@@ -202,8 +201,7 @@ json.dump([first, said], sys.stdout)
 @pytest.mark.parametrize(
     "case", ["stiffness_degradation", "pinching, sharp", "hardening, power", "a series beside others"]
 )
-def test_tcl_and_python_give_the_same_loop(case, tmp_path):
-    pytest.importorskip("openseespy", reason="the optional extra `opensees` is not installed")
+def test_tcl_and_python_give_the_same_loop(case, openseespy, tmp_path):
     pytest.importorskip("tkinter", reason="this Python has no Tcl")
     for name, script in (("a.py", python_script), ("a.tcl", tcl_script)):
         (tmp_path / name).write_text(script("A title.", ["A note."], commands_of(case), REACH))

@@ -234,8 +234,7 @@ def test_an_elastic_oscillator_is_the_bouc_wen_one_without_yielding():
 
 @pytest.mark.verification("laws")
 @pytest.mark.parametrize("law", ["elastic", "bilinear", "menegotto_pinto", "takeda"])
-def test_a_shaken_structure_is_that_of_opensees(law, tmp_path, observed):
-    pytest.importorskip("openseespy", reason="the optional extra `opensees` is not installed")
+def test_a_shaken_structure_is_that_of_opensees(law, openseespy, tmp_path, observed):
     name, values = {
         "elastic": ("Elastic", (K,)),
         "bilinear": ("Steel01", (F_Y, K, 0.05)),

@@ -205,7 +205,7 @@ def test_a_pair_is_an_entry_and_its_new_dimensions(tried):
     assert tried["pair"] == "curvature"
 
 
-def test_a_material_is_one_file_and_its_name(tried):
+def test_a_material_is_one_file_and_its_name(openseespy, tried):
     # Twice its yield elongation at 2e6 N/m and 1 kN.
     assert tried["material"] == pytest.approx([1.0e3, 1.0e3])
 

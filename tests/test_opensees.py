@@ -22,11 +22,6 @@ INPUTS = {"V_P": 2.25, "T_P": 1.0}
 OURS = {"A": 5e5, "beta": 1.0, "gamma": 0.0, "n": 1.0}
 
 
-@pytest.fixture
-def openseespy():
-    pytest.importorskip("openseespy", reason="the optional extra `opensees` is not installed")
-
-
 def built(experiments, **changes):
     """The ready study with other experiments, and in short."""
     content = load_study(CONFIG).model_dump(mode="json", exclude_none=True)

@@ -32,6 +32,7 @@ from hsed_jax.models.opensees.workers import Workers
 from hsed_jax.study.build import Built
 from hsed_jax.study.first_material import material_lines
 
+NEEDS_OPENSEES = pytest.mark.usefixtures("openseespy")
 STIFFNESS, STRENGTH, REACH = 2.0e7, 1.0e5, 0.04
 # A pinched branch that is stiffer than the asymptote, which the table excludes.
 ENDLESS = (67.8, 53.6, 0.0146, 34900.0, 0.101, -0.0309, 1.18, 0.239, 0.308, 1.03)
@@ -115,6 +116,7 @@ def test_a_material_has_few_free_parameters_and_each_has_a_prior_from_the_record
             assert more[kind] == given and factor == 1
 
 
+@NEEDS_OPENSEES
 @pytest.mark.parametrize("name", MATERIALS)
 def test_a_material_is_as_stiff_as_its_parameter_says_and_symmetric(name):
     small = np.linspace(0, 1e-3 * STRENGTH / STIFFNESS, 5)[1:]
@@ -123,6 +125,7 @@ def test_a_material_is_as_stiff_as_its_parameter_says_and_symmetric(name):
     assert force(name, -CYCLES[:120]) == pytest.approx(-force(name, CYCLES[:120]), rel=1e-9)
 
 
+@NEEDS_OPENSEES
 @pytest.mark.parametrize("name", DEGRADING)
 def test_zero_degrades_nothing_and_each_rate_degrades(name):
     repeated = path([0.6 * REACH, -0.6 * REACH] * 6)
@@ -134,6 +137,7 @@ def test_zero_degrades_nothing_and_each_rate_degrades(name):
         assert np.max(np.abs(force(name, repeated, **{key: rate}) - plain)) > 0.005 * STRENGTH, key
 
 
+@NEEDS_OPENSEES
 def test_pinching4_and_hysteretic_sm_follow_the_points_of_their_backbones():
     for u, f in four_points(PARAMETERS["Pinching4"]):
         assert force("Pinching4", np.linspace(0, u, 50))[-1] == pytest.approx(f, rel=1e-6)
@@ -144,6 +148,7 @@ def test_pinching4_and_hysteretic_sm_follow_the_points_of_their_backbones():
     assert down == pytest.approx(0.5 * p["F_m"], rel=1e-6)
 
 
+@NEEDS_OPENSEES
 @pytest.mark.parametrize("name", ["IMKBilin", "IMKPeakOriented", "IMKPinching"])
 def test_imk_follows_its_backbone_and_a_weaker_side(name):
     p = PARAMETERS[name]
@@ -159,6 +164,7 @@ def test_imk_follows_its_backbone_and_a_weaker_side(name):
     assert weak == pytest.approx(0.5 * force(name, -np.linspace(0, yielded, 400))[-1], rel=0.15)
 
 
+@NEEDS_OPENSEES
 def test_self_centering_is_the_flag_of_its_formulas():
     p = PARAMETERS["SelfCentering"]
     u_a, k2 = p["F_a"] / p["k"], p["b"] * p["k"]
@@ -173,6 +179,7 @@ def test_self_centering_is_the_flag_of_its_formulas():
     assert found[-1] == pytest.approx(0.0, abs=1e-3 * p["F_a"])
 
 
+@NEEDS_OPENSEES
 def test_saws_follows_the_exponential_backbone():
     p = PARAMETERS["SAWS"]
     u = np.linspace(0, 0.9 * p["u_u"], 300)
@@ -198,6 +205,7 @@ def own_workers():
 ARGUMENTS = MATERIALS["SelfCentering"].arguments(PARAMETERS["SelfCentering"])
 
 
+@NEEDS_OPENSEES
 def test_a_killed_process_is_a_failed_simulation_and_the_next_one_works(own_workers):
     first = own_workers.forces("SelfCentering", ARGUMENTS, CYCLES)
     os.kill(own_workers._idle[0]._process.pid, signal.SIGKILL)
@@ -206,6 +214,7 @@ def test_a_killed_process_is_a_failed_simulation_and_the_next_one_works(own_work
     assert own_workers.forces("SelfCentering", ARGUMENTS, CYCLES).tolist() == first.tolist()
 
 
+@NEEDS_OPENSEES
 def test_a_simulation_that_never_ends_is_stopped(own_workers):
     p = PARAMETERS["SAWS"]
     with pytest.raises(ExperimentFailed, match="longer than 1 s"):
@@ -214,6 +223,7 @@ def test_a_simulation_that_never_ends_is_stopped(own_workers):
     assert np.isfinite(found).all()
 
 
+@NEEDS_OPENSEES
 def test_a_simulation_that_never_ends_does_not_outlive_whoever_asked():
     """A killed program ends no process of its own."""
     request = {"material": "SAWS", "arguments": list(ENDLESS), "points": len(CYCLES)}
@@ -224,6 +234,7 @@ def test_a_simulation_that_never_ends_does_not_outlive_whoever_asked():
         assert process.wait(timeout=60) == -signal.SIGALRM
 
 
+@NEEDS_OPENSEES
 def test_refused_arguments_are_told_and_the_process_goes_on(own_workers):
     with pytest.raises(ExperimentFailed, match="OpenSees refused SelfCentering"):
         own_workers.forces("SelfCentering", (1.0,), CYCLES)
@@ -263,6 +274,7 @@ steps: [calibrate, compare]
 """
 
 
+@NEEDS_OPENSEES
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -286,6 +298,7 @@ def test_a_mistake_in_a_study_is_one_message(change, message):
         Built(load_study(parse_yaml(STUDY, "study"), [change]), campaign()).check()
 
 
+@NEEDS_OPENSEES
 def test_left_out_parameters_have_the_priors_of_the_table_and_given_ones_are_fixed():
     study = load_study(
         parse_yaml(STUDY, "study"), ["model={opensees: IMKBilin, parameters: {d_S: 0.0, negative: {}, h: 1.2}}"]
@@ -305,6 +318,7 @@ def test_a_shaken_specimen_is_refused():
         Built(study).check()
 
 
+@NEEDS_OPENSEES
 @pytest.mark.parametrize("name", MATERIALS)
 def test_init_writes_a_study_that_has_the_priors_of_the_table(name):
     made = campaign()
@@ -319,6 +333,7 @@ def test_init_writes_a_study_that_has_the_priors_of_the_table(name):
         assert np.ravel(prior.arguments) == pytest.approx(np.ravel(expected[key].arguments), rel=2e-3, abs=2e-3)
 
 
+@NEEDS_OPENSEES
 @pytest.mark.parametrize(
     ("model", "message"),
     [("opensees:Pinchign4", "did you mean Pinching4"), ("takeda", "write opensees: and a material")],
@@ -336,6 +351,7 @@ def test_init_refuses_an_unknown_model(tmp_path, model, message, capsys):
     assert message in capsys.readouterr().err
 
 
+@NEEDS_OPENSEES
 @pytest.mark.parametrize("name", MATERIALS)
 def test_the_exported_script_has_the_forces_of_the_simulation(name):
     degrading = {key: (2.0 if name.startswith("IMK") else 0.05) for key in DEGRADING.get(name, ())}
@@ -350,6 +366,7 @@ def test_the_exported_script_has_the_forces_of_the_simulation(name):
     assert difference(wrong, simulated) > 0.01
 
 
+@NEEDS_OPENSEES
 def test_a_record_that_begins_loaded_is_followed_from_zero_as_it_is():
     begun = CYCLES[70:]
     built = Built(load_study(parse_yaml(STUDY, "study")), campaign(elongation=begun))
@@ -361,6 +378,7 @@ def test_a_record_that_begins_loaded_is_followed_from_zero_as_it_is():
     )
 
 
+@NEEDS_OPENSEES
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -382,6 +400,7 @@ def test_the_page_is_what_the_table_says():
     assert (docs / "opensees_laws.md").read_text(encoding="utf-8") == page
 
 
+@NEEDS_OPENSEES
 @pytest.mark.slow
 def test_intervals_hold_the_parameters_of_records_that_opensees_made():
     inside = []
@@ -395,6 +414,7 @@ def test_intervals_hold_the_parameters_of_records_that_opensees_made():
     assert 18 <= sum(inside) <= 24
 
 
+@NEEDS_OPENSEES
 @pytest.mark.slow
 def test_laws_are_ranked_by_what_they_predict(tmp_path, capsys):
     from hsed_jax.measurements import write_campaign

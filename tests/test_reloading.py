@@ -55,7 +55,7 @@ def test_a_flag_slides_back_at_its_force_and_closes(back):
 
 
 def test_a_flag_is_that_of_opensees():
-    ops = pytest.importorskip("openseespy.opensees", exc_type=ImportError)
+    ops = pytest.importorskip("openseespy.opensees", reason="openseespy cannot be imported", exc_type=ImportError)
     back, turns = 0.4, [0.0, 0.02, 0.0, -0.02, 0.0, 0.04, 0.0, -0.04, 0.0]
     # Sharp yielding, elastic unloading.
     law = BoucWen(A=A, beta=0.5 * A / STRENGTH**12, gamma=0.5 * A / STRENGTH**12, n=12.0)
