@@ -72,27 +72,28 @@ class MenegottoPinto:
         self.side = None
         self.most = {1: F_y / k, -1: -F_y / k}
 
-    def move(self, u):
-        """Force at the next elongation."""
+    def move(self, u, nu=1.0):
+        """Force at the next elongation; ν divides the yield force, and with it the yield elongation of the hardening line."""
         if u == self.u:
             return self.f
-        side, u_y, hard = (1 if u > self.u else -1), self.F_y / self.k, self.b * self.k
+        side, u_y = (1 if u > self.u else -1), self.F_y / self.k
         if side != self.side:
-            shift = 1.0
+            self.shift = 1.0
             if self.side is not None:
                 extreme = max if self.side == 1 else min
                 self.most[self.side] = extreme(self.most[self.side], self.u)
                 share, after = self.isotropic[side]
-                shift += share * ((self.most[1] - self.most[-1]) / (2 * after * u_y)) ** 0.8
+                self.shift += share * ((self.most[1] - self.most[-1]) / (2 * after * u_y)) ** 0.8
             self.side, self.from_u, self.from_f = side, self.u, self.f
-            offset = side * shift * (self.F_y - hard * u_y)  # of the hardening line at u = 0
-            self.corner_u = (offset - self.f + self.k * self.u) / (self.k - hard)
-            self.corner_f = offset + hard * self.corner_u
-            xi = abs(self.most[side] - self.corner_u) / u_y
-            self.R = self.R0 * (1 - self.cR1 * xi / (self.cR2 + xi))
-        x = (u - self.from_u) / (self.corner_u - self.from_u)
-        bent = self.b * x + (1 - self.b) * x / (1 + x**self.R) ** (1 / self.R)
-        self.u, self.f = u, self.from_f + bent * (self.corner_f - self.from_f)
+        hard = self.b * self.k
+        offset = side * self.shift * (self.F_y - hard * u_y) / nu  # of the hardening line at u = 0
+        corner_u = (offset - self.from_f + self.k * self.from_u) / (self.k - hard)
+        corner_f = offset + hard * corner_u
+        xi = abs(self.most[side] - corner_u) / u_y
+        R = self.R0 * (1 - self.cR1 * xi / (self.cR2 + xi))
+        x = (u - self.from_u) / (corner_u - self.from_u)
+        bent = self.b * x + (1 - self.b) * x / (1 + x**R) ** (1 / R)
+        self.u, self.f = u, self.from_f + bent * (corner_f - self.from_f)
         return self.f
 
 

@@ -327,7 +327,7 @@ def test_what_an_effect_writes_to_is_found_without_being_told():
 def test_effects_at_their_neutral_values_leave_a_law_as_it_is(law):
     served = [name for name, effect in EFFECTS.items() if not unserved(effect, LAWS[law])]
     assert {"gap", "hardening", "viscous_damping", "fracture", "force_gain"} <= set(served)
-    assert ("strength_degradation" in served) == (law in ("bouc_wen", "bilinear", "takeda"))
+    assert ("strength_degradation" in served) == (law != "elastic")
     neutral = {
         f"{n}.{key}": jnp.asarray(known.neutral)
         for n in served
@@ -340,7 +340,7 @@ def test_effects_at_their_neutral_values_leave_a_law_as_it_is(law):
 
 
 @pytest.mark.verification("effects")
-@pytest.mark.parametrize("law", ["bilinear", "takeda"])
+@pytest.mark.parametrize("law", ["bilinear", "menegotto_pinto", "takeda"])
 def test_strength_falls_with_work_as_in_steps(law, ground, observed):
     step, acceleration = ground
     delta = 0.3

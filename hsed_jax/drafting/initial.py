@@ -10,13 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hsed_jax.drafting.first_law import residuals
 from hsed_jax.drafting.floors import floor_count, floors_of
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, characteristics, parse_unit
 from hsed_jax.measurements.pairs import check_masses
 from hsed_jax.measurements.units import TIME, VELOCITY
 from hsed_jax.physics.outputs import is_driver
-from hsed_jax.physics.pairs import Pair
 
 # Words that YAML reads as something else than a text.
 _WORDS = ("y", "n", "yes", "no", "on", "off", "true", "false", "null", ".inf", ".nan")
@@ -87,7 +87,7 @@ def text_of_study(
         *_structure(campaign, stiffness.value, mass, frame),
         *_excitation(campaign),
         *_inputs(campaign),
-        *(model or _bouc_wen(pair, stiffness, strength, frame)),
+        *(model or _spring(campaign, stiffness, strength, frame)),
         "",
         "experiments:",
         f"  campaign: {_text(where)}",
@@ -114,18 +114,43 @@ def text_of_study(
     return "\n".join(lines)
 
 
-def _bouc_wen(pair: Pair, stiffness: _Guess, strength: _Guess, frame: Frame) -> list[str]:
+def _spring(campaign: Campaign, stiffness: _Guess, strength: _Guess, frame: Frame) -> list[str]:
+    """The spring law that fits the records, with priors around what they show."""
+    pair, initial = campaign.pair, stiffness.value + _of_gravity(frame)
+    left = residuals(campaign, initial, strength.value)
+    of_stiffness = [
+        f"    # initial stiffness [{pair.unit('N/m')}]: {_round(stiffness.value)} is the {pair.words(stiffness.source)};",
+        "    # within a factor of 4 with 95 %"
+        + (", plus the reduction by gravity" if frame.masses and frame.height else ""),
+    ]
+    of_strength = f"{pair.words(strength.source)}, {_round(strength.value)} {pair.force_unit} (median over experiments)"
+    if left is not None and left.is_steel:
+        return [
+            "model:",
+            f"  # fits of the force leave {100 * left.steel:.2g} % of it with this law, "
+            f"{100 * left.simplest:.2g} % with bouc_wen",
+            "  spring: menegotto_pinto",
+            "  parameters:",
+            *of_stiffness,
+            f"    k: {{lognormal: [{math.log(initial):.3f}, 0.7]}}",
+            f"    # yield force [{pair.force_unit}]: about {of_strength};",
+            "    # within a factor of 4 with 95 %",
+            f"    F_y: {{lognormal: [{math.log(strength.value):.3f}, 0.7]}}",
+            "    b: {uniform: [0.0, 0.2]}                # stiffness after yielding over initial stiffness",
+            "    R0: {uniform: [2.0, 25.0]}              # sharpness of the first yielding",
+            "    cR1: {uniform: [0.0, 0.97]}             # the share of the sharpness that plastic excursions take",
+            "    cR2: 0.15                               # the value of most studies",
+            *_effects(frame),
+        ]
     return [
         "model:",
         "  spring: bouc_wen",
         "  parameters:",
-        f"    # initial stiffness [{pair.unit('N/m')}]: {_round(stiffness.value)} is the {pair.words(stiffness.source)};",
-        "    # within a factor of 4 with 95 %"
-        + (", plus the reduction by gravity" if frame.masses and frame.height else ""),
-        f"    A: {{lognormal: [{math.log(stiffness.value + _of_gravity(frame)):.3f}, 0.7]}}",
-        f"    # stiffness over strength [{pair.unit('1/m')}]: the strength A/beta is about {pair.words(strength.source)},",
-        f"    # {_round(strength.value)} {pair.force_unit} (median over experiments); within a factor of 4 with 95 %",
-        f"    beta: {{lognormal: [{math.log((stiffness.value + _of_gravity(frame)) / strength.value):.3f}, 0.7]}}",
+        *of_stiffness,
+        f"    A: {{lognormal: [{math.log(initial):.3f}, 0.7]}}",
+        f"    # stiffness over strength [{pair.unit('1/m')}]: the strength A/beta is about {of_strength};",
+        "    # within a factor of 4 with 95 %",
+        f"    beta: {{lognormal: [{math.log(initial / strength.value):.3f}, 0.7]}}",
         "    gamma: 0.0                              # symmetric loading and unloading: the usual first assumption",
         "    n: 1.0                                  # the smoothest yielding: the usual first assumption",
         *_effects(frame),

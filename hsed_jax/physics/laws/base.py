@@ -139,7 +139,7 @@ class AbstractSpringLaw(eqx.Module):
 class AbstractYieldingLaw(AbstractSpringLaw):
     """A law of paths with a stiffness and a force at which it yields."""
 
-    steepest: ClassVar[Mapping[str, float]] = {"k": 0.999, "F_y": 0.001}
+    steepest: ClassVar[Mapping[str, float]] = {"k": 0.999}
 
     k: Scalar = parameter("k", "N/m", "initial stiffness", lower=0.0)
     F_y: Scalar = parameter("F_y", "N", "yield force", lower=0.0)
@@ -153,6 +153,11 @@ class AbstractYieldingLaw(AbstractSpringLaw):
     def strength(self) -> Scalar:
         """The yield force [N]."""
         return self.F_y
+
+    @property
+    def steepness(self) -> Scalar:
+        """None: its force follows from the path, however long a step is."""
+        return 0.0
 
 
 def still(*names: str) -> Memory:

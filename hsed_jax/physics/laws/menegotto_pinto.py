@@ -16,16 +16,18 @@ _LEAST, _MOST = 1e-12, 1e6
 
 
 class _Branch(NamedTuple):
-    """The curve from the last reversal (u_r, f_r) towards the corner of its asymptotes (u_0, f_0); furthest points; its way."""
+    """The curve from the last reversal (u_r, f_r).
+
+    `side` is the strength that it tends to over F_y, with its sign, and zero in a virgin element; `aim` is the furthest elongation
+    that it is rounded for; `highest` and `lowest` are the furthest elongations at which the way has turned.
+    """
 
     u_r: Scalar
     f_r: Scalar
-    u_0: Scalar
-    f_0: Scalar
+    side: Scalar
     aim: Scalar
     highest: Scalar
     lowest: Scalar
-    way: Scalar
 
 
 @final
@@ -41,11 +43,15 @@ class MenegottoPinto(AbstractYieldingLaw):
     $u_y = F_y/k$.  Isotropic hardening shifts the line of the side that is loaded next by
     $s = 1 + a_1\big[(u_{max}-u_{min})/(2 a_2 u_y)\big]^{0.8}$ on the negative side, with $a_3, a_4$ on the positive one.
     A step commits its end, and at a reversal the start of the new curve.
+
+    Effects change stiffness and strength as in a Bouc–Wen law: $k a/\eta$ stands for k and $F_y a/\nu$ for F_y.  Roundness ξ is
+    measured by the virgin $u_y$.
     """
 
     name: ClassVar[str] = "menegotto_pinto"
     title: ClassVar[str] = "the steel of Giuffrè, Menegotto and Pinto"
     reference: ClassVar[str] = "Menegotto & Pinto 1973; Filippou, Popov & Bertero 1983 (Steel02 of OpenSees)"
+    slots: ClassVar[tuple[str, ...]] = ("a", "nu", "eta")
 
     b: Scalar = parameter(
         "b", "1", "stiffness after yielding over initial stiffness", neutral=0.0, lower=0.0, upper=0.95,
@@ -74,48 +80,47 @@ class MenegottoPinto(AbstractYieldingLaw):
     def start(self) -> Memory:
         """At rest, with no way yet; the furthest points of a virgin element are those of yielding."""
         u_y = jnp.asarray(self.yield_elongation)
-        rest = still("hysteretic", "elongation", "u_r", "f_r", "u_0", "f_0", "aim", "way")
+        rest = still("hysteretic", "elongation", "u_r", "f_r", "side", "aim")
         return {**rest, "highest": u_y, "lowest": -u_y}
 
     def force(self, elongation: Scalar, memory: Memory, slots: Slots) -> Scalar:
         """On the curve of the way from what is committed [N]."""
-        return self._on(self._branch(elongation, memory), elongation)
+        return self._on(self._branch(elongation, memory), elongation, slots)
 
     def settle(self, elongation: Scalar, memory: Memory, slots: Slots) -> Memory:
         """The point, and the curve it is on."""
         branch = self._branch(elongation, memory)
         is_still = elongation == memory["elongation"]
         kept = {name: jnp.where(is_still, memory[name], value) for name, value in branch._asdict().items()}
-        return {"hysteretic": self._on(branch, elongation), "elongation": elongation, **kept}
+        return {"hysteretic": self._on(branch, elongation, slots), "elongation": elongation, **kept}
 
     def _branch(self, elongation: Scalar, memory: Memory) -> _Branch:
         """The curve: that of the last step, or a new one where the way changes."""
-        u, f, way = memory["elongation"], memory["hysteretic"], memory["way"]
-        goes_up = elongation > u
+        u, way = memory["elongation"], jnp.sign(memory["side"])
         # Where nothing moves, the way is the old one; a virgin element looks up.
-        goes_up = jnp.where(elongation == u, way >= 0, goes_up)
+        goes_up = jnp.where(elongation == u, way >= 0, elongation > u)
         sign = jnp.where(goes_up, 1.0, -1.0)
-        is_virgin = way == 0
         is_new = sign != way
-        u_y, hardening = self.yield_elongation, self.b * self.k
         highest = jnp.where(is_new & ~goes_up, jnp.maximum(memory["highest"], u), memory["highest"])
         lowest = jnp.where(is_new & goes_up, jnp.minimum(memory["lowest"], u), memory["lowest"])
         growth, after = jnp.where(goes_up, self.a3, self.a1), jnp.where(goes_up, self.a4, self.a2)
-        s = 1 + growth * ((highest - lowest) / (2 * after * u_y)) ** 0.8
-        s = sign * jnp.where(is_virgin, 1.0, s)
-        u_0 = (s * (self.F_y - hardening * u_y) - f + self.k * u) / (self.k - hardening)
-        f_0 = s * self.F_y + hardening * (u_0 - s * u_y)
-        fresh = _Branch(u, f, u_0, f_0, jnp.where(goes_up, highest, lowest), highest, lowest, sign)
+        grown = 1 + growth * ((highest - lowest) / (2 * after * self.yield_elongation)) ** 0.8
+        side = sign * jnp.where(way == 0, 1.0, grown)
+        fresh = _Branch(u, memory["hysteretic"], side, jnp.where(goes_up, highest, lowest), highest, lowest)
         return _Branch(*(jnp.where(is_new, new, memory[name]) for name, new in fresh._asdict().items()))
 
-    def _on(self, branch: _Branch, elongation: Scalar) -> Scalar:
+    def _on(self, branch: _Branch, elongation: Scalar, slots: Slots) -> Scalar:
         """Force on a curve [N]."""
-        xi = jnp.abs(branch.aim - branch.u_0) / self.yield_elongation
+        k = self.k * slots("a") / slots("eta")
+        F_y = self.F_y * slots("a") / slots("nu")
+        # The asymptotes meet where f_r + k (u_0 - u_r) = s F_y + b k (u_0 - s u_y), with u_y = F_y/k.
+        span = (branch.side * F_y * (1 - self.b) - branch.f_r + self.b * k * branch.u_r) / (k * (1 - self.b))
+        xi = jnp.abs(branch.aim - branch.u_r - span) / self.yield_elongation
         R = self.R0 * (1 - self.cR1 * xi / (self.cR2 + xi))
-        span = branch.u_0 - branch.u_r
         # A curve that starts on its own asymptote has no length; it then is that asymptote.
         tiny = 1e-12 * self.yield_elongation
-        x = (elongation - branch.u_r) / jnp.where(jnp.abs(span) > tiny, span, jnp.copysign(tiny, branch.way))
+        span = jnp.where(jnp.abs(span) > tiny, span, jnp.copysign(tiny, branch.side))
+        x = (elongation - branch.u_r) / span
         power = jnp.exp(R * jnp.log(jnp.clip(jnp.abs(x), _LEAST, _MOST)))
         ratio = self.b * x + (1 - self.b) * x * jnp.exp(-jnp.log1p(power) / R)
-        return branch.f_r + ratio * (branch.f_0 - branch.f_r)
+        return branch.f_r + ratio * k * span

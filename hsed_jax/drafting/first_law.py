@@ -1,0 +1,196 @@
+"""Which spring law a first study has: that of Bouc and Wen, which every effect can join, or the steel of Menegotto and Pinto.
+
+The laws are fitted to the measured forces along the measured elongations, without structure and test rig.  Any elastic force,
+friction and dashpot may stand beside each: what the hysteresis is, does not depend on them.  A specimen that yields sharply at
+first and more roundly later is steel.  Beside the simplest law of Bouc and Wen that difference would be taken for effects that
+the specimen does not have.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.optimize import least_squares
+
+from hsed_jax.measurements import Campaign
+from hsed_jax.measurements.thinning import thinned
+from hsed_jax.physics.laws import LAWS
+from hsed_jax.physics.specimen import Specimen
+
+# So many experiments, those of the largest elongation, of about so many samples each.
+_EXPERIMENTS, _SAMPLES = 4, 500
+# Parts of the way from one sample to the next, over which a differential equation is integrated.
+_PARTS = 4
+# Elongations between which the elastic force beside a law is linear.
+_KNOTS = 11
+# Another law is taken in place of the simplest one if its residual is at most this share of that one's.
+_MUCH_BETTER = 0.5
+# Of a derivative, in units of a guess.
+_STEP = 1e-5
+
+
+class _Law(NamedTuple):
+    """A law and its free parameters: the first two are stiffness and strength, in units of what is guessed of them."""
+
+    name: str
+    low: tuple[float, ...]
+    start: tuple[float, ...]
+    high: tuple[float, ...]
+    parameters: Callable[[Sequence[Any], Any, Any], dict[str, Any]]
+
+
+def _bouc_wen(x: Sequence[Any], k: Any, F: Any) -> dict[str, Any]:
+    stiffness, strength, n, share = x[0] * k, x[1] * F, x[2], x[3]
+    beta = stiffness / (strength**n * (1 + share))
+    return {"A": stiffness, "beta": beta, "gamma": share * beta, "n": n}
+
+
+def _steel(x: Sequence[Any], k: Any, F: Any) -> dict[str, Any]:
+    return {"k": x[0] * k, "F_y": x[1] * F, "b": x[2], "R0": x[3], "cR1": x[4]}
+
+
+_LAWS = {
+    "simplest": _Law("bouc_wen", (0.06, 0.06), (1.0, 1.0), (16, 16), lambda x, k, F: _bouc_wen((*x, 1.0, 0.0), k, F)),
+    # As effects of the catalogue change it: `yield_sharpness` changes n, `loop_shape` changes γ.
+    "shaped": _Law("bouc_wen", (0.06, 0.06, 0.5, -0.9), (1.0, 1.0, 1.0, 0.0), (16, 16, 8, 5), _bouc_wen),
+    "steel": _Law(
+        "menegotto_pinto", (0.06, 0.06, 0.0, 1.0, 0.0), (1.0, 0.8, 0.02, 10.0, 0.8), (16, 16, 0.5, 25, 0.97), _steel
+    ),
+}
+
+
+class Residuals(NamedTuple):
+    """What the laws leave of the forces, normalised.
+
+    Attributes:
+        simplest: Bouc and Wen with n = 1 and γ = 0.
+        shaped: the same law with any n and γ.
+        steel: Menegotto and Pinto.
+    """
+
+    simplest: float
+    shaped: float
+    steel: float
+
+    @property
+    def is_steel(self) -> bool:
+        """Whether the law of Menegotto and Pinto leaves much less than the simplest one, and less than the shaped one."""
+        return self.steel < min(_MUCH_BETTER * self.simplest, self.shaped)
+
+
+class _Paths(NamedTuple):
+    """Records side by side, each followed by its last sample.
+
+    Attributes:
+        elongation: [m], (records, samples).
+        force: over the guessed strength, (records, samples).
+        beside: forces of size one that may stand beside a law, (records, samples, terms).
+        is_measured: where there is a sample, (records, samples).
+    """
+
+    elongation: np.ndarray
+    force: np.ndarray
+    beside: np.ndarray
+    is_measured: np.ndarray
+
+
+def residuals(campaign: Campaign, stiffness: float, strength: float) -> Residuals | None:
+    """What each law leaves of the measured forces.
+
+    Arguments:
+        campaign: the measurements.
+        stiffness: a guess of the stiffness [N/m].
+        strength: a guess of the strength [N].
+
+    Returns:
+        The normalised residuals; None where no experiment has a history of force and elongation.
+    """
+    paths = _paths(campaign, strength)
+    return paths and Residuals(*(_residual(name, paths, stiffness, strength) for name in _LAWS))
+
+
+def _paths(campaign: Campaign, strength: float) -> _Paths | None:
+    records = []
+    for experiment in campaign.train:
+        if experiment.record is not None and {"elongation", "force"} <= experiment.record.channels.keys():
+            record = thinned(experiment, _SAMPLES).record
+            assert record is not None
+            rate = np.abs(np.gradient(record["elongation"], record.time))
+            table = np.stack([record["elongation"], record["force"], rate])
+            records.append(table[:, np.isfinite(table).all(axis=0)])
+    records = sorted((r for r in records if r.shape[1] > _KNOTS), key=lambda r: -float(np.ptp(r[0])))[:_EXPERIMENTS]
+    if not records:
+        return None
+    length = max(r.shape[1] for r in records)
+    padded = [np.pad(r, ((0, 0), (0, length - r.shape[1])), mode="edge") for r in records]
+    elongation, force, rate = np.stack(padded, axis=1)
+    is_measured = np.arange(length) < np.asarray([[r.shape[1]] for r in records])
+    way = np.diff(elongation, prepend=0.0)
+    return _Paths(elongation, force / strength, _beside(elongation, np.sign(way), rate), is_measured)
+
+
+def _beside(elongation: np.ndarray, way: np.ndarray, rate: np.ndarray) -> Float[np.ndarray, "records samples terms"]:
+    """An elastic force, as hat functions of the elongation; friction and dashpots."""
+    knots = np.linspace(-1, 1, _KNOTS)
+    u, v = elongation / (np.max(np.abs(elongation)) or 1.0), rate / (np.max(rate) or 1.0)
+    elastic = np.maximum(0.0, 1 - np.abs(u[..., None] - knots) * (_KNOTS - 1) / 2)
+    return np.concatenate([elastic, np.stack([way, way * np.sqrt(v), way * v], axis=-1)], axis=-1)
+
+
+def _residual(name: str, paths: _Paths, stiffness: float, strength: float) -> float:
+    """RMS of what a fitted law and the best forces beside it leave, over that of the force."""
+    law, used = _LAWS[name], paths.is_measured
+    beside, force = paths.beside[used], paths.force[used]
+
+    def left(points: Float[np.ndarray, "lanes p"]) -> Float[np.ndarray, "n lanes"]:
+        found = (
+            np.asarray(_forces(name)(points, np.asarray([stiffness, strength]), paths.elongation))[:, used].T / strength
+        )
+        # A simulation that diverges is far off.
+        rest = force[:, None] - np.where(np.abs(found) < 1e3, found, 1e3)
+        return rest - beside @ np.linalg.lstsq(beside, rest, rcond=1e-8)[0]
+
+    def moved(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A point, and points a little off it, away from the upper bound."""
+        steps = np.where(x + _STEP > law.high, -_STEP, _STEP)
+        return x + np.concatenate([np.zeros((1, len(x))), np.diag(steps)]), steps
+
+    def slopes(x: np.ndarray) -> np.ndarray:
+        points, steps = moved(x)
+        here = left(points)
+        return (here[:, 1:] - here[:, :1]) / steps
+
+    bounds: Any = (law.low, law.high)
+    jac: Any = slopes
+    fit = least_squares(lambda x: left(moved(x)[0])[:, 0], law.start, jac, bounds, x_scale="jac", max_nfev=40)
+    return math.sqrt(2 * fit.cost / float(force @ force))
+
+
+@cache
+def _forces(name: str) -> Callable[..., Array]:
+    """The program that gives forces [N] of a law with several parameters along several paths, (lanes, records, samples)."""
+    law = _LAWS[name]
+
+    def along(x: Array, guesses: Array, elongation: Array) -> Array:
+        specimen = Specimen(LAWS[law.name](**law.parameters(list(x), guesses[0], guesses[1])))
+
+        def step(carry: tuple[Any, Any], to: Array) -> tuple[tuple[Any, Any], Any]:
+            at, memory = carry
+            way = to - at
+            for part in range(_PARTS):
+                # The midpoint rule; along the path, time is the share of the way.
+                slope = specimen.rates(at + way * part / _PARTS, way, memory)
+                middle = {state: value + slope[state] / (2 * _PARTS) for state, value in memory.items()}
+                slope = specimen.rates(at + way * (part + 0.5) / _PARTS, way, middle)
+                memory = {state: value + slope[state] / _PARTS for state, value in memory.items()}
+            force = specimen.force(to, way, memory)
+            return (to, specimen.settle(to, way, memory, jnp.asarray(False))), force
+
+        return jax.lax.scan(step, (jnp.zeros(()), specimen.start()), elongation)[1]
+
+    return jax.jit(jax.vmap(jax.vmap(along, (None, None, 0)), (0, None, None)))
