@@ -159,6 +159,7 @@ def calibrate_built(
     campaign: Campaign,
     size: int | None = None,
     start: Array | None = None,
+    starts: int | None = None,
     watch: Watch | None = None,
     settings: Settings | None = None,
 ) -> Calibration:
@@ -169,6 +170,7 @@ def calibrate_built(
         campaign: the experiments.
         size: number of rows to pad the data to.
         start: parameters of the model (SI) to start one of the searches from.
+        starts: number of searches of the MAP, by default that of the study.
         watch: follows it.
         settings: of the draws, by default those of the study.
     """
@@ -181,7 +183,7 @@ def calibrate_built(
     found = fit(
         posterior,
         data,
-        starts=study.calibration.starts,
+        starts=starts or study.calibration.starts,
         settings=settings or built.inference.settings,
         key=jax.random.fold_in(jax.random.key(study.seed), _CALIBRATION_KEY),
         units=built.mechanics.units,

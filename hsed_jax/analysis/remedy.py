@@ -255,7 +255,8 @@ def improve(
     if settings.sampler == "auto":
         settings = settings._replace(sampler="importance")
     start_at = _parameters(problem, fit, built)
-    better = calibrate_built(built, campaign, start=start_at, watch=watch, settings=settings)
+    # Other modes were looked for by the search, and by the fit of each step.
+    better = calibrate_built(built, campaign, start=start_at, starts=1, watch=watch, settings=settings)
     after = compare(better)
     steps[-1] = step_of(effects, after, better.map)
     return Improvement(study, calibration, better, before, after, Trail(steps, after.train.noise_floor, notes))

@@ -59,7 +59,7 @@ def expand(posterior: Posterior, data: Data, points: Sequence[np.ndarray] | np.n
     found: list[Expansion] = []
     for at in range(0, len(points), _WIDTH):
         block = np.stack([np.asarray(point) for point in points[at : at + _WIDTH]])
-        simulated = linearised_at(posterior, data, filled(block, _WIDTH))
+        simulated = [filled(own, _WIDTH) for own in linearised_at(posterior, data, block, _WIDTH)]
         leaves = [np.asarray(leaf) for leaf in _expansions(posterior, data, filled(block, _WIDTH), *simulated)]
         found += [Expansion(*(leaf[i] for leaf in leaves)) for i in range(len(block))]
     return found

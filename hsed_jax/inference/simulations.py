@@ -6,6 +6,7 @@ the unconstrained coordinates, which are of order one.  So no second program wit
 The parameters of errors and the offsets of a population cost no simulation.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
@@ -13,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
+from hsed_jax.backend import cores
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.predict import Predictor
@@ -39,10 +41,18 @@ def outputs_at(
 
 
 def linearised_at(
-    posterior: Posterior, data: Data, points: Float[np.ndarray, "N p"]
+    posterior: Posterior, data: Data, points: Float[np.ndarray, "N p"], size: int
 ) -> tuple[Float[np.ndarray, "N n J"], Float[np.ndarray, "N n"], Float[np.ndarray, "N n J p"]]:
-    """As `outputs_at`, and the derivatives of the outputs along u; zero if the middle or both sides diverged."""
-    theta, steps, along = map(np.asarray, _stencils(posterior, data, points))
+    """As `outputs_at`, and the derivatives of the outputs along u; zero if the middle or both sides diverged.
+
+    Arguments:
+        posterior: of the study.
+        data: measured outputs.
+        points: of u.
+        size: the most points of a call, for which the programs are made.
+    """
+    stencils = _stencils(posterior, data, filled(points, size))
+    theta, steps, along = (np.asarray(values)[: len(points)] for values in stencils)
     offsets = steps[:, :, None, None] * np.eye(steps.shape[1])[:, None, :]
     stencil = np.concatenate([theta[:, None], theta[:, None] + offsets, theta[:, None] - offsets], axis=1)
     outputs, ok = _simulated(posterior, data, stencil.reshape(-1, *stencil.shape[2:]))
@@ -69,13 +79,17 @@ def _simulated(
     posterior: Posterior, data: Data, thetas: Float[np.ndarray, "N m q"]
 ) -> tuple[Float[np.ndarray, "N n J"], Float[np.ndarray, "N n"]]:
     """Outputs at parameters of the model, for all experiments or of each its own."""
-    size, found = points_of_a_call(data), []
-    for at in range(0, len(thetas), size):
+    size = points_of_a_call(data)
+
+    def called(at: int) -> tuple[np.ndarray, np.ndarray]:
         block = thetas[at : at + size]
         counts = np.where(np.arange(size) < len(block), np.asarray(data.count), 0)
         outputs, ok = _predictions(posterior.predict, filled(block, size), data.conditions, counts)
-        found.append((np.asarray(outputs)[: len(block)], np.asarray(ok)[: len(block)]))
-    outputs, ok = zip(*found, strict=True)
+        return np.asarray(outputs)[: len(block)], np.asarray(ok)[: len(block)]
+
+    # A call keeps one core busy.
+    with ThreadPoolExecutor(cores()) as threads:
+        outputs, ok = zip(*threads.map(called, range(0, len(thetas), size)), strict=True)
     return np.concatenate(outputs), np.concatenate(ok)
 
 
