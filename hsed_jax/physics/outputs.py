@@ -94,12 +94,37 @@ def _largest(of: Callable[["Step"], Scalar]) -> Kept:
         largest, value = kept[0], jnp.abs(of(step))
         return (jnp.where(value <= largest, largest, value),)
 
-    return Kept((0.0,), after, lambda kept, end: kept[0])
+    return Kept((0.0,), after, _number(0))
 
 
 def _last(of: Callable[["Step"], Scalar]) -> Kept:
     """What it is at the end of the last step."""
-    return Kept((0.0,), lambda kept, step: (of(step),), lambda kept, end: kept[0])
+
+    def after(kept: tuple[Scalar, ...], step: "Step") -> tuple[Scalar, ...]:
+        return (of(step),)
+
+    return Kept((0.0,), after, _number(0))
+
+
+def _number(index: int) -> Callable[[tuple[Scalar, ...], Mapping[str, Scalar]], Scalar]:
+    """One of the numbers that travelled with the integration."""
+
+    def value(kept: tuple[Scalar, ...], end: Mapping[str, Scalar]) -> Scalar:
+        return kept[index]
+
+    return value
+
+
+def _at_the_end(state: str) -> Kept:
+    """A state of the specimen at the end; nothing travels with the integration."""
+
+    def after(kept: tuple[Scalar, ...], step: "Step") -> tuple[Scalar, ...]:
+        return ()
+
+    def value(kept: tuple[Scalar, ...], end: Mapping[str, Scalar]) -> Scalar:
+        return end[state]
+
+    return Kept((), after, value)
 
 
 def _energy(time: np.ndarray, channels: Channels) -> np.ndarray:
@@ -129,7 +154,7 @@ def _energy_at(until: float) -> Quantity:
         (*_FORCE, *_ELONGATION),
         channels=lambda masses: ("force", "elongation"),
         measured=measured,
-        kept=Kept((0.0, 0.0), after, lambda kept, end: kept[1]),
+        kept=Kept((0.0, 0.0), after, _number(1)),
         is_strength=True,
         until=until,
     )
@@ -164,7 +189,7 @@ QUANTITIES: dict[str, Quantity] = {
         (*_FORCE, *_ELONGATION),
         channels=lambda masses: ("force", "elongation"),
         measured=lambda time, channels: float(np.trapezoid(channels["force"], channels["elongation"])),
-        kept=Kept((), lambda kept, step: (), lambda kept, end: end["energy"]),
+        kept=_at_the_end("energy"),
         is_strength=True,
         limit="energy",
     ),

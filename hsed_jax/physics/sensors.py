@@ -8,6 +8,9 @@ $\Delta u_{meas}(t-\tau_F+\tau_u)/g_u$, on the clock of the force.  Gains act on
 zero act on histories alone, and none of them on energy.
 """
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 import math
 from collections.abc import Callable
 from typing import Any
@@ -89,7 +92,11 @@ def felt(forcing: Tabulated, slots: Callable[[str], Any], step_length: Float[Arr
         # Before the path begins the specimen rests; after it has ended the motion goes on as it was.
         beyond = jnp.maximum(time - delay - time[-1], 0.0)
         samples = Imposed(elongation + rate * beyond, jnp.where(time - delay >= time[0], rate, 0.0))
-    return Tabulated(jax.tree.map(lambda values: values / gain, samples))
+
+    def divided(values: Array) -> Array:
+        return values / gain
+
+    return Tabulated(jax.tree.map(divided, samples))
 
 
 def shifted(

@@ -1,10 +1,15 @@
 """The computational simulator: from the conditions of one experiment and the parameters of the model to a response."""
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+# A compiled method is an object, and a field of this model says more than the abstract one.
+# pyright: reportIncompatibleMethodOverride=false, reportIncompatibleVariableOverride=false
+
 from abc import abstractmethod
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple, cast, final
 
 import equinox as eqx
 import jax
@@ -93,7 +98,7 @@ class Parametrised[T](eqx.Module):
 
         def told(value: Any) -> Any:
             if isinstance(value, tuple):
-                return tuple(told(one) for one in value)
+                return tuple(map(told, cast(tuple[Any, ...], value)))
             return inputs[value] if isinstance(value, str) else value
 
         return self.constructor(**self.arrays, **{name: told(value) for name, value in self.arguments})
@@ -210,7 +215,7 @@ class Simulator(AbstractModel):
         structure = self.structure.told(given.owners[OWNER])
         if self.damping_follows_model:
             stiffness = tuple(specimen.law.stiffness for specimen in specimens)
-            structure = eqx.tree_at(lambda s: s.damping.specimen_stiffness, structure, stiffness)
+            structure = eqx.tree_at(_stiffness_of_specimens, structure, stiffness)
         altered, damping = structure, None
         if slots is not None:
             # C is what the model was built with: an error of mass or stiffness does not carry over to it.
@@ -304,7 +309,15 @@ class Simulator(AbstractModel):
             return combine([e.contribute(setup) for name, e in effects.items() if owner_of(name) in places])
 
         of_each = {element.name: written(element.name) for element in self.elements} | {"": written("")}
-        return lambda slot, owner="": of_each[owner](slot)
+
+        def slot_of(slot: str, owner: str = "") -> Any:
+            return of_each[owner](slot)
+
+        return slot_of
+
+
+def _stiffness_of_specimens(structure: Any) -> Any:
+    return structure.damping.specimen_stiffness
 
 
 class _Given(NamedTuple):

@@ -7,6 +7,9 @@ is no force, and the element beyond it feels the elongation less the slack, $\De
 integration may cross a slack in a step: for it, force and flow of the element count with the share of the step that is outside.
 """
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from collections.abc import Iterable, Mapping
 from functools import partial
 from typing import final

@@ -1,5 +1,8 @@
 """States of the spring that several effects look at: each is declared once, here, and integrated where an effect needs it."""
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -5,9 +5,12 @@ $$M\ddot u + C\dot u + K u + \sum_s b_s\,r_s = -M\,1\,a_g,\qquad \Delta u_s = b_
 with b = +1 at a specimen's second end and −1 at its first (0 for the ground).
 """
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, final
+from typing import Any, cast, final
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -47,7 +50,7 @@ class ModalDamping(eqx.Module):
     def matrix(self, masses: Float[Array, " m"], stiffness: Float[Array, "m m"]) -> Float[Array, "m m"]:
         """C [N·s/m] from the masses [kg] and the stiffness matrix with the specimen [N/m]."""
         root = jnp.sqrt(masses)
-        eigenvalues, modes = jnp.linalg.eigh(stiffness / jnp.outer(root, root))
+        eigenvalues, modes = _eigen(stiffness / jnp.outer(root, root))
         is_rigid = _is_rigid(eigenvalues)
         circular = jnp.where(is_rigid, 0.0, jnp.sqrt(jnp.where(is_rigid, 1.0, eigenvalues)))
         modal = 2 * jnp.asarray(self.ratios) * circular
@@ -190,6 +193,11 @@ class Structure(eqx.Module):
         if second is not None:
             b[second] += 1.0
         return b
+
+
+def _eigen(matrix: Float[Array, "m m"]) -> tuple[Float[Array, " m"], Float[Array, "m m"]]:
+    """Eigenvalues and eigenvectors of a symmetric matrix."""
+    return cast(tuple[Array, Array], jnp.linalg.eigh(matrix))
 
 
 def _is_rigid(eigenvalues: Any) -> Any:

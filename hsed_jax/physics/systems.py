@@ -4,6 +4,9 @@ The state is a pytree of scalars on purpose: under `vmap` every component become
 a whole Runge–Kutta stage into one loop over it.  A stacked state vector is six times slower.
 """
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 import functools
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
@@ -67,7 +70,7 @@ class AbstractSystem(eqx.Module):
         """The longest step times the fastest rate of the virgin specimens."""
 
     def _specimen_channels(self, state: State, sample: Any) -> dict[str, Scalar]:
-        values = {}
+        values: dict[str, Scalar] = {}
         moved = self.kinematics(state, sample)
         for name, specimen, (elongation, rate), memory in zip(
             self.names, self.specimens, moved, state.memory, strict=True

@@ -1,5 +1,8 @@
 """When an experiment is integrated and sampled: the only place that turns numbers of steps into times."""
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from typing import NamedTuple
 
 import jax.numpy as jnp

@@ -7,15 +7,18 @@ The integrator asks for an excitation at the ends and the middle of every step, 
 and an `advance` that moves it by half a step.
 """
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple, final
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from hsed_jax.physics.declared import Declared
 from hsed_jax.physics.timeline import Timeline
@@ -61,11 +64,11 @@ class AbstractForcing(eqx.Module):
     """An excitation on the half-step grid, k = 0 … 2n."""
 
     @abstractmethod
-    def start(self) -> tuple[PyTree, PyTree]:
+    def start(self) -> tuple[Any, Any]:
         """The carry and the sample at t = 0."""
 
     @abstractmethod
-    def advance(self, carry: PyTree, index: ArrayLike) -> tuple[PyTree, PyTree]:
+    def advance(self, carry: Any, index: ArrayLike) -> tuple[Any, Any]:
         """The carry and the sample at grid point `index`, from the carry at `index - 1`."""
 
 
@@ -73,18 +76,21 @@ class AbstractForcing(eqx.Module):
 class Tabulated(AbstractForcing):
     """Samples in a table; `samples` is a pytree of arrays of shape (2n+1,)."""
 
-    samples: PyTree
+    samples: Any
 
-    def start(self) -> tuple[PyTree, PyTree]:
+    def start(self) -> tuple[Any, Any]:
         """No carry: the table is read by its index."""
         return None, self._at(0)
 
-    def advance(self, carry: PyTree, index: ArrayLike) -> tuple[PyTree, PyTree]:
+    def advance(self, carry: Any, index: ArrayLike) -> tuple[Any, Any]:
         """The sample in row `index`."""
         return None, self._at(index)
 
-    def _at(self, index: ArrayLike) -> PyTree:
-        return jax.tree.map(lambda samples: samples[index], self.samples)
+    def _at(self, index: ArrayLike) -> Any:
+        def row(samples: Any) -> Any:
+            return samples[index]
+
+        return jax.tree.map(row, self.samples)
 
 
 @final
@@ -94,15 +100,15 @@ class Shaken(AbstractForcing):
     forcing: AbstractForcing
     factor: Scalar
 
-    def start(self) -> tuple[PyTree, PyTree]:
+    def start(self) -> tuple[Any, Any]:
         """The carry of the forcing and its first sample, scaled."""
         return self._times(*self.forcing.start())
 
-    def advance(self, carry: PyTree, index: ArrayLike) -> tuple[PyTree, PyTree]:
+    def advance(self, carry: Any, index: ArrayLike) -> tuple[Any, Any]:
         """The carry of the forcing and its sample, scaled."""
         return self._times(*self.forcing.advance(carry, index))
 
-    def _times(self, carry: PyTree, sample: PyTree) -> tuple[PyTree, PyTree]:
+    def _times(self, carry: Any, sample: Any) -> tuple[Any, Any]:
         if not isinstance(sample, Applied):
             return carry, sample * self.factor
         return carry, sample if sample.ground is None else sample._replace(ground=sample.ground * self.factor)
@@ -142,6 +148,11 @@ class AbstractExcitation(eqx.Module):
         return float("inf")
 
 
+def samples_of(values: ArrayLike | Sequence[float]) -> Array:
+    """The samples of a record as an array."""
+    return jnp.asarray(values)
+
+
 class AbstractRecord(AbstractExcitation):
     """What was recorded; an excitation of this kind is interpolated between its samples.
 
@@ -149,7 +160,7 @@ class AbstractRecord(AbstractExcitation):
         time: sample times [s], increasing, shape (m,).
     """
 
-    time: Float[Array, " m"] = eqx.field(converter=jnp.asarray)
+    time: Float[Array, " m"] = eqx.field(converter=samples_of)
 
     @property
     def duration(self) -> Scalar:

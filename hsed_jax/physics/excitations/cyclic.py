@@ -9,6 +9,9 @@ the same number of steps at each of them, so that every reversal is the end of a
 The amplitudes are a study's own, or those of a published protocol (`hsed_jax.physics.protocols`).
 """
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from typing import ClassVar, final
 
 import equinox as eqx
@@ -99,7 +102,7 @@ class CyclicElongation(AbstractImposedElongation):
             jnp.where(inside, amplitude * jnp.sin(phase), 0.0), jnp.where(inside, self.rate * jnp.cos(phase), 0.0)
         )
 
-    def forcing(self, step: Float[Array, " steps"], steps: int) -> AbstractForcing:
+    def forcing(self, step: Float[Array, "..."] | float, steps: int) -> AbstractForcing:
         """The table of the protocol, exact at its reversals and zeros where `branches` divides `steps`."""
         branch, within = np.divmod(np.arange(2 * steps + 1) * self.branches, 2 * steps)
         turn = np.exp(0.25j * np.pi * within / steps) * np.asarray([1, 1j, -1, -1j])[branch % 4]
