@@ -18,14 +18,14 @@ TILE = 64
 
 
 def tiled_map[T, R](many: Callable[[T], R], lanes: T, *, count: ArrayLike | None = None, tile: int = TILE) -> R:
-    """Apply a batched function to all lanes, tile by tile.
+    """Apply a batched function to all simulations of a batch, tile by tile.
 
     Arguments:
-        many: from a tile of lanes (leading axis) to a pytree of arrays with the same leading axis; usually a `jax.vmap`.
+        many: from a tile of the batch (leading axis) to a pytree of arrays with the same leading axis; usually a `jax.vmap`.
         lanes: pytree of arrays with a common leading axis of length N.
-        count: how many lanes matter (may be traced); tiles beyond it are not computed, and the results of lanes beyond
-            it are zero.  With it, one compiled program costs what the data need, whatever they are padded to.
-        tile: lanes that run together.
+        count: how many simulations count (may be traced); tiles beyond it are not computed, and results beyond it are zero.
+            So one compiled program costs what the data need, for any padding.
+        tile: simulations that run together.
 
     Returns:
         The results, leading axis N.
@@ -36,7 +36,7 @@ def tiled_map[T, R](many: Callable[[T], R], lanes: T, *, count: ArrayLike | None
     padding = tiles * tile - size
 
     def cut(values: Array) -> Array:
-        # Padding repeats the last lane, so that it is as well behaved as the data.
+        # Padding repeats the last simulation, so it converges like the data.
         padded = jnp.concatenate([values, jnp.repeat(values[-1:], padding, axis=0)]) if padding else values
         return padded.reshape(tiles, tile, *values.shape[1:])
 

@@ -1,7 +1,8 @@
-"""What is absent is not computed: branches that are taken by all lanes of a batch together.
+"""Absent effects are not computed: a batch of simulations takes each branch together.
 
-One compiled program may hold every effect of the catalogue.  Whether an effect acts is then an operand, the same for all lanes
-that run together: under `jax.vmap` a choice by lane computes both sides, and a choice for all lanes is a branch.
+One compiled program may hold every effect of the catalogue.  Whether an effect acts is then an operand, the same for all
+simulations of the batch.  Under `jax.vmap`, a choice per simulation computes both sides, and a choice for the whole batch is a
+branch.
 """
 
 # JAX gives its devices no type, so the functions that make arrays have none.
@@ -17,7 +18,7 @@ from jaxtyping import Array, Bool
 LANES = "lanes"
 """The axis of `jax.vmap` over what runs together, where effects are gated."""
 
-# Every gate has to be asked, so effects stand behind a common gate in groups of so many.
+# Every gate costs a test, so effects share a gate in groups of this size.
 _GROUP = 6
 
 
@@ -41,12 +42,12 @@ def gated[T](acts: Bool[Array, ""] | None, there: Callable[[], T], absent: Calla
 
 
 def in_any_lane(happens: Bool[Array, ""]) -> Bool[Array, ""]:
-    """Whether something happens in any of the lanes that run together."""
+    """Whether an event happens in any simulation of the batch."""
     return cast(Array, jax.lax.pmax(jnp.asarray(happens, int), LANES)) > 0
 
 
 class Acts(NamedTuple):
-    """What an effect does in simulations that run together.
+    """The action of an effect in simulations that run together.
 
     Attributes:
         acts: whether it acts in any of them.

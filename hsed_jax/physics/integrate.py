@@ -29,7 +29,7 @@ Scalar = Float[Array, ""] | float
 
 
 class Progress(NamedTuple):
-    """What travels through the integration.
+    """The values that travel through the integration.
 
     Attributes:
         state: at the end of the last step.
@@ -44,12 +44,12 @@ class Progress(NamedTuple):
 
 @final
 class RungeKutta4(diffrax.AbstractSolver[Any]):
-    r"""The classical fourth-order Runge–Kutta method with a forcing that is known at the ends and the middle of the step.
+    """The classical fourth-order Runge–Kutta method with a forcing that is known at the ends and the middle of the step.
 
-    After each step it looks for a reversal inside it, a zero of Δu̇, where a hysteretic spring has its peaks, and updates
-    them there and not on the grid: with θ ∈ (0, 1) the zero of the linear Δu̇, the peak elongation is the cubic Hermite
-    interpolant of Δu at θ.  What the spring does of it is its own: a law that integrates its force mends the kink
-    (`hsed_jax.physics.laws.reversal`), a law of paths commits its states there.  This is worth a factor of four in step size.
+    After each step it looks for a reversal inside it, a zero of Δu̇, where a hysteretic spring has its peaks, and updates the
+    peaks there instead of on the grid.  With θ ∈ (0, 1) the zero of the linear Δu̇, the peak elongation is the cubic Hermite
+    interpolant of Δu at θ.  The spring then does its own part: a law that integrates its force corrects the kink
+    (`hsed_jax.physics.laws.reversal`), and a law of paths commits its states there.  This allows steps four times as long.
     """
 
     term_structure: ClassVar = diffrax.ODETerm
@@ -102,8 +102,8 @@ class RungeKutta4(diffrax.AbstractSolver[Any]):
         third = _kept(moved(rates(second, middle), 0.5 * h))
         fourth = _kept(moved(rates(third, middle), h))
 
-        # From the states of the stages, which are kept, and not from their rates, which then need not be: a step of many
-        # lanes takes as long as its loads and stores.  The sum in this order is exactly 4y where the step has no length.
+        # From the states of the stages, which are stored, so that their rates need not be stored: a step of many
+        # simulations takes as long as its loads and stores.  In this order the sum is exactly 4y if the step has no length.
         def ended(y: Scalar, b: Scalar, c: Scalar, d: Scalar, k: Scalar) -> Scalar:
             return y + (b + d + 2 * c - 4 * y) / 3 + h / 6 * k
 
@@ -118,7 +118,7 @@ class RungeKutta4(diffrax.AbstractSolver[Any]):
         end = jax.lax.optimization_barrier(end)
         end, turns = _turned(system, (start, first), (end, last), flow, h)
 
-        # Each of the two stages is off by h²/8 ÿ, one this way and one that.
+        # The two stages have errors of h²/8 ÿ with opposite signs.
         def mean(b: Scalar, c: Scalar) -> Scalar:
             return 0.5 * (b + c)
 
@@ -133,7 +133,7 @@ class RungeKutta4(diffrax.AbstractSolver[Any]):
 
 
 def _kept(state: State) -> State:
-    """The state of a stage, written to memory: without the barrier XLA computes it again for everything that uses it.
+    """The state of a stage, written to memory.  Without the barrier XLA computes it again for every use.
 
     Its displacement is cheaper to compute again.
     """
@@ -166,7 +166,7 @@ def _turn(first: tuple[Scalar, Scalar], last: tuple[Scalar, Scalar], h: Scalar) 
     turns = v0 * v1 < 0
     theta = jax.lax.optimization_barrier(jnp.where(turns, v0 / jnp.where(turns, v0 - v1, 1.0), 1.0))
     turns, rest = theta < 1, 1 - theta
-    # The cubic in powers of 1 − θ: exactly Δu₁ where nothing turns.
+    # The cubic in powers of 1 − θ: exactly Δu₁ without a reversal.
     back, bend = du0 - du1, 2 * (du0 - du1) + h * (v0 + v1)
     elongation = du1 + rest * (rest * (back + bend + h * v1 - rest * bend) - h * v1)
     elongation = jax.lax.optimization_barrier(elongation)
@@ -226,7 +226,7 @@ def integrate(
         saveat=diffrax.SaveAt(subs=_saves({name: _place(system, name) for name in names}, channels, every)),
         adjoint=diffrax.ForwardMode() if adjoint is None else adjoint,
         max_steps=steps,
-        # Nothing can fail in steps of one; asking for it would be a call back into Python within the program.
+        # Steps of one cannot fail; a check would be a call back into Python within the program.
         throw=False,
     )
     assert solution.ys is not None

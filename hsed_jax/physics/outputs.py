@@ -1,12 +1,12 @@
-r"""What is measured and predicted, channels and quantities: the only list of either.
+r"""Measured and predicted outputs, channels and quantities: the only list of either.
 
-A further quantity is one entry of `QUANTITIES`: symbol, unit and meaning, how it follows from a record, and how it is kept while
-an experiment is integrated.  It may then stand in a campaign and in a study, and has its place in reports.
+A further quantity is one entry of `QUANTITIES`: symbol, unit and meaning, its formula from a record, and how the integration
+keeps it.  It may then stand in a campaign and in a study, and has its place in reports.
 
-Where a structure has several specimens, what belongs to one has its name in front: `storey2.force`, `storey2.peak_force`.
+If a structure has several specimens, the name of a specimen stands before its outputs: `storey2.force`, `storey2.peak_force`.
 
-Peaks in a simulation are those of the continuous response.  Work in between the ends of a step, of length h, is the cubic of the
-work e and the power $r\,\Delta\dot u$ at both ends (Hermite).
+Peaks in a simulation are those of the continuous response.  Between the ends of a step of length h, the work is the cubic
+(Hermite) of the work e and the power $r\,\Delta\dot u$ at both ends.
 """
 
 import functools
@@ -90,7 +90,7 @@ def _largest(of: Callable[["Step"], Scalar]) -> Kept:
     def after(kept: tuple[Scalar, ...], step: "Step") -> tuple[Scalar, ...]:
         import jax.numpy as jnp  # here: who reads a campaign needs no JAX
 
-        # Not `maximum`, whose derivative shares out a tie, which costs; what is no number passes through here as well.
+        # `maximum` would split the derivative at a tie, which costs time.  A NaN passes through here, too.
         largest, value = kept[0], jnp.abs(of(step))
         return (jnp.where(value <= largest, largest, value),)
 

@@ -1,7 +1,4 @@
-"""What is known of a parameter, written once, where the parameter is declared.
-
-Schema, priors, axis labels, `hsed effects` and the tables of the documentation are all read from here.
-"""
+"""The declaration of a parameter, written once."""
 
 import dataclasses
 from collections.abc import Callable, Mapping

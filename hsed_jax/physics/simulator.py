@@ -105,9 +105,9 @@ class Parametrised[T](eqx.Module):
 
 
 class AbstractModel(eqx.Module):
-    """A computational model: from parameters and the conditions of one experiment to what is predicted of it.
+    """A computational model: from parameters and the conditions of one experiment to its predicted response.
 
-    What calibrates, designs, compares and reports knows of a model no more than this; `Simulator` is the one of a spring law.
+    Calibration, design, comparison and report use only this interface; `Simulator` is the model of a spring law.
 
     Attributes:
         excitation: from inputs to what drives it; None where every experiment brings its record, or has none.
@@ -191,7 +191,7 @@ class Simulator(AbstractModel):
         return tuple(element.name for element in self.elements)
 
     def gives(self, name: str) -> bool:
-        """Everything: what there is of a structure is checked where a study is built."""
+        """True: the build of a study checks which outputs its structure has."""
         return True
 
     @property
@@ -218,7 +218,7 @@ class Simulator(AbstractModel):
             structure = eqx.tree_at(_stiffness_of_specimens, structure, stiffness)
         altered, damping = structure, None
         if slots is not None:
-            # C is what the model was built with: an error of mass or stiffness does not carry over to it.
+            # C is formed by the model without errors: an error of mass or stiffness does not change it.
             damping = slots("damping") * structure.damping_matrix()
             altered = structure.altered(slots("mass"), slots("support"))
         yielding = {
@@ -246,7 +246,7 @@ class Simulator(AbstractModel):
             channels: names of the histories to keep.
             quantities: names of those to keep beside the ones of Eq. 18.
         """
-        # Here and not above: what only builds or checks a simulator does without diffrax.
+        # Imported here, because building or checking a simulator needs no diffrax.
         from hsed_jax.physics.integrate import integrate
 
         steps, every = self.timeline.steps, self.timeline.every

@@ -28,7 +28,7 @@ End = int | None
 class Spring(eqx.Module):
     """A linear spring between two masses (numbered from 0) or the ground (None), stiffness [N/m]."""
 
-    # Static: where a spring is decides what is computed, so a traced structure must not trace it.
+    # Static, because the place of a spring decides which operations are computed; a traced structure must not trace it.
     ends: tuple[End, End] = eqx.field(static=True)
     stiffness: Scalar
 
@@ -131,7 +131,7 @@ class Structure(eqx.Module):
         self, specimen_stiffness: Scalar | Sequence[Scalar] = 0.0
     ) -> Float[Array, "m m"] | Float[np.ndarray, "m m"]:
         """K [N/m], the specimens counted with the given stiffness [N/m], one for all or one for each."""
-        # Where a spring is is known: only what is traced becomes an operation of the program.
+        # In NumPy, because the places of springs are known: only traced numbers become operations of the program.
         one = specimen_stiffness
         of_specimens = one if isinstance(one, Sequence) else [one] * len(self.specimens)
         matrix: Any = np.zeros((len(self.masses),) * 2)

@@ -34,9 +34,9 @@ class Imposed(NamedTuple):
 
 
 class Applied(NamedTuple):
-    """Forces [N] on masses (numbered from 0) at one instant, and the acceleration of the ground [m/s²], None where it rests.
+    """Forces [N] on masses (numbered from 0) at one instant, and the acceleration of the ground [m/s²], None if it rests.
 
-    A ground motion alone is its acceleration by itself, a number.
+    A ground motion alone is a plain number, its acceleration.
     """
 
     forces: Mapping[int, Any]
@@ -44,7 +44,7 @@ class Applied(NamedTuple):
 
 
 def driven(sample: Any) -> tuple[Scalar, Mapping[int, Scalar]]:
-    """Acceleration of the ground [m/s²] and the forces on masses [N] of one sample of what drives a structure."""
+    """Acceleration of the ground [m/s²] and the forces on masses [N], from one sample of the excitation of a structure."""
     if isinstance(sample, Applied):
         return 0.0 if sample.ground is None else sample.ground, sample.forces
     return sample, {}
@@ -115,7 +115,7 @@ class Shaken(AbstractForcing):
 
 
 class AbstractExcitation(eqx.Module):
-    """What drives an experiment.
+    """The excitation of an experiment.
 
     Attributes:
         declared: what a study says of it; its settings are fields of the same names, whole numbers static ones: they decide how
@@ -126,7 +126,7 @@ class AbstractExcitation(eqx.Module):
 
     @abstractmethod
     def sample(self, time: Scalar) -> Any:
-        """What drives the experiment at one instant [s]: an acceleration of the ground [m/s²], `Applied` or `Imposed`."""
+        """The excitation at one instant [s]: an acceleration of the ground [m/s²], `Applied` or `Imposed`."""
 
     @abstractmethod
     def forcing(self, step: Float[Array, "..."] | float, steps: int) -> AbstractForcing:
@@ -140,7 +140,7 @@ class AbstractExcitation(eqx.Module):
     @property
     @abstractmethod
     def duration(self) -> Scalar:
-        """How long it lasts [s]."""
+        """Duration [s]."""
 
     @property
     def shortest_period(self) -> Scalar:
@@ -154,7 +154,7 @@ def samples_of(values: ArrayLike | Sequence[float]) -> Array:
 
 
 class AbstractRecord(AbstractExcitation):
-    """What was recorded; an excitation of this kind is interpolated between its samples.
+    """A recorded excitation; it is interpolated between its samples.
 
     Attributes:
         time: sample times [s], increasing, shape (m,).
@@ -178,7 +178,7 @@ class AbstractImposedElongation(AbstractExcitation):
     @property
     @abstractmethod
     def branches(self) -> int:
-        """Parts with the same number of steps each, whatever the inputs."""
+        """Number of parts with the same number of steps each, for any inputs."""
 
     @property
     @abstractmethod

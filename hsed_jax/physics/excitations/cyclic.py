@@ -96,7 +96,7 @@ class CyclicElongation(AbstractImposedElongation):
         level = jnp.clip(jnp.searchsorted(starts, time, side="right") - 1, 0, len(starts) - 2)
         amplitude = self._levels[level]
         phase = self.rate / amplitude * (time - starts[level])
-        # A sum of steps that ends with the protocol may do so some rounding later.
+        # The sum of all steps may exceed the end of the protocol by rounding.
         inside = (time >= 0) & (time <= starts[-1] * (1 + 1e-12))
         return Imposed(
             jnp.where(inside, amplitude * jnp.sin(phase), 0.0), jnp.where(inside, self.rate * jnp.cos(phase), 0.0)

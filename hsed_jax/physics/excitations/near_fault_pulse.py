@@ -130,7 +130,7 @@ class _RotatingPulse(AbstractForcing):
         def over() -> tuple[tuple[Phasor, Phasor], Scalar]:
             return carry, jnp.zeros(())
 
-        # The same for all lanes of a batch, so it stays a branch: most of an experiment is free vibration.
+        # The condition is the same for the whole batch, so it stays a branch: most of an experiment is free vibration.
         return cast(tuple[Any, Scalar], jax.lax.cond(jnp.asarray(index) <= self.last, shaken, over))
 
 

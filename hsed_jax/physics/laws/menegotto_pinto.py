@@ -11,7 +11,7 @@ from hsed_jax.physics.laws.base import AbstractYieldingLaw, Memory, Scalar, Slot
 from hsed_jax.physics.parameters import parameter
 from hsed_jax.registry import register
 
-# Bounds of the ratio x in powers: below, a logarithm of zero would poison derivatives; above, |x|^R would overflow.
+# Bounds of the ratio x in powers: below, a logarithm of zero would make derivatives NaN; above, |x|^R would overflow.
 _LEAST, _MOST = 1e-12, 1e6
 
 
@@ -92,7 +92,7 @@ class MenegottoPinto(AbstractYieldingLaw):
         """The curve: that of the last step, or a new one where the way changes."""
         u, f, way = memory["elongation"], memory["hysteretic"], memory["way"]
         goes_up = elongation > u
-        # Where nothing moves, the way is the old one; a virgin element looks up.
+        # Without motion the direction stays; that of a virgin element is positive.
         goes_up = jnp.where(elongation == u, way >= 0, goes_up)
         sign = jnp.where(goes_up, 1.0, -1.0)
         is_virgin = way == 0
@@ -113,7 +113,7 @@ class MenegottoPinto(AbstractYieldingLaw):
         xi = jnp.abs(branch.aim - branch.u_0) / self.yield_elongation
         R = self.R0 * (1 - self.cR1 * xi / (self.cR2 + xi))
         span = branch.u_0 - branch.u_r
-        # A curve that starts on its own asymptote has no length; it then is that asymptote.
+        # A curve that starts on its own asymptote has no length, and equals that asymptote.
         tiny = 1e-12 * self.yield_elongation
         x = (elongation - branch.u_r) / jnp.where(jnp.abs(span) > tiny, span, jnp.copysign(tiny, branch.way))
         power = jnp.exp(R * jnp.log(jnp.clip(jnp.abs(x), _LEAST, _MOST)))
