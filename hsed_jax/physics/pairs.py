@@ -1,4 +1,10 @@
-"""Conjugate pairs: the imposed and the resisting quantity of a specimen, as the laboratory measures them."""
+"""Conjugate pairs: the imposed and the resisting quantity of a specimen, as the laboratory measures them.
+
+A spring law relates two quantities whose product is a work.  They are called elongation [m] and force [N]; the same law, with the
+same numbers, relates the rotation [rad] of a joint to its moment [N m], or the strain of a coupon to its stress [Pa].  So nothing
+in the numerics knows of pairs: units, symbols and words that were written for elongation and force (`hsed_jax.physics.outputs`,
+the parameters of laws and effects) are translated here, where they are shown.
+"""
 
 import dataclasses
 import re

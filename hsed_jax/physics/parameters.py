@@ -1,4 +1,7 @@
-"""The declaration of a parameter, written once."""
+"""The declaration of a parameter, written once.
+
+Schema, priors, axis labels, `hsed effects` and the tables of the documentation are all read from here.
+"""
 
 import dataclasses
 from collections.abc import Callable, Mapping

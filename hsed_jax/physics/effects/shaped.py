@@ -1,4 +1,7 @@
-"""An effect in its simplest shape, while no simulation of the batch has another shape."""
+"""An effect in its simplest shape, while no simulation of the batch has another shape.
+
+The expression of an effect with all its forms costs several times as much as its simplest form, which most models have.
+"""
 
 from collections.abc import Mapping
 from typing import Any, final
