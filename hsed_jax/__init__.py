@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib import import_module
 
-# As `typing` has it, which every command would wait for before it can answer a Ctrl-C.
+# Not imported from `typing`, because every command would wait for it before it can answer a Ctrl-C.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any

@@ -92,7 +92,7 @@ def private(folder: Path) -> Path | None:
     """
     try:
         folder.mkdir(mode=stat.S_IRWXU, parents=True, exist_ok=True)
-        # Who owns a link can lead it elsewhere.
+        # The owner of a link can point it elsewhere.
         known = [folder.lstat(), folder.stat()]
         if any(about.st_uid != os.geteuid() for about in known) or known[1].st_mode & (stat.S_IWGRP | stat.S_IWOTH):
             return None

@@ -311,7 +311,7 @@ def _report(options: Any) -> int:
 
 
 def _tell(done: "Run", step: str) -> None:
-    """What a user sees of a step; at once, also where the output goes into a file."""
+    """The output for a user after a step; at once, also if the output goes into a file."""
     from hsed_jax.left_out import LeftOut
 
     left_out = LeftOut()
@@ -322,7 +322,7 @@ def _tell(done: "Run", step: str) -> None:
 
 
 def _said(done: "Run", step: str) -> Iterator[Any]:
-    """What there is to say of a step that has ended."""
+    """The text for a step that has ended."""
     from hsed_jax.design.teaching import told
     from hsed_jax.measurements import check_campaign
 

@@ -258,6 +258,27 @@ def test_the_rooms_of_the_design_page_are_those_of_the_package_in_the_order_of_t
     assert [LEVEL[room] for room in named] == sorted(LEVEL[room] for room in named)
 
 
+@pytest.mark.parametrize("statement", ["import hsed_jax.run", "from hsed_jax.run import main"])
+def test_run_is_a_function_also_after_somebody_imported_it_as_a_module(statement):
+    code = (
+        "import hsed_jax\n"
+        f"try:\n    {statement}\n"
+        "except ImportError as refused:\n    print(refused)\n"
+        "print(type(hsed_jax.run).__name__)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=PACKAGE.parent, check=True)
+    refused, kind = done.stdout.splitlines()
+    assert refused.startswith("hsed_jax.run is a function, not a module") and "python -m hsed_jax.run" in refused
+    assert kind == "function"
+
+
+def test_run_is_a_command():
+    done = subprocess.run(
+        [sys.executable, "-m", "hsed_jax.run", "--help"], capture_output=True, text=True, cwd=PACKAGE.parent, check=True
+    )
+    assert done.stdout.startswith("usage: python -m hsed_jax.run")
+
+
 def test_run_stays_a_function_whatever_of_the_package_is_imported():
     code = (
         "import importlib, pkgutil, hsed_jax\n"

@@ -111,7 +111,7 @@ The smallest error of a record is bold.
 
 {record_table(rows)}
 
-## What hsed_jax says
+## Results of hsed_jax
 
 {sentences}
 

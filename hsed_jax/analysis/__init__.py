@@ -1,1 +1,1 @@
-"""The sentence of the package in Python: simulate, calibrate, compare, locate, diagnose, improve, sensitivity."""
+"""The Python interface: simulate, calibrate, compare, locate, diagnose, improve, sensitivity."""

@@ -1,4 +1,4 @@
-"""The sentence of the package in Python: simulate, calibrate, compare, locate.  The command line says the same."""
+"""The Python interface, first half: simulate, calibrate, compare, locate.  The command line does the same."""
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -39,7 +39,7 @@ from hsed_jax.tables import Table, Tabular
 if TYPE_CHECKING:
     import xarray as xr
 
-# Of the random numbers of a calibration; the steps of a design have the numbers below.
+# Seed offset of a calibration; the steps of a design have the numbers below.
 _CALIBRATION_KEY = 1_000_000
 # Simulations of a batch that go to a thread together: one program for batches of any size, and bounded memory.
 _CHUNK = 2048
@@ -298,7 +298,7 @@ def simulate(
             f"inputs and parameters must be numbers or arrays of one common length, but have the shapes {sizes}"
         )
 
-    # The study may be of records; what is simulated here has none.
+    # The study may have records, but this simulation has none.
     parameters, inputs = lanes
     model, more = built.simulation.planned_simulator, further(tuple(study.quantities))
     if channels is None:
@@ -318,7 +318,7 @@ def simulate(
         found = _simulated(model, channels, more, part, jnp.asarray(count))
         return jax.tree.map(lambda x: np.asarray(x)[:count], found)
 
-    # On all cores, and so from the first: while it compiles, the others wait for it.
+    # On all cores.  The first simulation compiles while the others wait.
     with ThreadPoolExecutor() as threads:
         parts = list(threads.map(chunk, range(0, size, _CHUNK)))
     return jax.device_put(jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts))

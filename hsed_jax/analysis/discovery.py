@@ -1,4 +1,4 @@
-"""Learn what the catalogue does not hold: from a calibrated model to an effect of a user's own."""
+"""Learn an effect that the catalogue does not hold: from a calibrated model to an effect of a user's own."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -79,7 +79,7 @@ def discover(
     alone = _Beside(calibration, campaign, (), {}, watch)
     if not diagnosis.effects or alone.is_enough:
         return alone.discovery()
-    # Effects that were named for want of what they stood for are not needed beside it.
+    # Effects that were named in the absence of the learned one are not needed beside it.
     with_named = _Beside(calibration, campaign, diagnosis.effects, diagnosis.forms, watch)
     return min(alone, with_named, key=lambda one: one.best.error).discovery()
 

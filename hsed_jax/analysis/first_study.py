@@ -1,4 +1,4 @@
-"""A first study for a campaign, ready to be calibrated: what `hsed init` writes, as an object."""
+"""A first study for a campaign, ready to be calibrated: the object form of the file that `hsed init` writes."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What the forms of an effect look like: what each contributes, over that which tells them apart."""
+"""The shapes of the forms of an effect: the contribution of each, over the variable that distinguishes them."""
 
 from collections import defaultdict
 from typing import NamedTuple
@@ -15,7 +15,7 @@ from hsed_jax.physics.parameters import Parameter
 from hsed_jax.physics.scales import Scalar, Scales
 
 _PLACES = 48
-# Where what is not swept rests: away from nothing, where no force has a shape, and within what drives.
+# The values of the variables that are not swept: not zero, where no force has a shape, and within the range of the drivers.
 _RESTING = {"elongation": 0.1, "rate": 0.5, "force": 0.5, "driver": 0.5}
 _ACROSS = {
     "driver": "its driver x, from 0 to 1",
@@ -24,12 +24,12 @@ _ACROSS = {
     "force": "the force of the element, from −F_c to F_c",
 }
 _AMPLITUDE = 0.5
-# What is lost after a long path is lost within the picture.
+# Losses after a long path happen within the picture.
 _LIFE = {"life": 0.5}
 
 
 class Curves(NamedTuple):
-    """What forms of an effect contribute.
+    """The contributions of the forms of an effect.
 
     Attributes:
         what: the values are, in words.
@@ -58,7 +58,7 @@ def curves_of(effect: type[AbstractSpringEffect]) -> Curves:
     if not effect.forms:
         raise ValueError(f"{effect.name} has one formula and no forms")
     places = {name: np.linspace(0.0 if name == "driver" else -1.0, 1.0, _PLACES) for name in _ACROSS}
-    # All sweeps in a row: what an effect contributes is asked for once for each form.
+    # All sweeps in a row, so that each form is evaluated once.
     at = {
         key: jnp.asarray(np.concatenate([places[name] if name == key else np.full(_PLACES, rest) for name in _ACROSS]))
         for key, rest in _RESTING.items()
@@ -81,7 +81,7 @@ def _contributed(
     made = effect(**{first: _AMPLITUDE, **shown, **freed, **form.held})
 
     def total(at: dict[str, Float[Array, ""]]) -> Float[Array, ""]:
-        # All that it may have gone through.
+        # Every driver of its history has this value.
         memory: dict[str, Scalar] = defaultdict(lambda: at["driver"])
         point = SpringPoint(at["elongation"], at["rate"], at["force"], memory, Scales(1.0, 1.0, 1.0, 1.0), 1.0, 1.0)
         if isinstance(made, AbstractBristledEffect) and made.states:
@@ -107,7 +107,7 @@ def _away(known: Parameter) -> float:
 
 
 def _apart(values: dict[str, Float[np.ndarray, " n"]]) -> tuple[int, float]:
-    """How many shapes have any, and how far they are from one another, each over its own range."""
+    """The number of forms with a shape, and their distances from one another, each over its own range."""
     ranges = [float(np.ptp(v)) for v in values.values()]
     shapes = np.stack([(v - v.min()) / max(size, 1e-12) for v, size in zip(values.values(), ranges, strict=True)])
     return sum(size > 1e-9 for size in ranges), float(np.sum(np.var(shapes, axis=0)))

@@ -1,4 +1,4 @@
-"""Learn which physical effect is missing, add it, and see the error fall: the second half of the sentence in Python."""
+"""The Python interface, second half: find the missing physical effect, add it, and see the error fall."""
 
 import os
 import textwrap
@@ -30,11 +30,11 @@ from hsed_jax.plain import dump_yaml
 from hsed_jax.study.build import Built
 from hsed_jax.tables import Table, Tabular
 
-# Candidates of a design among which the one that separates rivals best is looked for: a Sobol' set's beginning fills it.
+# Number of candidates of a design among which the best separation of rivals is searched; the first part of a Sobol' set.
 _DISCRIMINATED = 512
-# Samples of a record of a component test that a diagnosis looks at; an improvement is fitted to all.
+# Samples of a record of a component test that a diagnosis uses; an improvement is fitted to all.
 _SAMPLES = 1000
-# Nats by which the model as it is may miss its best fit before that is looked into, and for another fit to be taken.
+# Nats by which the first model may miss its best fit before a new search, and for another fit to be taken.
 _APART = 2.0
 
 
@@ -232,7 +232,7 @@ def improve(
         again = calibrate_built(
             calibration.built, campaign, start=_parameters(problem, plain, calibration.built), watch=watch
         )
-        # The posterior weighs residuals with a memory in its own way: its best fit may be that which was there.
+        # The posterior weighs autocorrelated residuals differently, so its best fit may be the earlier one.
         of, stood = again.fit.posterior, calibration.fit.maximum.theta
         (around,) = expand(of, again.fit.data, [np.asarray(of.unconstrain(stood))])
         if again.fit.maximum.log_posterior - around.log_posterior > _APART:

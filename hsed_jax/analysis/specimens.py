@@ -1,4 +1,4 @@
-"""A diagnosis over a population: what its effects are to the specimens, and what one of them alone has."""
+"""A diagnosis over a population: the meaning of its effects for the specimens, and the effects of single specimens."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,7 +14,7 @@ from hsed_jax.measurements import Campaign
 from hsed_jax.study.build import Built
 from hsed_jax.study.levels import members_of
 
-# Of so many members that the noise does not explain, each is searched by itself.
+# Up to so many members that the noise does not explain are searched alone.
 _SEARCHED = 3
 
 
@@ -71,7 +71,7 @@ def _odd(problem: Problem, membership: Membership) -> list[str]:
     """The members that the noise does not explain, each at its own best fit, where they are few."""
     assert problem.start is not None
     train, models = problem.train, problem.models
-    # What is common, too: one odd member has moved it for all.
+    # The common parameters, too: one odd member has moved them for all.
     own = problem.law
     theta = models.member(np.zeros(0, dtype=int)).held
     theta[problem.law] = models.box.theta(problem.start)[problem.law]

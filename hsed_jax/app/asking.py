@@ -1,4 +1,4 @@
-"""The part of the page that asks for the next experiment, and is told what was measured in it."""
+"""The part of the page that asks for the next experiment, and takes its measurements."""
 
 import asyncio
 import json

@@ -1,4 +1,4 @@
-"""The command `hsed app`.  Parsing and telling only."""
+"""The command `hsed app`: parsing and output only."""
 
 from importlib.util import find_spec
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What becomes of dropped files: a folder within the folder of the page, the files in it as they came."""
+"""The storage of dropped files: a folder within the folder of the page, with the files as they came."""
 
 import os
 import shutil
@@ -75,7 +75,7 @@ def lay_out(folder: Folder, where: Path) -> Campaign:
     Raises:
         UserError: it cannot be read, is not complete, or names a place outside the campaign; nothing was put anywhere.
     """
-    # Of a campaign that is not complete yet nothing is left: the next file of it may be on its way.
+    # An incomplete campaign leaves nothing behind, because its next file may follow.
     with TemporaryDirectory(prefix="campaign-") as name, _as_dropped(Path(name), where.name):
         trial = Path(name)
         _put(where, trial)
@@ -118,7 +118,7 @@ def read_within(folder: Folder, name: str) -> tuple[Path, Campaign]:
 
 
 def tables(where: Path) -> Gathered:
-    """What the files that were dropped have.
+    """The content of the dropped files.
 
     Raises:
         UserError: none of them has columns of numbers; the message names the first one.

@@ -1,4 +1,4 @@
-"""The part of the page to play in: effects with a tick, their parameters with sliders, the loop as it changes."""
+"""The interactive part of the page: effects with a tick, their parameters with sliders, the loop as it changes."""
 
 from html import escape
 from typing import Any, NamedTuple
@@ -14,12 +14,12 @@ from hsed_jax.physics.display import readable
 from hsed_jax.physics.names import own_name, owner_of
 from hsed_jax.reporting.style import words
 
-# Of a slider's way.
+# Step of a slider, as a share of its range.
 _STEPS = 400
 
 
 class _Asked(NamedTuple):
-    """What is to be simulated."""
+    """The requested simulation."""
 
     effects: tuple[str, ...]
     parameters: dict[str, float]
@@ -114,7 +114,7 @@ class Effects:
 
     def _slider(self, dial: Dial) -> Any:
         value = self._values.setdefault(dial.name, dial.value)
-        # What was found may lie at the end of its prior: there is room beyond it.
+        # The estimate may lie at the end of its prior, so the slider goes beyond it.
         low, high = min(dial.low, value if value > 0 else 1.5 * value), max(dial.high, 1.5 * value)
         divisor, unit = readable(dial.unit, np.asarray(high))
         owner = owner_of(dial.name)
@@ -181,7 +181,7 @@ class Effects:
         new = folder.name(folder.fresh("runs", f"{folder.inside(run).name}-with-{added[0]}"))
         options = ["steps=[calibrate, compare, improve]", f"improve.add=[{', '.join(added)}]"]
         if self._explorer is not None and self._explorer.is_measured:
-            # Of the run's own copy: the measurements may have been moved, or chosen anew.
+            # From the run's own copy, because the measurements may have been moved, or chosen again.
             options.append("experiments.campaign=campaign")
         await self._fitting.follow(new, ["run", f"{run}/study.yaml", "--output", new, *options])
 

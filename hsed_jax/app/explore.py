@@ -1,4 +1,4 @@
-"""The model of a run with effects added and taken away, simulated while sliders move."""
+"""The model of a run with effects added and removed, simulated while sliders move."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -46,7 +46,9 @@ class Start(NamedTuple):
 
 
 class Loop(NamedTuple):
-    """What a model predicts of an experiment: elongation and force (n,) [SI], and the normalised error of what was observed."""
+    """The prediction of a model for an experiment: elongation and force (n,) [SI], and the normalised error of the observed
+    outputs.
+    """
 
     elongation: np.ndarray
     force: np.ndarray
@@ -131,7 +133,7 @@ def _responded(
 
 
 class Explorer:
-    """What a run found, to play with.
+    """The result of a run, for interactive changes.
 
     Arguments:
         run: the run folder.

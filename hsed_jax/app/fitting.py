@@ -1,4 +1,4 @@
-"""The second part of the page: press go, watch the run, stop it, go on with it."""
+"""The second part of the page: start the run, watch it, stop it, continue it."""
 
 import asyncio
 from collections.abc import Sequence
@@ -25,10 +25,10 @@ CARE = {
     "quick: a Gaussian around the best fit": "laplace",
     "careful: draws of the posterior (may take minutes longer)": "auto",
 }
-# What the command line adds for those who type.
+# Additions of the command line for users of a terminal.
 _TYPED = ": say --resume to go on"
 _FLAT: Any = {"margin": (8, 10), "styles": {"box-shadow": "none", "border": "1px solid #e3e5e9"}}
-# Between two looks at what runs [s].
+# Interval between two polls of the running process [s].
 _LOOK = 0.3
 
 

@@ -1,4 +1,4 @@
-"""The first part of the page: what was measured, its columns, units and kind, with the loops in view."""
+"""The first part of the page: the measurements, their columns, units and kind, with the loops in view."""
 
 import asyncio
 from dataclasses import replace
@@ -44,13 +44,13 @@ class Measured:
         self._where: Path | None = None
         self._landed: Path | None = None
         self._looking = asyncio.Lock()
-        # What was dropped, and what of it lies in the folder.
+        # The dropped files, and their copies in the folder.
         self._given: dict[str, bytes] = {}
         self._taken: dict[str, bytes] = {}
-        # Content and fault of files that can be used for nothing.
+        # Content and fault of unusable files.
         self._refused: dict[str, tuple[bytes, str]] = {}
         self._found = Gathered({}, [], [])
-        # What was done to the records in making a campaign of them.
+        # The changes to the records when the campaign was made.
         self._done: list[str] = []
         self._campaign: Campaign | None = None
         self._is_declared = False
@@ -194,7 +194,7 @@ class Measured:
             return
         found = await attempt(self._messages, read_within, self._session.folder, event.new)
         if found is not None:
-            # What is dropped from now on is other measurements.
+            # Files that are dropped from now on are other measurements.
             self._fresh_dropper()
             self._landed, (self._where, campaign) = None, found
             self._show(Gathered({}, [], []), campaign)
@@ -327,7 +327,7 @@ def _sentence(campaign: Campaign) -> str:
         if e.record is not None and "force" in e.record.channels
     ]
     if campaign.pair == ELONGATION_AND_FORCE and forces:
-        # Who holds kN for N sees it sooner as a weight.
+        # A weight shows a wrong unit (kN for N) most clearly.
         divisor, unit = shown(campaign.pair, "force", np.asarray(max(forces)))
         mass = max(forces) / GRAVITY
         weight = f"{mass / 1000:.3g} t" if mass >= 1000 else f"{mass:.3g} kg"

@@ -1,4 +1,4 @@
-"""What a run leaves: its report, and the files that can be taken away."""
+"""The results of a run: its report, and the files for download."""
 
 from abc import abstractmethod
 from html import escape

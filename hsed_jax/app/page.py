@@ -1,4 +1,4 @@
-"""The page of one tab: its parts, and the run that they are about."""
+"""The page of one tab: its parts, and the run that they show."""
 
 from html import escape
 from typing import Any
@@ -17,7 +17,7 @@ from hsed_jax.app.session import Session
 
 
 class Page:
-    """What one tab shows.
+    """The content of one tab.
 
     Arguments:
         folder, jobs: of the server; nothing else is shared with other tabs.

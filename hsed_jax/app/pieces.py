@@ -1,4 +1,4 @@
-"""What the parts of the page are made of: text in the style of the reports, messages, the figure with the loops."""
+"""The building blocks of the page: text in the style of the reports, messages, the figure with the loops."""
 
 import asyncio
 import logging

@@ -1,4 +1,4 @@
-"""What a tab is about: nothing of it is shared with another one."""
+"""The state of a tab; tabs share nothing."""
 
 from typing import Any
 

@@ -1,1 +1,1 @@
-"""What a user may say in a study."""
+"""The allowed content of a study."""

@@ -1,4 +1,4 @@
-"""What a study may say of its excitation: a section for each that there is, made of the settings that it declares."""
+"""The entry of the excitation in a study: a section for each kind, made from its declared settings."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal

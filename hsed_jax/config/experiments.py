@@ -1,4 +1,4 @@
-"""What a user may say of where measurements come from: a campaign, or one of the laboratories."""
+"""The entry of the experiments in a study: a campaign, or one of the laboratories."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""What a user may say of a model that is no spring law: a Python function, or a program."""
+"""The entry of a model that is no spring law: a Python function, or a program."""
 
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal

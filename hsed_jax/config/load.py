@@ -1,4 +1,4 @@
-"""Reading a study: YAML, overrides by dotted path, and one clear message for what is wrong."""
+"""Reading a study: YAML, overrides by dotted path, and one clear message for a fault."""
 
 import difflib
 from collections.abc import Sequence
@@ -106,7 +106,7 @@ def _brief(text: str) -> str:
 def explain(error: ValidationError, model: type[BaseModel]) -> str:
     """The first fault of a validation in one sentence: key, fault, what is allowed."""
     faults = error.errors(include_url=False)
-    # Of the branches of a union, the one that got furthest says most.
+    # The branch of a union that got furthest has the best message.
     fault = max(
         faults, key=lambda f: (len([k for k in f["loc"] if f["type"] != "float_type"]), f["type"] == "extra_forbidden")
     )
@@ -150,7 +150,7 @@ _OF_PRIORS = (one_distribution.__name__, prior_or_default.__name__)
 
 
 def _wanted(fault: Any) -> str:
-    """What a value must be, in the words of a study rather than of the validator."""
+    """The required form of a value, in the words of a study rather than of the validator."""
     kind, context = fault["type"], fault.get("ctx", {})
     if kind == "dict_type" and any(reader in str(key) for reader in _OF_PRIORS for key in fault["loc"]):
         return "this must be a prior, such as {uniform: [1.0, 2.0]}"
@@ -195,7 +195,7 @@ def _allowed(model: type[BaseModel], place: list[str]) -> list[str]:
     current: list[Any] = [model]
     for key in place:
         if key in MODELS[1:]:
-            # Of the shapes of a model this is another one; without its keys, any was meant.
+            # Another shape of a model; without its keys, any shape may be meant.
             at = MODELS.index(key)
             current = current[at : at + 1]
         elif not _is_branch(key):

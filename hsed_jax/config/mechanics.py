@@ -1,4 +1,4 @@
-"""What a user may say of the structure and of the model: masses, springs, damping, specimens, laws, parameters, effects."""
+"""The entries of structure and model in a study: masses, springs, damping, specimens, laws, parameters, effects."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal

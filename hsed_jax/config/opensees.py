@@ -1,4 +1,4 @@
-"""What a user may say of a model that is a material of OpenSees."""
+"""The entry of a model that is a material of OpenSees."""
 
 import difflib
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What a user may say in a study: names, types, defaults.  Nothing is computed here."""
+"""The schema of a study: names, types, defaults.  Nothing is computed here."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -20,7 +20,7 @@ from hsed_jax.sections import ErrorsEntry, InputEntry, Positive, Section
 from hsed_jax.tables import Table, Tabular
 
 if TYPE_CHECKING:
-    # Reading a study needs no JAX, and a wrong key is told before that is loaded.
+    # Reading a study does not load JAX, so a wrong key is reported at once.
     from hsed_jax.physics.effects.base import AbstractEffect
 
 Count = Annotated[Whole, Field(ge=1)]
@@ -138,7 +138,7 @@ class MeasurementsEntry(Section):
                     f"{', '.join(known) or 'none'}"
                 )
             ids = known if experiment == _ALL and _ALL not in known else [experiment]
-            # A doubt of the structure is one of all experiments.
+            # A doubt of the structure concerns all experiments.
             found |= {
                 (id, kind) for id in [*ids, experiment] for kind in ([kinds] if isinstance(kinds, str) else kinds)
             }

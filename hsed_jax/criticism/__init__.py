@@ -1,1 +1,1 @@
-"""How wrong the model is, and where it fails."""
+"""The size of the model's error, and where the model fails."""

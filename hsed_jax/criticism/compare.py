@@ -21,9 +21,9 @@ from hsed_jax.measurements.cycles import Cycles, cycles_of, returned
 from hsed_jax.physics.names import named, own_name, owner_of
 from hsed_jax.tables import Table, Tabular, cell
 
-# Errors up to this multiple of the noise are the noise, whatever their significance: nobody knows a noise better.
+# Errors up to this multiple of the noise count as noise for any significance: the size of a noise is not known better.
 _MATERIAL = 1.05
-# A noise so many times what its record shows of it would have a memory of more than 0.93 from sample to sample.
+# A noise so many times larger than in its record would have an autocorrelation of more than 0.93 from sample to sample.
 _MEMORY = 5.0
 _CYCLES = 6  # that are named
 WITHOUT = "coverage_90_without"
@@ -312,7 +312,7 @@ def _add_energy_errors(prediction: Prediction, per_experiment: dict[str, dict[st
             continue
         rms = float(np.sqrt(np.mean(measured.energy**2)))
         if rms > 0:
-            # Of a simulation that ran away there is no energy.
+            # A diverged simulation has no energy.
             error = np.inf if predicted is None else float(np.sqrt(np.mean((predicted.energy - measured.energy) ** 2)))
             per_experiment[id][name]["energy_error"] = error / rms
 

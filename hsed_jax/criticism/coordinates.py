@@ -36,7 +36,7 @@ class Samples:
     words: dict[str, np.ndarray]
 
 
-# A residual whose square is within this factor of the noise's is noise; the noise is not known better.
+# A residual whose square is within this factor of that of the noise is noise, because the noise is not known better.
 _NOISE_FACTOR = 1.25
 UNITS = {"time": "s", "cycle": "1", "amplitude": "m", "energy": "J", "speed": "m/s"}
 
@@ -79,7 +79,7 @@ def samples_of(prediction: Prediction, campaign: Campaign) -> Samples:
         expected[own] = (noise[output] + (1 - noise[output]) * motion) / squares.size
     numbers = {name: joined[name] for name in UNITS if np.isfinite(joined[name].astype(float)).any()}
     if not campaign.has_time or not _rates_vary(joined["frequency"]):
-        # The row number is no time.  And where all cycles take as long, the rate is but a function of the place on the loop.
+        # The row number is no time.  If all cycles take equally long, the rate is a function of the place on the loop.
         numbers.pop("speed", None)
     words = {name: joined[name] for name in ("branch", "sign of the force", "output", "experiment")}
     return Samples(share, expected, joined["signed"], joined["experiment_index"], numbers, words)
@@ -89,7 +89,7 @@ def quantities_of(prediction: Prediction) -> Samples:
     """Collect the residual of quantities: a row per experiment and quantity; which they are is all there is to know."""
     row, column = np.nonzero(prediction.used)
     measured, residual = prediction.measured[row, column], prediction.residual[row, column]
-    # Every output relative to its RMS, and within an output as the errors go: a relative error grows with what is measured.
+    # Every output is relative to its RMS, and within an output to its error: a relative error grows with the measurement.
     scales, of = np.ones(row.size), prediction.groups[column]
     for group in np.unique(of):
         one = of == group
@@ -122,7 +122,7 @@ def _beyond_noise(prediction: Prediction, output: str) -> tuple[float, float]:
         return 0.0, 1.0
     residual = prediction.residual[:, columns][used]
     scale = float(np.std(prediction.measured[:, columns][used])) or float(np.sqrt(np.mean(residual**2))) or 1.0
-    # The inferred error holds the misfit too; what no smooth signal explains is noise.
+    # The inferred error contains the misfit, too; the noise is the part that no smooth signal explains.
     noise = noise_sizes(prediction, output, False)[used]
     size, floor = float(np.mean(residual**2)), float(np.mean(noise**2))
     return (np.sqrt(1 - floor / size) / scale, floor / size) if size > _NOISE_FACTOR * floor else (0.0, 1.0)

@@ -1,4 +1,4 @@
-"""How large the error is over the inputs: of each experiment, and by Kriging in between."""
+"""The error over the inputs: of each experiment, and by Kriging in between."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -13,7 +13,7 @@ from hsed_jax.criticism.compare import Comparison
 from hsed_jax.design.kriging import fit_kriging
 from hsed_jax.measurements import Campaign, Experiment
 
-# Fewer experiments tell no map, and with more Kriging takes minutes.
+# Fewer experiments give no map, and with more Kriging takes minutes.
 _FEWEST, _MOST = 5, 300
 _GRID = 61
 
@@ -79,6 +79,6 @@ def _kriged(
     known = jnp.ones(errors.size, dtype=bool)
     model = fit_kriging(jnp.asarray(points), jnp.asarray(errors), known, key=jax.random.key(0))
     mean, variance = model.predict(jnp.asarray(mesh.reshape(-1, points.shape[1])))
-    # A squared error is not negative, a Gaussian process does not know.
+    # A squared error is not negative, but a Gaussian process may be.
     mean, sd = np.maximum(np.asarray(mean), 0.0), np.sqrt(np.asarray(variance))
     return mean.reshape(mesh.shape[:-1]), sd.reshape(mesh.shape[:-1])

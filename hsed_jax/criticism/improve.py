@@ -1,4 +1,4 @@
-"""What adding the missing effects did: the trail of the error, and what became of the parameters."""
+"""The effect of an improvement: the fall of the error, and the change of the parameters."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class Step:
 
 @dataclass(frozen=True, repr=False)
 class Trail(Tabular):
-    """How the error falls as effects are added.
+    """The fall of the error as effects are added.
 
     Attributes:
         steps: from the model as it was to the one with all effects.

@@ -1,4 +1,4 @@
-r"""Where the misfit lives, as a ranked list of plain sentences.
+r"""The places of the misfit, as a ranked list of plain sentences.
 
 For every coordinate the part of the data is sought that tells most about the residual: how large it is there, and which way it
 goes, of parts that hold more of the error than their share of the motion.  With p the share of the squared error in a part, q
@@ -29,7 +29,7 @@ from hsed_jax.tables import Table, Tabular
 _SMALLEST_PART = 0.05
 _LEAST = 0.02
 _CLEAR = 0.3
-# Of the squared error, beyond a place's share of the motion.
+# Share of the squared error that a place has beyond its share of the motion.
 _MORE = 0.05
 
 
@@ -139,7 +139,7 @@ def _plain(value: float) -> str:
 
 @dataclass(frozen=True, repr=False)
 class Location(Tabular):
-    """Where a model fails, most informative place first.
+    """The places where a model fails, most informative first.
 
     Attributes:
         places: one per coordinate, ranked.
@@ -195,7 +195,7 @@ def locate(prediction: Prediction, campaign: Campaign) -> Location:
         unit = campaign.unit(name)
         values = np.asarray(unit.from_si(np.asarray([e.inputs[name] for e in prediction.experiments])))
         found.append(_best_limit(name, unit.text, values[samples.experiment], samples))
-    # What noise alone would reach, with some three hundred parts to choose from.
+    # The level that noise alone reaches, with some three hundred parts to choose from.
     least = max(_LEAST, (np.log(samples.share.size) + 3) / samples.share.size)
     found = [place for place in found if place is not None and (place.is_concentrated or place.way)]
     places = [
@@ -218,7 +218,7 @@ def _best_limit(name: str, unit: str, values: np.ndarray, samples: Samples) -> P
     levels = np.unique(values[known])
     if levels.size < 2:
         return None
-    # Between two values that occur, so that the limit leaves no sample in doubt; whole numbers stay so.
+    # Between two values that occur, so that every sample is clearly on one side; whole numbers stay whole.
     limits = np.unique(np.quantile(values[known], np.linspace(0.0, 1.0, 21), method="inverted_cdf"))
     parts = [
         (word, limit, values > limit if word == "above" else known & (values <= limit))
@@ -250,9 +250,9 @@ def _best(name: str, unit: str, parts: list, known: np.ndarray, samples: Samples
         if p <= even:
             continue  # large for the motion that it holds, and no place of the misfit
         explained = signed.size * q * (1 - q) * (one.mean() - other.mean()) ** 2 / total
-        # What the samples or the motion explain is no finding.
+        # A share that the samples or the motion explain is no finding.
         where = min(_divergence(p, q), _divergence(p, even)) if p > q else 0.0
-        # Rounded: a part and its complement tell the same.
+        # Rounded, because a part and its complement carry the same information.
         information = round(0.5 * where - 0.5 * float(np.log1p(-min(explained, 1 - 1e-12))), 9)
         if best is None or (information, p / even) > (best.information, best.error_share / best.motion_share):
             about = (p, q, even, information, _bias(one), _bias(other))

@@ -1,4 +1,4 @@
-"""What a calibrated model predicts for measured experiments, with bands, beside what was measured."""
+"""Predictions of a calibrated model for measured experiments, with bands, beside the measurements."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,7 +16,7 @@ from hsed_jax.programs import program
 from hsed_jax.tables import cell
 
 if TYPE_CHECKING:
-    # A report reads predictions and loads no sampler.
+    # A report reads predictions, and needs no sampler.
     from hsed_jax.inference.fit import Fit
     from hsed_jax.inference.posterior import Posterior
 
@@ -187,7 +187,7 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
     predicted, ok, sigma, plain, corrected, lost = found
     parts = dict(corrected.parts)
     if fit.inflation is not None:
-        # What the model leaves widens the band, and is no noise.
+        # The error of the model widens the band, and is no noise.
         factors, whole = fit.inflation[posterior.groups], parts["noise"]
         sigma, noise = sigma / factors, whole / factors
         shown = _shown(experiments, measured, used, posterior.groups)
@@ -238,7 +238,7 @@ def _shown(experiments: Sequence[Experiment], measured: np.ndarray, used: np.nda
 
 
 def learned_misfit(fit: "Fit", fitted: Prediction) -> Prediction:
-    """What a calibrated model is learned to miss, without noise: as if it had been measured.
+    """The misfit that a calibrated model expects of itself, without noise, in the form of a measurement.
 
     Of quantities that is over the distribution of the inputs; of histories, and where the model cannot be simulated at any
     inputs, in the experiments that were fitted.
@@ -265,7 +265,7 @@ def learned_misfit(fit: "Fit", fitted: Prediction) -> Prediction:
 
 
 class Shortfall(NamedTuple):
-    """What the residuals of the experiments that were fitted say of the quantities of others.
+    """The expected error of quantities of other experiments, from the residuals of the fitted ones.
 
     Attributes:
         fitted: the experiments that were fitted.
@@ -285,7 +285,7 @@ class Shortfall(NamedTuple):
 
 
 class ShortfallOfHistories(NamedTuple):
-    """What the histories that were fitted say of themselves, and of others.
+    """The expected error of histories, fitted and new ones, from the residuals of the fitted ones.
 
     Attributes:
         fitted: 1 in an experiment that was fitted: the sum of what model and discrepancy do is known there, (n, J).
@@ -344,7 +344,7 @@ def _predicted(posterior, thetas, strangers, data, limits, shortfall):
 
     def band(values, more):
         sigma = jax.vmap(lambda t, f: posterior.expected_sigma(t, f, data))(thetas[1:], values)
-        # What is left out may be too large to be multiplied by zero, or squared.
+        # Values that are left out may be too large to be multiplied by zero, or squared.
         values, sigma = (jnp.where(good[..., None], each, 0.0) for each in (values, sigma))
         mean = jnp.sum(share * values, axis=0)
         parts = {"noise": sigma**2, "parameters": (values - mean) ** 2} | {

@@ -1,1 +1,1 @@
-"""Where to experiment next: the discrepancy, its Kriging surrogate, the acquisition and the sequential loop."""
+"""The choice of the next experiment: the discrepancy, its Kriging surrogate, the acquisition and the sequential loop."""

@@ -1,4 +1,4 @@
-"""Which candidate to test next: the choice by an acquisition (`hsed_jax.design.acquisitions`), among what may be asked.
+"""The choice of the next experiment by an acquisition (`hsed_jax.design.acquisitions`), among the allowed candidates.
 
 `choose` takes the candidate of largest utility that has not been tested yet.
 """
@@ -89,7 +89,7 @@ def choose(
 @program
 def _choose(kriging, candidates, excluded, excluded_mask, acquisition, key) -> Choice:
     utilities = acquisition(kriging, candidates, key)
-    # A utility that is not a number is a failure of the acquisition there, and no reason to experiment.
+    # A utility that is not a number is a failure of the acquisition, and no reason for an experiment.
     utilities = jnp.where(jnp.isnan(utilities), -jnp.inf, utilities)
 
     def is_repeated(state):

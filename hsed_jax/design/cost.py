@@ -1,4 +1,4 @@
-"""What an experiment costs: a sum that grows with its inputs, in any unit."""
+"""The cost of an experiment: a sum that grows with its inputs, in any unit."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

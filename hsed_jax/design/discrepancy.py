@@ -50,7 +50,7 @@ def discrepancy(
     members = jnp.asarray(groups[:, None] == np.arange(groups.max() + 1)[None], float)
     of_output = weights @ members
     is_measured = of_output > 0
-    # What a column counts for instead of 1: more where others of its output, or other outputs, are missing.
+    # The weight of a column instead of 1: larger if others of its output, or other outputs, are missing.
     share = jnp.where(is_measured, members.sum(axis=0) / jnp.where(is_measured, of_output, 1.0), 0.0)
     share *= members.shape[1] / jnp.maximum(jnp.sum(is_measured, axis=1, keepdims=True), 1)
     norm = jnp.sum(weights * share[:, groups] * (measured - predicted) ** 2 / variance, axis=1)

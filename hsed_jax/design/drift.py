@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-# Of this many standard deviations nobody would say that noise did it.
+# Noise does not explain a difference of this many standard deviations.
 _APART = 2.0
 
 

@@ -13,10 +13,10 @@ from jaxtyping import Array, Bool, Float
 from hsed_jax.design.space import SAME_POINT
 from hsed_jax.physics.batch import tiled_map
 
-# A failure closes what lies within about this distance of it in the unit cube, unless more experiments there succeeded.
+# A failure excludes candidates within about this distance of it in the unit cube, unless more experiments there succeeded.
 _REACH = 0.1
 _DRAWS = 8
-# Of the mean distance of so many experiments: balls of this radius never cover the cube.
+# Share of the mean distance of so many experiments: balls of this radius never cover the cube.
 _APART = 1 / 3
 
 
@@ -70,7 +70,7 @@ def too_near(
 
 @dataclass(frozen=True)
 class Limits:
-    """What specimen and actuator can bear.
+    """The limits of specimen and actuator.
 
     Attributes:
         most: largest value allowed, SI, by name of what `respond` gives.
@@ -101,7 +101,7 @@ class Limits:
         def one(theta, point):
             peaks, ok = self.respond(theta, point)
             over = jnp.stack([peaks[name] > limit for name, limit in self.most.items()]).any()
-            # Where the simulation diverges nobody knows what would happen.
+            # If the simulation diverges, the response is unknown.
             return over | ~(ok > 0)
 
         return jax.jit(lambda theta, points: tiled_map(jax.vmap(lambda point: one(theta, point)), points))

@@ -31,7 +31,7 @@ from hsed_jax.programs import program
 
 TrendName = Literal["constant", "linear", "quadratic"]
 
-# Candidates handled together: what is made of them stays in the second-level cache.
+# Candidates handled together: their arrays stay in the second-level cache.
 _CHUNK = 256
 # Columns of L⁻¹ multiplied together.  It is a lower triangle, so each block of columns starts at its first row; the matrix
 # product is fastest for multiples of five.
@@ -154,7 +154,7 @@ class Kriging(eqx.Module):
         """
         precision = jnp.sum(jnp.square(self.whitening), axis=0) - jnp.sum(jnp.square(self.trend_projection), axis=0)
         precision = jnp.where(self.mask, precision, 1.0)
-        # Leverage one: all of the point went into the trend, and what is left of Q_ii is rounding.
+        # Leverage one: the trend takes the whole point, and the rest of Q_ii is rounding.
         determined = precision > 1e-12 * jnp.max(jnp.abs(precision))
         safe = jnp.where(determined, precision, 1.0)
         mean = self.responses - jnp.where(determined, self.weights / safe, 0.0)
@@ -269,7 +269,7 @@ def _likeliest(
     def objective(angles, _):
         logs = bounded(angles)
         matrix = _masked_correlation(x, mask, jnp.exp(logs[:-1]), jnp.exp(logs[-1]), kernel)
-        # For each point: BFGS begins with a curvature of one, and what many points say together bends much more.
+        # Per point, because BFGS begins with a curvature of one, and the sum over many points has a much larger one.
         return (_restricted_objective(matrix, basis, y, count) - _log_prior(logs[:-1], logs[-1])) / count
 
     def descend(angles):
@@ -280,9 +280,9 @@ def _likeliest(
     fractions = 0.1 + 0.8 * _latin_hypercube(key, starts, lower.shape[0])
     if previous is not None:
         logs = jnp.log(jnp.append(previous[0], previous[1]))
-        # Exactly on a bound the sine is flat and no descent would leave it.
+        # Exactly on a bound the sine is flat, and no descent could leave it.
         fractions = jnp.concatenate([fractions, jnp.clip((logs - lower) / (upper - lower), 0.01, 0.99)[None]])
-    # One after the other: side by side, all starts go on until the slowest has ended.
+    # One after the other: side by side, all starts would run until the slowest has ended.
     ends, values = jax.lax.map(descend, jnp.arcsin(2.0 * fractions - 1.0))
     best = jnp.exp(bounded(ends[jnp.nanargmin(values)]))
     return best[:-1], best[-1]

@@ -35,7 +35,7 @@ _TIME = {"units": "s", "long_name": "time"}
 
 
 def excitations(model: AbstractModel, space: InputSpace, pair: Pair) -> xr.Dataset:
-    """What drives the experiments: `ground_acceleration` with its `spectrum`, or another channel alone.
+    """The excitation: `ground_acceleration` with its `spectrum`, or another channel alone.
 
     Arguments:
         model: with an excitation.
@@ -50,7 +50,7 @@ def excitations(model: AbstractModel, space: InputSpace, pair: Pair) -> xr.Datas
     assert model.excitation is not None and model.timeline is not None
     excitation = model.excitation
     step, steps, _ = model.timeline
-    # Half a step finer than the integration: what the integrator sees.
+    # At half steps, as the integrator sees it.
     half = Timeline(None if step is None else 0.5 * step, 2 * steps)
 
     @jax.jit
@@ -87,7 +87,7 @@ def responses(
     channels: Sequence[str],
     pair: Pair,
 ) -> xr.Dataset:
-    """What a model does at some points of its input space.
+    """The response of a model at some points of its input space.
 
     Arguments:
         model: with an excitation.
@@ -116,7 +116,7 @@ def responses(
 
 
 def estimates_alone(design: SequentialDesign, laboratory: VirtualLaboratory, units: Mapping[str, str]) -> xr.Dataset:
-    """What each parameter would be estimated as from one experiment alone, without noise, over two inputs.
+    """The estimate of each parameter from one experiment alone, without noise, over two inputs.
 
     Arguments:
         design: of two inputs, of quantities.

@@ -1,4 +1,5 @@
-r"""What free functions promise beside a fitted model: the evidence of a Gaussian process at every place, in closed form.
+r"""The predicted gain of free functions beside a fitted model: the evidence of a Gaussian process at every place, in closed
+form.
 
 To first order the coefficients c of a function move the standardised outputs along their slopes J.  With M what remains after the
 parameters of the model have adjusted, and c normal with deviations S, the log evidence that the function gains is
@@ -27,12 +28,12 @@ from hsed_jax.physics.effects.free_function import COUNTS, POWERS, deviations, p
 _LENGTHS = (0.4, 1.0, 2.5)
 _SIZES = (0.03, 0.1, 0.3, 1.0)
 _ACROSS = 1.5
-# Of a coefficient, to take slopes: a function of this size is small.
+# Step of a coefficient for slopes: a function of this size is small.
 _STEP = 1e-2
 
 
 class Promised(NamedTuple):
-    """What a place promises.
+    """The predicted gain of a place.
 
     Attributes:
         place: the place.
@@ -50,7 +51,7 @@ class Promised(NamedTuple):
 
 
 class Learned(NamedTuple):
-    """What normal equations say of a process: its evidence over all lengths and sizes, and the best of these."""
+    """The result of the normal equations for a process: its evidence over all lengths and sizes, and the best of these."""
 
     gain: float
     deviations: Float[np.ndarray, " m"]
@@ -60,7 +61,7 @@ class Learned(NamedTuple):
 def screened(
     around: Around, member: Member, names: Sequence[str], chosen: Sequence[Place], reaches: Reaches, experiments: int
 ) -> list[Promised]:
-    """What places promise, the most first.
+    """The predicted gains of places, largest first.
 
     Arguments:
         around: the fitted model.

@@ -1,4 +1,4 @@
-"""The search for a place: every one is screened, the promising ones are fitted inside the simulation, and the best must hold.
+"""The search for a place: every place is screened, the best ones are fitted in the simulation, and the winner is tested.
 
 The parameters of the law have flat priors here, those of the function do not: of all functions that fit alike the smallest is
 taken, so that whatever the law's own parameters can do, they do.
@@ -22,13 +22,13 @@ from hsed_jax.discovery.places import Place, Reaches
 from hsed_jax.discovery.screen import ByPolynomials, Promised, evidence, learned, located, screened
 from hsed_jax.inference.priors import Prior
 
-# So many places of one and of two coordinates are fitted, and each so often with the size and length that its last fit asks for.
+# Number of fitted places of one and of two coordinates, and of fits of each, with the size and length from the fit before.
 _FITTED, _ROUNDS = {1: 5, 2: 4}, 3
-# Nats that a second coordinate has to be worth: two fit whatever one does, and Laplace's evidence is good to a few.
+# Nats that a second coordinate must gain: two coordinates fit at least as well as one, and Laplace's evidence is good to a few.
 _SECOND = 10.0
 # No coefficient is held tighter than this.
 _LEAST = 1e-6
-# Of a normal distribution, half of what lies between its 16 % and 84 % quantiles: the unit of a coordinate.
+# Half the distance between the 16 % and 84 % quantiles of a normal distribution, which is the unit of a coordinate.
 _SPREAD = float(ndtri(0.84))
 # Of the time of fading over u_c/v_c.
 _FADING = Prior("lognormal", [0.9, 1.0])
@@ -83,7 +83,7 @@ class Fitted:
         across, inner = hessian[np.ix_(own, law)], hessian[np.ix_(law, law)] + 1e-9 * np.eye(len(law))
         strength = hessian[np.ix_(own, own)] - across @ np.linalg.solve(inner, across.T)
         strength = _without_negative(0.5 * (strength + strength.T) / np.outer(self._scale, self._scale))
-        # At the optimum the pull of the data is that of the prior.
+        # At the optimum, the gradients of data and prior are in balance.
         return strength, strength @ self.coefficients + self.coefficients / self.deviations**2
 
     @property
@@ -98,7 +98,7 @@ class Fitted:
 
 
 class Judged(NamedTuple):
-    """What a model predicts of what it was not fitted to.
+    """The predictions of a model for data to which it was not fitted.
 
     Attributes:
         error: normalised error on the test experiments, or on those left out in turn.
@@ -148,7 +148,7 @@ class PlaceSearch:
         best: dict[tuple, Promised] = {}
         for promised in self.promised:
             best.setdefault(promised.place[:2], promised)
-        # A function of two coordinates fits whatever one of them fits, and must be seen beside it.
+        # A function of two coordinates fits at least as well as one of a single coordinate, so both are compared.
         tried = [
             p for count in (1, 2) for p in [q for q in best.values() if len(q.place.of) == count][: _FITTED[count]]
         ]
@@ -245,7 +245,7 @@ def flat(problem: Problem, priors: Mapping[str, Prior]) -> Box:
 def judged(
     problem: Problem, target: Target, now: tuple[NestedModels, Descent], before: tuple[NestedModels, Descent]
 ) -> Judged:
-    """What a model predicts of what was not used, beside the model as it is.
+    """The predictions of a model for unused data, beside those of the first model.
 
     That is what was held out; where nothing was, what is left out in turn, which a function sees beyond its reach.  A single
     experiment has no standard error, and the gain is that of what is left out in turn.

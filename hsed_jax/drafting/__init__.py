@@ -1,1 +1,1 @@
-"""The first study of a campaign: priors and values from the data, for a user to go on from."""
+"""The first study of a campaign: priors and values from the data, which a user can continue from."""

@@ -1,4 +1,4 @@
-"""A first model of a shaken building from its floor sensors, where no force was measured."""
+"""A first model of a shaken building from its floor sensors, without a measured force."""
 
 import math
 import re
@@ -9,13 +9,13 @@ import numpy as np
 
 from hsed_jax.measurements import Campaign, Record
 
-# Frequencies at which the ground has less than this share of its largest power say nothing about the building, nor do those of
-# which the record has fewer periods than this.
+# Frequencies at which the ground has less than this share of its largest power carry no information on the building.  Nor do
+# frequencies of which the record has fewer periods than this.
 _LEAST_POWER, _LEAST_PERIODS = 0.01, 4
 
 
 class Floors(NamedTuple):
-    """What floor sensors tell of a building of equal storeys.
+    """The information of floor sensors on a building of equal storeys.
 
     Attributes:
         frequency: the first one [Hz].

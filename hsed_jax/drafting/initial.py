@@ -1,4 +1,4 @@
-"""A ready study for a campaign of measurements: priors and values from the data, each with a comment that says from where."""
+"""A ready study for a campaign of measurements: priors and values from the data, each with a comment on its source."""
 
 import json
 import math
@@ -20,7 +20,7 @@ from hsed_jax.physics.outputs import is_driver
 
 # Words that YAML reads as something else than a text.
 _WORDS = ("y", "n", "yes", "no", "on", "off", "true", "false", "null", ".inf", ".nan")
-# Of a floor [kg] where nothing tells it.
+# Mass of a floor [kg] if it is unknown.
 _MASS = 1000.0
 
 
@@ -188,7 +188,7 @@ def _check_frame(campaign: Campaign, folder: Path, frame: Frame) -> None:
 
 
 def _of_gravity(frame: Frame) -> float:
-    """What gravity takes off the stiffness of the lowest storey [N/m]: weight above it over its height."""
+    """The reduction of the stiffness of the lowest storey by gravity [N/m]: weight above it over its height."""
     return sum(frame.masses) * _GRAVITY / frame.height if frame.masses and frame.height else 0.0
 
 

@@ -1,1 +1,1 @@
-"""What leaves the package: a calibrated law as an OpenSees script, its parameters as a table."""
+"""Exports: a calibrated law as an OpenSees script, its parameters as a table."""

@@ -1,4 +1,4 @@
-"""A calibrated model to be exported: of a run folder, of which nothing is executed, or of what `hx.calibrate` returns."""
+"""A calibrated model for export: from a run folder, without executing its code, or from the result of `hx.calibrate`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

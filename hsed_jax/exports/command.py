@@ -1,4 +1,4 @@
-"""`hsed export`: what a run found, for other programs and for a paper."""
+"""`hsed export`: the results of a run, for other programs and for a paper."""
 
 from typing import Any
 

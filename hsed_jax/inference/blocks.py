@@ -1,6 +1,6 @@
-"""Chains of NUTS in blocks, side by side: seen while they run, stopped within a block, and taken up again where they were.
+"""Chains of NUTS in blocks, side by side: they can be watched, stopped after a block, and continued later.
 
-The state of the chains carries their random numbers, so that no draw depends on where a block ended.
+The state of a chain includes its random numbers, so no draw depends on where a block ends.
 """
 
 import time
@@ -14,9 +14,9 @@ import numpy as np
 from hsed_jax.inference.nuts import Course
 from hsed_jax.inference.watch import Watch, arrays_of, tree_like
 
-# Length of a block [s], and leapfrog steps of the first one, when nobody knows yet what a step takes.
+# Length of a block [s], and leapfrog steps of the first one, whose duration is unknown.
 _BLOCK, _FIRST = 0.4, 4
-# How often one looks at the chains, and how often they are kept [s].
+# Intervals at which the chains are polled, and at which they are saved [s].
 _LOOK, _KEEP = 0.2, 5.0
 
 
@@ -65,7 +65,7 @@ def follow(
     if is_spent() or not any(map(is_unfinished, range(len(reached)))):
         return reached
     watch.report("draws of the posterior")
-    # One thread traces and compiles, where several would all do the same.
+    # One thread traces and compiles first; otherwise all threads would do this work.
     reached[0] = advance(reached[0], 1)
     try:
         with ThreadPoolExecutor(len(reached)) as threads:

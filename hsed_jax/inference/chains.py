@@ -1,18 +1,19 @@
-r"""Draws by NUTS: by an emulator where one is accurate, each draw then weighed by the simulator; else by the simulator alone.
+r"""Draws by NUTS: an accurate emulator makes them and the simulator weighs them, or the simulator makes them alone.
 
-A trajectory asks for dozens of densities, a draw for one.  So chains of an emulated posterior cost as many simulations as they
-have draws, and weights $w = p(x)/\tilde p(x)$ make them draws of the posterior itself, whatever the emulator's error; the Pareto
-shape of the weights and what they leave of the draws say whether they may be believed (`hsed_jax.inference.importance`).
+A trajectory needs dozens of densities, and a draw needs one.  So chains of an emulated posterior cost as many simulations as
+they have draws.  Weights $w = p(x)/\tilde p(x)$ correct the error of the emulator.  The Pareto shape of the weights and the
+effective number of draws show whether the draws are reliable (`hsed_jax.inference.importance`).
 
-Of where no draw is they say nothing, and a polynomial may end a posterior that goes on.  Metropolis steps from the draws, some
-of them long, look there: what the simulator would accept and the emulator has no share in is missing.
+Weights carry no information outside the sampled region, and the polynomial of the emulator may end where the posterior
+continues.  Therefore Metropolis steps start from the draws, some of them long.  Steps that the simulator accepts outside the
+region of the emulator show a missed part.
 
-Where chains of the emulator diverge or go round slowly, weights take what they lack for what the posterior lacks: a tail that a
-chain hardly visits has a few draws, and its weights are as good as any.  Then the draws are moved on, by many steps of the
-emulator between two of the simulator, until they settle (`hsed_jax.inference.moves`).
+If chains of the emulator diverge or mix slowly, the weights do not correct this: a tail that a chain rarely visits has few
+draws, and their weights look normal.  Then the draws are moved by many steps of the emulator between two of the simulator,
+until they settle (`hsed_jax.inference.moves`).
 
-Where the posterior is not where its mode would have it, the first emulator is wrong.  Short chains then say where the next one
-has to be right, and in which frame it is drawn from.
+If the posterior is far from its mode, the first emulator is wrong.  Short chains then give the region and the frame of the next
+emulator.
 """
 
 import time
@@ -35,12 +36,12 @@ from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.watch import Watch, fingerprint
 from hsed_jax.programs import program
 
-# Error of the emulated log density [nats] whose weights leave a third of the draws.
+# Error of the emulated log density [nats] at which the weights leave a third of the draws.
 _ACCURATE = 1.0
 # Chains worth less than this share of their draws, and those of which more than this share diverges, have not been everywhere
 # as often as they should.
 _WORTHY, _MAY_DIVERGE = 0.2, 0.01
-# So many emulators learn, the first one from draws this much wider than the Gaussian around the mode.
+# Number of emulators, and the width of the design of the first one, relative to the Gaussian around the mode.
 _ROUNDS, _SPREAD = 5, 1.3
 
 
@@ -57,7 +58,7 @@ def by_nuts(
     """Chains of the posterior, shorter than planned where the budget ends before them; the arguments are those of `draw`."""
     of_emulator, of_chains = jax.random.split(key)
     keys, began = jax.random.split(of_chains, settings.chains), time.perf_counter()
-    # A few draws have no weights that one could judge.
+    # The weights of a few draws cannot be judged.
     if settings.chains * settings.draws >= TELLING:
         random = np.random.default_rng(np.asarray(jax.random.key_data(of_emulator)))
         found = _by_emulators(posterior, data, maximum, step_size, keys, settings, random, watch, seconds)
@@ -77,7 +78,7 @@ def _by_emulators(
     watch: Watch,
     seconds: float | None,
 ) -> Chains | None:
-    """Chains by the first emulator whose weights can be relied on; None where none is good enough."""
+    """Chains by the first emulator with reliable weights; None if no emulator is good enough."""
     began, p = time.perf_counter(), maximum.start.size
     degree = degree_for(len(posterior.model_names))
     count = simulations(len(posterior.model_names), degree)
@@ -94,7 +95,7 @@ def _by_emulators(
         if number > 0:
             frame = frame.learnt(points, log_weight)
         design = Design(points, outputs, ok, flattened(log_weight, p))
-        # An emulator that only knows where it was wrong goes wrong elsewhere.
+        # The new emulator keeps the old simulations: with the new ones alone it would be wrong elsewhere.
         both = design if before is None else _joined(design, before)
         emulator, before = emulate(posterior, data, both, degree), design
         is_accurate = float(emulator.error) < _ACCURATE
@@ -116,7 +117,7 @@ def _by_emulators(
 
 
 def _joined(design: Design, before: Design) -> Design:
-    """Both, the error told by the first."""
+    """Both designs; the shares of the first one determine the error."""
     silent = before._replace(shares=np.zeros_like(before.shares))
     return Design(*(np.concatenate(values) for values in zip(design, silent, strict=True)))
 
@@ -136,7 +137,7 @@ def _chains(
     watch: Watch,
     seconds: float | None,
 ) -> tuple[Chains, Float[np.ndarray, "chains draws p"], str]:
-    """Chains by the emulator or by the simulator, their draws in u, and the name they are kept under."""
+    """Chains by the emulator or by the simulator, their draws in u, and the name under which they are saved."""
     by = "simulator" if emulator is None else "emulator"
     name = f"draws-{fingerprint(posterior.names, data, maximum, step_size, keys, settings, by)}"
     # Chains in lockstep wait for the longest trajectory among them; two at a time, on a thread each, wait for less.  Always two,
@@ -151,7 +152,7 @@ def _chains(
     )
     made = max(min(int(course.done) for course in courses) - settings.warmup, 0)
     parts = [arrived(posterior, maximum, course, settings) for course in courses]
-    # In NumPy: JAX would compile each of these for every number of chains and draws.
+    # In NumPy, because JAX would compile each operation for every number of chains and draws.
     of_draws, places, step_sizes = (
         jax.tree.map(lambda *leaves: np.concatenate(leaves), *of) for of in zip(*parts, strict=True)
     )
@@ -170,13 +171,13 @@ def _weighed(
     watch: Watch,
     seconds: float | None,
 ) -> Chains | None:
-    """Chains of the emulator made draws of the posterior; None where they are too far from it.
+    """Chains of the emulator made draws of the posterior; None if they are too far from it.
 
-    Each chain is resampled by itself and keeps its order, so that R-hat and ESS say of it what they say of any chain, what the
-    weights cost included.
+    Each chain is resampled alone and keeps its order.  So R-hat and ESS have their usual meaning and include the loss by the
+    weights.
     """
     began = time.perf_counter()
-    # Draw by draw, so that a budget leaves all chains equally long.
+    # In the order of draws, so that all chains are equally long when the budget ends.
     points = np.swapaxes(u, 0, 1).reshape(-1, u.shape[-1])
     known = heights(posterior, data, points, watch, f"weights-of-{name}", seconds)
     made = len(known) // len(u)
@@ -191,7 +192,7 @@ def _weighed(
     if height.size >= TELLING:
         seen = look(
             lambda points: heights(posterior, data, points, watch, f"looks-of-{name}"),
-            # The evidence of the weights is what the two densities differ by throughout.
+            # The evidence of the weights is the constant difference of the two log densities.
             lambda points: (
                 np.asarray(_emulated(posterior, data, emulator, jax.device_put(points))) + draws.log_evidence
             ),
@@ -211,7 +212,7 @@ def _weighed(
         *(at, there, random, watch, f"moves-of-{name}", left),
     )
     theta = np.asarray(constrained(posterior, jax.device_put(on.points))).reshape(found.theta.shape)
-    # Draws that have forgotten the chains are none of NUTS any more, and neither are its divergences theirs.
+    # Moved draws no longer depend on the chains of NUTS, so its divergences do not apply to them.
     diverging = np.asarray(found.diverging) & (not on.settled)
     arrays = theta, on.height.reshape(height.shape), diverging, np.asarray(found.steps)
     doubt = None
@@ -224,7 +225,7 @@ def _weighed(
 
 
 def _needs_moves(chains: Chains) -> bool:
-    """Whether chains of an emulator, weighed and resampled, have been anywhere less often than they should."""
+    """Whether chains of an emulator, weighed and resampled, mix so slowly that they may have missed a part."""
     judged, count = convergence(chains), chains.diverging.size
     return judged.divergences > _MAY_DIVERGE * count or not judged.ess_bulk.min() >= _WORTHY * count
 

@@ -1,15 +1,15 @@
-r"""How much the samples of a history are worth, whose noise has a memory or whose model is wrong.
+r"""How many independent samples a history counts for, if its noise is autocorrelated or its model is wrong.
 
-Two things correlate the residual of a history.  **Noise with a memory** (every filtered sensor makes it) is a property of the
-sensor: it is in the likelihood, as a first-order autoregression $\rho_k = e^{-\Delta t_k/\ell}$ with a memory time ℓ per output.
-It is told from how much the residual changes from sample to sample, $\tfrac12\mathrm E(z_k-z_{k-1})^2 = 1-\rho_k$ with z in units
-of the declared noise: what a wrong model leaves is smooth and adds little to that.  Where no noise is declared nothing separates
-the two, and a memory is inferred only where the study says that there is one.
+Two causes correlate the residual of a history. **Autocorrelated noise** is a property of the sensor, because sensors are
+filtered.  The likelihood has it as a first-order autoregression $\rho_k = e^{-\Delta t_k/\ell}$ with a correlation time ℓ per
+output.  The change of the residual from sample to sample determines ℓ: $\tfrac12\mathrm E(z_k-z_{k-1})^2 = 1-\rho_k$ with z in
+units of the declared noise.  The residual of a wrong model is smooth and adds little to this change.  If no noise is declared,
+the two causes cannot be distinguished, and ℓ is inferred only if the study asks for it.
 
-**A model that is wrong** leaves a residual that is correlated beyond that.  Counted as independent, a thousand such samples make
-the posterior absurdly sure.  The integrated autocorrelation time τ of what is left says that n samples are worth n/τ of them
-(Sokal 1997), so each counts with weight 1/τ in the likelihood: a power likelihood, whose maximum stays where it was for one
-output, and whose width is right.
+**A wrong model** leaves a residual that is correlated in addition.  If a thousand such samples counted as independent, the
+posterior would be far too narrow.  With the integrated autocorrelation time τ of the residual, n samples are equivalent to n/τ
+independent ones (Sokal 1997).  So each counts with weight 1/τ in the likelihood.  This is a power likelihood: for one output,
+it keeps the maximum and corrects the width.
 """
 
 from collections.abc import Sequence
@@ -21,18 +21,18 @@ from scipy.special import chdtrc
 
 from hsed_jax.inference.likelihood import whitened
 
-# A residual of which the noise alone leaves as much less often than this is not the noise's.
+# Below this probability, the noise does not explain the residual.
 SIGNIFICANT = 0.01
-# A memory is believed where the change from sample to sample is so many standard errors below that of white noise.
+# Noise counts as autocorrelated if its change from sample to sample is so many standard errors below that of white noise.
 _SURE = 3.0
 _LEAST_SAMPLES = 30
 
 
 class Noise(NamedTuple):
-    """What the residual of one output tells of its noise.
+    """The noise of one output, estimated from the residual.
 
     Attributes:
-        time: memory time ℓ [s]; zero for white noise.
+        time: correlation time ℓ [s]; zero for white noise.
         excess: excess kurtosis; zero for a Gaussian.
     """
 
@@ -41,7 +41,7 @@ class Noise(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """What the samples of some experiments are worth.
+    """The noise of some experiments, and the weights of their samples.
 
     Attributes:
         memory: ρ of every sample with the one before, (n, J).
@@ -62,7 +62,7 @@ def judge(
     declared: np.ndarray,
     correlated: Sequence[bool | None],
 ) -> Judged:
-    """Tell the memory of the noise, and what is left of correlation beyond it.
+    """Estimate the autocorrelation of the noise, and the remaining correlation of the residual.
 
     Arguments:
         standardised: residuals in units of the noise, (n, J).
@@ -83,7 +83,7 @@ def judge(
 
 
 def correlation_notes(outputs: Sequence[str], groups: np.ndarray, weights: np.ndarray, memory: np.ndarray) -> list[str]:
-    """Sentences on outputs whose noise has a memory, or whose residual is correlated beyond it.
+    """Sentences on outputs whose noise is autocorrelated, or whose residual is correlated in addition.
 
     Arguments:
         outputs: their names.
@@ -108,7 +108,7 @@ def correlation_notes(outputs: Sequence[str], groups: np.ndarray, weights: np.nd
 
 
 def noise_of(standardised: np.ndarray, gaps: np.ndarray, used: np.ndarray, correlated: bool | None) -> Noise:
-    """Memory and kurtosis of the noise of one output.
+    """Correlation time and kurtosis of the noise of one output.
 
     Arguments:
         standardised: residuals of the output in units of its noise, (n, m).
@@ -125,11 +125,11 @@ def noise_of(standardised: np.ndarray, gaps: np.ndarray, used: np.ndarray, corre
     if correlated is False:
         return Noise(0.0, excess)
     change = float(changes.mean())
-    # Neighbouring changes share a sample: of white noise their squares are correlated by a quarter.
+    # Neighbouring changes share a sample: for white noise their squares have a correlation of a quarter.
     uncertain = float(np.sqrt(1.5 * changes.var() / changes.size))
     lag_one = float((standardised * before)[pairs].mean() / (standardised[used] ** 2).mean())
     if lag_one + _SURE * np.sqrt(max(1 - lag_one**2, 0.0) / changes.size) < 1 - change:
-        # The noise is smaller than declared, and less correlated than its size alone would say.
+        # The noise is smaller than declared, so it is less correlated than its size alone suggests.
         change = 1 - lag_one
     if change >= 1 - _SURE * uncertain or lag_one < _SURE / np.sqrt(changes.size):
         return Noise(0.0, excess)
@@ -144,8 +144,10 @@ def noise_of(standardised: np.ndarray, gaps: np.ndarray, used: np.ndarray, corre
 
 
 def _excess(standardised: np.ndarray, pairs: np.ndarray) -> float:
-    """Excess kurtosis of the noise from second differences, in which a smooth error of the model cancels: of independent noise
-    theirs is half of it (Σc⁴/(Σc²)² = 18/36 for 1, −2, 1)."""
+    """Excess kurtosis of the noise, from second differences, in which a smooth error of the model cancels.
+
+    For independent noise, second differences have half of its excess: Σc⁴/(Σc²)² = 18/36 for the coefficients 1, −2, 1.
+    """
     triples = pairs & np.roll(pairs, 1, axis=1)
     triples[:, :2] = False
     second = (standardised - 2 * np.roll(standardised, 1, axis=1) + np.roll(standardised, 2, axis=1))[triples]
@@ -154,16 +156,17 @@ def _excess(standardised: np.ndarray, pairs: np.ndarray) -> float:
 
 
 def memory_of(gaps: np.ndarray, times: np.ndarray, groups: np.ndarray) -> np.ndarray:
-    """ρ of every sample with the one before, (n, J), from the gaps [s] and the memory times of the outputs, (G,)."""
+    """ρ of every sample with the one before, (n, J), from the gaps [s] and the correlation times of the outputs, (G,)."""
     time = times[groups]
     return np.where(time > 0, np.exp(-gaps / np.where(time > 0, time, 1.0)), 0.0)
 
 
 def size_p_value(standardised: np.ndarray, used: np.ndarray, memory: np.ndarray, noises: dict[int, Noise], groups: np.ndarray,
                  parameters: int) -> float | None:  # fmt: skip
-    r"""Probability that noise of the declared size leaves so large a residual; None where nothing more was measured than fitted.
+    r"""Probability that noise of the declared size causes a residual this large; None with no more measurements than
+    parameters.
 
-    $\sum z^2$ has the mean N − p.  Its variance is 2N for independent Gaussian noise; kurtosis and memory make it
+    $\sum z^2$ has the mean N − p.  Its variance is 2N for independent Gaussian noise; kurtosis and autocorrelation make it
     $2N\,(1+\kappa/2)\,\overline{(1+\rho^2)/(1-\rho^2)}$.  A scaled χ² with these moments (Satterthwaite 1946) is exact for
     white Gaussian noise.
 

@@ -1,4 +1,4 @@
-"""Correlation functions of Gaussian processes over the unit cube of the inputs, and how far they reach a priori."""
+"""Correlation functions of Gaussian processes over the unit cube of the inputs, and the prior of their correlation lengths."""
 
 from collections.abc import Callable
 from typing import Literal, final

@@ -27,7 +27,10 @@ _SPELLINGS = {
 
 
 def inverted(distribution: dist.Distribution, probability: Any) -> Any:
-    """Inverse distribution function: hundreds of operations, compiled together, and for one size of what has several numbers."""
+    """Inverse distribution function.
+
+    It takes hundreds of operations, so they are compiled together, for one size of any argument with several numbers.
+    """
     asked = jnp.asarray(probability)
     if not asked.ndim:
         return _inverse(distribution, asked)
@@ -97,13 +100,13 @@ def distribution_of(name: str, arguments: Any) -> dist.Distribution:
 
 
 def _signature(kind: Any) -> tuple[list[str], int]:
-    """Names of a distribution's arguments, and how many of them a location-scale or bounded family must be told."""
+    """Names of the arguments of a distribution, and how many of them a location-scale or bounded family needs."""
     try:
         parameters = inspect.signature(kind).parameters.values()
     except (TypeError, ValueError):
         return [], 1
     names = [p.name for p in parameters if p.name != "validate_args"]
-    # numpyro has a default for nearly everything; a prior whose bounds or spread were forgotten is a mistake, though.
+    # numpyro has a default for nearly every argument, but a prior without its bounds or spread is a mistake.
     pairs = ({"low", "high"}, {"loc", "scale"})
     return names, 2 if any(pair <= set(names) for pair in pairs) else 1
 

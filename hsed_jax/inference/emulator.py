@@ -1,11 +1,11 @@
-r"""The predictions as polynomials of the parameters around a frame: a posterior for NUTS that costs no simulation.
+r"""The predictions as polynomials of the parameters around a frame: a posterior for NUTS that needs no simulation.
 
-The predictions of every experiment are fitted by $f(\theta) \approx \sum_k \phi_k \sum_{|\alpha|\le d} c_{k\alpha} x^\alpha$, x
-the standardised θ and $\phi_k$ the principal components of what was simulated, in standard deviations of the error.  In θ
-predictions are smooth, also where u runs into the bound of a prior.
+The predictions of every experiment are fitted by $f(\theta) \approx \sum_k \phi_k \sum_{|\alpha|\le d} c_{k\alpha} x^\alpha$.
+Here x is the standardised θ, and $\phi_k$ are the principal components of the simulated outputs, in standard deviations of the
+error.  Predictions are smooth in θ, also where u goes to infinity at the bound of a prior.
 
-How wrong the log density is then is told by leaving out each simulation in turn, which costs a regression nothing.
-What is drawn by an emulator is weighed by the simulator (`hsed_jax.inference.chains`).
+The error of the log density is estimated by leaving out each simulation in turn, which costs a regression nothing.  The
+simulator weighs the draws of an emulator (`hsed_jax.inference.chains`).
 """
 
 import math
@@ -70,7 +70,7 @@ class Emulator(eqx.Module):
         return self.middle + jnp.einsum("nc,ncj->nj", amounts, self.components)
 
     def log_density(self, posterior: Posterior, u: Float[Array, " p"], data: Data) -> Float[Array, ""]:
-        """Log density in u of the posterior with these predictions in place of the simulator's."""
+        """Log density in u of the posterior with these predictions instead of those of the simulator."""
         predicted = self(posterior.by_experiment(posterior.constrain(u), data))
         return posterior.log_density_of(u, predicted, jnp.ones(predicted.shape[0]), data)
 
@@ -95,7 +95,7 @@ def emulate(posterior: Posterior, data: Data, design: Design, degree: int) -> Em
     powers = _exponents(theta.shape[2], degree)
     terms = jax.vmap(jax.vmap(lambda x: _terms(x, powers)), in_axes=1)((theta - center) / spread)
     count, n, size = len(u), outputs.shape[1], theta.shape[1]
-    # Components that matter are those that differ by standard deviations of the error, of all outputs alike.
+    # In standard deviations of the error, so that a component matters equally in every output.
     middle = jnp.mean(outputs, axis=0)
     sigma = posterior.sigma(jnp.mean(jax.vmap(posterior.constrain)(u), axis=0), middle, jnp.ones(n), data)
     tables = jnp.swapaxes((outputs - middle) / sigma, 0, 1) * (data.weights > 0)[:, None]
@@ -105,7 +105,7 @@ def emulate(posterior: Posterior, data: Data, design: Design, degree: int) -> Em
     basis, triangle = jax.vmap(jnp.linalg.qr)(terms)
     fitted = basis @ (jnp.swapaxes(basis, 1, 2) @ by_set)
     coefficients = jax.vmap(lambda a, b: jnp.linalg.lstsq(a, b)[0])(triangle, jnp.swapaxes(basis, 1, 2) @ by_set)
-    # What a simulation would be predicted as, had it been left out.
+    # The prediction of each simulation from all others.
     leverage = jnp.minimum(jnp.sum(basis**2, axis=2), 0.99)[..., None]
     left_out = by_set - (by_set - fitted) / (1 - leverage)
     left_out = jnp.moveaxis(left_out.reshape(size, count, n // size, -1), 1, 2).reshape(n, count, -1)

@@ -1,10 +1,10 @@
-r"""A posterior around points of u to second order: what every search for its modes goes by.
+r"""A posterior around points of u to second order; every search for its modes uses it.
 
-All of it follows from one simulation of each experiment with its derivatives.  The curvature is the Gauss–Newton one (expected
-Fisher information, and of priors and transformation what is positive):
-$F = \sum \frac{\partial f\,\partial f^\top}{\sigma^2} + 2\,\partial\log\sigma\,\partial\log\sigma^\top$.
+One simulation of each experiment with its derivatives gives the whole expansion.  The curvature is that of Gauss and Newton:
+the expected Fisher information, and the positive part of the curvature of priors and transformation, $F = \sum \frac{\partial
+f\,\partial f^\top}{\sigma^2} + 2\,\partial\log\sigma\,\partial\log\sigma^\top$.
 
-The simulations are those of `hsed_jax.inference.simulations`, starts side by side.
+The simulations are those of `hsed_jax.inference.simulations`, all starts side by side.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ from hsed_jax.programs import program
 
 # Points of a call.
 _WIDTH = 4
-# Coordinates are of order one, and so is their density where the Hessian does not say so.
+# Coordinates have order one, so the curvature has at least this size if the Hessian is smaller.
 _LEAST_OF_POPULATION = 0.25
 
 
@@ -66,7 +66,7 @@ def expand(posterior: Posterior, data: Data, points: Sequence[np.ndarray] | np.n
 
 
 def centred(posterior: Posterior, data: Data, theta: Float[Array, " p"]) -> Posterior:
-    """The same posterior in coordinates that suit what the measurements tell of the offsets of a population at θ."""
+    """The same posterior in coordinates that follow the offsets of a population, as the measurements determine them at θ."""
     levels, first = posterior.population.levels, posterior.population.first
     if not levels:
         return posterior
@@ -101,7 +101,7 @@ def _expansion(
         lambda z, log_sigma: log_likelihood(z, log_sigma, ok, data), argnums=(0, 1)
     )(z, log_sigma)
     told = jnp.einsum("nj,pnj->p", by_z, z_along) + jnp.einsum("nj,pnj->p", by_sigma, sigma_along)
-    # Of the mean alone: what z owes to σ has its own term.
+    # The mean alone: the dependence of z on σ has its own term.
     g = jax.vmap(lambda one: decorrelated(one, data))(z_along + z * sigma_along)
     h = jnp.sqrt(2 * data.weights) * sigma_along
     information = g @ g.T + jnp.einsum("pnj,qnj->pq", h, h)
@@ -112,7 +112,7 @@ def _expansion(
     (prior, density), (slope, gradient) = known(u), jax.jacfwd(known)(u)
     of_priors = jax.jacfwd(posterior.prior_residuals)(u)
     if posterior.population.levels:
-        # Spreads and offsets bend each other's density, and not upwards everywhere.
+        # The density couples spreads and offsets, and its curvature is not positive everywhere.
         values, axes = jnp.linalg.eigh(information - jax.hessian(posterior.log_prior_of)(u))
         curvature = (axes * jnp.maximum(values, _LEAST_OF_POPULATION)) @ axes.T
     else:

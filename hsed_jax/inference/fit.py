@@ -1,4 +1,4 @@
-"""A calibrated model: MAP, posterior draws and whether to believe them, as one object that shows itself."""
+"""A calibrated model as one object that displays itself: MAP, draws of the posterior, and whether they are reliable."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from hsed_jax.inference.discrepancy.base import AbstractDiscrepancy
     from hsed_jax.inference.discrepancy.inputs import Support
 
-# Memory and worth of the samples are told from a residual, which depends on them a little.
+# Correlation and weights of the samples follow from a residual, which depends on them a little: so many rounds.
 _ROUNDS, _SETTLED = 3, 0.02
 
 
@@ -80,7 +80,7 @@ class Fit(Tabular):
 
     @property
     def warning(self) -> str | None:
-        """What is wrong with the draws, or that the posterior has several modes, in one sentence, or None."""
+        """Faults of the draws, or that the posterior has several modes, in one sentence; else None."""
         found = (
             self.chains.doubt,
             self.maximum.warning(self.posterior.names),
@@ -95,13 +95,13 @@ class Fit(Tabular):
 
     @cached_property
     def caution(self) -> str | None:
-        """What to know before any estimate is believed (`hsed_jax.inference.leaning.caution`), or None."""
+        """What a reader must know before using an estimate (`hsed_jax.inference.leaning.caution`), or None."""
         own = {name: self.map[name] for name in self.posterior.model_names}
         return caution(self.leaning, self.posterior.priors, own, self.summary(), self.units)
 
     @property
     def doubt(self) -> str | None:
-        """What to think of the intervals where the model does not explain the data, in one sentence; else None."""
+        """The meaning of the intervals if the model does not explain the data, in one sentence; else None."""
         if (
             self.chi2_per_datum is None
             or self.p_value is None
@@ -169,7 +169,7 @@ class Fit(Tabular):
         draws = self.chains.theta.reshape(-1, self.chains.theta.shape[-1])
         members = jnp.asarray([[len(level.members) for level in population.levels]])
         offsets = population.strangers(members, len(draws))
-        # Of the levels within it there is no member, whose offset is none.
+        # The levels within it have no member here, so their offset is zero.
         offsets = tuple(o if k <= level else jnp.zeros_like(o) for k, o in enumerate(offsets))
 
         def one(theta, offsets):
@@ -282,7 +282,7 @@ def _read_back(
 def _most_probable(
     posterior: Posterior, data: Data, points: Float[Array, "s p"], errors: Sequence[Error], support: "Support | None"
 ) -> tuple[Posterior, Data, Maximum, "AbstractDiscrepancy | None"]:
-    """The MAP, with what the samples are worth, the errors and the discrepancy that it was found with."""
+    """The MAP, with the weights of the samples, the errors and the discrepancy that belong to it."""
     if any(error.discrepancy for error in errors):
         from hsed_jax.inference.discrepancy.kinds import none_yet
 
@@ -293,7 +293,7 @@ def _most_probable(
         standardised = _standardised(declared, posterior, data, maximum)
         judged = _judged(standardised, data, declared, errors)
         inflated = declared.inflated(_left(standardised, data, declared, errors))
-        # What correlates the residuals of a discrepancy is its own.
+        # A discrepancy has its own correlation of the residuals.
         worth = np.where([error.discrepancy for error in errors], 1.0, judged.worth) if errors else judged.worth
         weights = jnp.asarray((np.asarray(data.weights) > 0) * worth[posterior.groups])
         learned = _learned(declared, data, maximum, errors, support, process)
@@ -312,7 +312,7 @@ def _most_probable(
                 decorrelation=None if process is None else process.whitening,
             )
         posterior, is_centred = centred(posterior, data, maximum.theta), True
-        # With other errors the modes move, and starts all over the prior were looked at.
+        # With other errors the modes move; the starts over the whole prior were searched before.
         points = jnp.stack([posterior.unconstrain(mode.theta) for mode in maximum.modes])
         maximum = maximise(posterior, data, points)
     return posterior, data, maximum, process
@@ -352,7 +352,7 @@ def _judged(standardised: np.ndarray, data: Data, posterior: Posterior, errors: 
 
 
 def _left(standardised: np.ndarray, data: Data, posterior: Posterior, errors: Sequence[Error]) -> np.ndarray:
-    """By what factor each declared error grows, (G,): the RMS of what is left, where that is to count and is more than one."""
+    """Factor by which each declared error grows, (G,): the RMS of the residual, if it counts as error and exceeds one."""
     factors = np.ones(len(posterior.outputs))
     for output, error in enumerate(errors):
         own = (np.asarray(data.weights) > 0) & (posterior.groups == output)
@@ -364,7 +364,7 @@ def _left(standardised: np.ndarray, data: Data, posterior: Posterior, errors: Se
 def _left_unexplained(
     standardised: np.ndarray, data: Data, posterior: Posterior, judged: Judged
 ) -> tuple[float | None, float | None]:
-    """χ² per datum and the probability of as much from the declared noise; None where none is declared."""
+    """χ² per datum, and its probability under the declared noise; None if no noise is declared."""
     used = (np.asarray(data.weights) > 0) & posterior.is_declared[posterior.groups]
     if not used.any():
         return None, None

@@ -1,4 +1,4 @@
-"""A posterior at many points: in blocks on all cores, seen while it runs, and taken up again where it was."""
+"""A posterior at many points: computed in blocks on all cores, watched while it runs, and continued after a stop."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -16,7 +16,7 @@ from hsed_jax.inference.simulations import filled, outputs_at, points_of_a_call
 from hsed_jax.inference.watch import Watch
 from hsed_jax.programs import program
 
-# How often one looks at the blocks and keeps what they found [s].
+# Interval at which the blocks are polled and their results saved [s].
 _LOOK, _KEEP = 0.2, 5.0
 
 
@@ -28,7 +28,7 @@ def heights(
     name: str | None = None,
     seconds: float | None = None,
 ) -> Float[np.ndarray, " k"]:
-    """Log density in u at points, -inf where it has none; of the first k where the budget ends before the last.
+    """Log density in u at points, -inf where it has none; of the first k points only, if the budget ends before the last.
 
     Arguments:
         posterior: of a study.
@@ -85,7 +85,7 @@ def _over(
     keep: Callable[[], None],
     seconds: float | None,
 ) -> None:
-    """Call `one` with where a block begins, and its points."""
+    """Call `one` with the start of each block and its points."""
     began = looked = time.perf_counter()
     size = points_of_a_call(data)
     todo = iter([at for at in range(0, len(points), size) if is_open[at : at + size].any()])
@@ -98,7 +98,7 @@ def _over(
         return [] if is_spent else list(islice(blocks, 1))
 
     try:
-        # One thread traces and compiles, where several would all do the same; one block there is, however small the budget.
+        # One thread traces and compiles first; otherwise all threads would do this work.  So there is at least one block.
         for at in islice(todo, 1):
             block_of(at)
         with ThreadPoolExecutor(cores()) as threads:

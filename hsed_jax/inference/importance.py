@@ -1,15 +1,16 @@
 r"""Importance sampling: draws of a Student t, weighted to be exact for a density that is known up to a constant.
 
-A posterior is nearly Gaussian around its mode, so that a proposal of heavier tails makes nearly every simulation an independent
-draw, where a chain needs dozens of them for one; and the mean of the weights is the evidence $Z = \int p(x)\,dx$.  The draws come
-in rounds, and each round's proposal $t_r$ learns its centre and its spread from all draws before it.  All of them count, weighed
-by the mixture of the proposals,
+A posterior is nearly Gaussian around its mode.  So with a proposal of heavier tails nearly every simulation is an independent
+draw, where a chain needs dozens of simulations for one.  The mean of the weights is the evidence $Z = \int p(x)\,dx$.  The
+draws come in rounds, and the proposal $t_r$ of each round learns its centre and its spread from all earlier draws.  All draws
+count, weighted by the mixture of the proposals,
 
 $$w_s = \frac{p(x_s)}{\sum_r n_r\,t_r(x_s) / \sum_r n_r},$$
 
-so that a proposal that missed a part does no harm where another one did not.  Whether that was enough is told by the Pareto shape
-of the weights (below 0.7), by how many draws they are worth, and by a look at where no draw is, of which weights say nothing:
-Metropolis steps from the draws, some of them long, that are accepted where the proposals have hardly any density.
+so a proposal may miss a part that another one covers.  Three checks show whether the draws are sufficient: the Pareto shape of
+the weights (below 0.7), the effective number of draws, and a search outside the sampled region, about which weights say
+nothing.  The search makes Metropolis steps from the draws, some of them long, and counts accepted steps that end where the
+proposals have hardly any density.
 
 Source: Geweke 1989; Cornuet, Marin, Mira & Robert 2012 (adaptive multiple importance sampling); Vehtari, Simpson, Gelman, Yao &
 Gabry 2024 (Pareto smoothed importance sampling).
@@ -26,20 +27,20 @@ from scipy.special import gammaln, logsumexp
 from hsed_jax.physics.batch import TILE
 
 _DEGREES = 5.0
-# Draws of a round: few learn fast, and a block has as many simulations.  So many times the draws that are asked for are made, at
-# most.
+# Draws of a round: small rounds learn fast, and a block has as many simulations.  The other number is the largest total, relative
+# to the requested draws.
 _EACH, _MOST = 4 * TILE, 2
-# The learning ends when draws are worth this share of their number.
+# The learning ends when the effective number of draws is this share of their number.
 _GOOD = 0.5
-# Beyond this Pareto shape the weights have no mean that can be relied on; of less worth than this share, a chain is better.
+# Beyond this Pareto shape the mean of the weights is not reliable; below this effective share, a chain is better.
 _SHAPE, _WORTHY = 0.7, 0.1
-# Draws worth nearly their number have weights so alike that they have no tail to speak of.
+# Above this effective share the weights are so similar that they have no tail.
 _ALIKE = 0.95
-# Fewer weights than this have no tail to take a shape from.
+# The tail of fewer weights than this has no shape.
 TELLING = 25
-# So many steps look for what draws miss; their length is a Student t of few degrees of freedom, in sd.
+# Number of steps of the search; their length is a Student t of few degrees of freedom, in standard deviations.
 _LOOKS, _LENGTH, _OF_LENGTH = 400, 2.0, 3.0
-# Missing is where there is less than so much of the density [nats], and this share of the steps may end there.
+# A part is missed if the draws have less than so much of the density there [nats]; this share of the steps may end there.
 _LESS, _MAY_MISS = 2.0, 0.01
 
 Points = Float[np.ndarray, "S p"]
@@ -73,7 +74,7 @@ class Proposal(NamedTuple):
         return normalisation - 0.5 * (_DEGREES + size) * np.log1p(np.sum(w**2, axis=0) / _DEGREES)
 
     def learnt(self, points: Points, log_weight: Heights) -> "Proposal":
-        """The proposal that draws call for, their weights flattened as far as it takes for enough of them to count."""
+        """The proposal that fits the draws, their weights flattened until enough of them count."""
         size = self.center.size
         share = flattened(log_weight, size)
         middle = share @ points
@@ -103,12 +104,12 @@ class Weighted(NamedTuple):
 
     @property
     def worth(self) -> float:
-        """Number of draws that the weighted ones are worth (Kish)."""
+        """Effective number of draws (Kish)."""
         return _worth(self.weights) if np.isfinite(self.log_evidence) else 0.0
 
     @property
     def doubt(self) -> str | None:
-        """Why moments of these draws may not be believed, in a sentence; None where they may."""
+        """Why moments of these draws may be wrong, in a sentence; None if they are reliable."""
         if self.reliable:
             return None
         what = f"Pareto shape {self.shape:.2f}, effective number {self.worth:.0f} of {len(self.points)} draws"
@@ -118,14 +119,14 @@ class Weighted(NamedTuple):
 
     @property
     def reliable(self) -> bool:
-        """Whether moments of these draws may be believed."""
+        """Whether moments of these draws are reliable."""
         if self.missed > _MAY_MISS:
             return False
         if len(self.points) >= TELLING and self.worth > _ALIKE * len(self.points):
             return True
         if self.shape == np.inf:
             return False
-        # What a few draws say of their tail is uncertain (Vehtari et al. 2024, section 3.2.4).
+        # The tail of a few draws is uncertain (Vehtari et al. 2024, section 3.2.4).
         least = _WORTHY * len(self.points)
         return bool(self.shape < min(_SHAPE, 1 - 1 / np.log10(len(self.points))) and self.worth >= least)
 
@@ -147,7 +148,7 @@ def weigh(
         rounds.append((math.log(size), proposal))
         new = proposal.draw(random, size)
         there = np.asarray(log_density(new))
-        # log Σ n_r t_r: what this proposal adds to it at the draws before, and all of them at its own.
+        # log Σ n_r t_r: add this proposal at the earlier draws, and sum all proposals at its own draws.
         mixed = np.logaddexp(mixed, rounds[-1][0] + proposal.log_density(points))
         of_new = np.logaddexp.reduce([count + one.log_density(new) for count, one in rounds])
         points, mixed = np.concatenate([points, new]), np.concatenate([mixed, of_new])
@@ -163,7 +164,7 @@ def weigh(
                 random,
             )
             found = found._replace(missed=seen.missed)
-            # What they saw teaches, and counts for nothing.
+            # These points inform the next proposal, and have no weight.
             taught = (
                 np.concatenate([points, seen.points]),
                 np.concatenate([log_weight, seen.excess + found.log_evidence]),
@@ -178,7 +179,7 @@ def weigh(
 
 
 def weighted(points: Points, log_density: Heights, log_weight: Heights) -> Weighted:
-    """Draws with the logarithms of their weights, in any scale; the evidence is that of the density over the scale's."""
+    """Draws with the logarithms of their weights, in any scale; the evidence is that of the density relative to this scale."""
     total = float(np.asarray(logsumexp(log_weight)))
     if not np.isfinite(total):
         return Weighted(points, log_density, np.full(len(points), 1 / len(points)), -np.inf, np.inf)
@@ -202,16 +203,16 @@ def _pareto_shape(log_weight: Heights) -> float:
     finite = np.sort(log_weight[np.isfinite(log_weight)])
     if len(finite) < TELLING:
         return np.inf
-    # The tail of Vehtari et al. 2024, section 2; weights that a whole tail shares, as those of a chain that stands, are bounded.
+    # The tail of Vehtari et al. 2024, section 2; if a whole tail has one weight, as in a chain that stands still, it is bounded.
     if finite[-1] == finite[-int(min(0.2 * len(finite), 3 * np.sqrt(len(finite))))]:
         return -np.inf
-    # ArviZ takes what is to be weighed down: the negative logarithm of the weights.  A tail that is far too long overflows.
+    # ArviZ takes the negative logarithm of the weights.  A tail that is far too long overflows.
     with np.errstate(over="ignore"):
         return float(array_stats.psislw(finite.max() - finite)[1])
 
 
 class Looked(NamedTuple):
-    """Where steps from draws ended.
+    """The ends of Metropolis steps from draws.
 
     Attributes:
         points: there, (S, p).
@@ -231,7 +232,7 @@ def look(
     height: Heights,
     random: np.random.Generator,
 ) -> Looked:
-    """Look by Metropolis steps for what draws miss.
+    """Search by Metropolis steps for parts that the draws miss.
 
     Arguments:
         log_density: of many points.
@@ -259,7 +260,7 @@ def resampled(weighted: Weighted, count: int, random: np.random.Generator) -> tu
 
 
 def flattened(log_weight: Heights, size: int) -> Heights:
-    """Weights raised to a power as far below one as it takes for enough draws of `size` dimensions to count."""
+    """Weights raised to a power below one, the largest with which enough draws count for `size` dimensions."""
     enough = min(4 * size + 20, 0.5 * len(log_weight))
     power, share = 1.0, _shares(log_weight)
     while _worth(share) < enough and power > 1e-6:
@@ -269,6 +270,6 @@ def flattened(log_weight: Heights, size: int) -> Heights:
 
 
 def systematic(weights: Heights, count: int, random: np.random.Generator) -> np.ndarray:
-    """Which draws are taken, and how often, for `count` of equal weight; in their order."""
+    """Indices of `count` draws of equal weight, in their order; a draw may occur several times."""
     places = (np.arange(count) + random.uniform()) / count
     return np.minimum(np.searchsorted(np.cumsum(weights), places), len(weights) - 1)

@@ -1,4 +1,4 @@
-"""Independent draws around a mode, in the shape of chains: of the Gaussian there, or weighed by the posterior."""
+"""Independent draws around a mode, in the shape of chains: of the Gaussian there, or weighted by the posterior."""
 
 from dataclasses import dataclass
 
@@ -21,7 +21,7 @@ class Weighing:
     """Weighted draws around a mode.
 
     Attributes:
-        asked: what they are for.
+        asked: the request.
         weights: the draws and their weights.
         random: random numbers that chose them, and that choose among them.
     """
@@ -70,7 +70,7 @@ def gaussian(
     """Draws of u from the Gaussian around a mode, and its log density there."""
     start, whitening = np.asarray(maximum.start), np.asarray(maximum.whitening)
     w = generator(key).standard_normal((number, start.size))
-    # The Gaussian is as high as the density at the mode, which the evidence by Laplace's method was made of.
+    # The Gaussian has the height of the density at the mode, as in the evidence by Laplace's method.
     top = float(maximum.log_evidence) - 0.5 * start.size * LOG_2PI - np.linalg.slogdet(whitening)[1]
     return start + w @ whitening.T, top - 0.5 * np.sum(w**2, axis=1)
 

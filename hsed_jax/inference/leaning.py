@@ -1,7 +1,8 @@
-"""Estimates that lean on a bound of their prior: where that is no physical limit, the prior excludes what the data ask for.
+"""Estimates that lean on a bound of their prior.  If the bound is no physical limit, the prior excludes what the data ask for.
 
-A posterior that is cut off says nothing of how wrong the cut is, and an effect that gets round the bound gains evidence from it.
-So this is said before anything else is made of a calibration, and nothing is named before the bound was opened.
+A truncated posterior does not show how wrong the bound is, and an effect that replaces the excluded values gains evidence from
+it.  So the warning comes before every other result of a calibration, and a diagnosis names an effect only after the bound was
+opened.
 """
 
 import math
@@ -16,10 +17,10 @@ Range = tuple[float, float]
 ANYTHING: Range = (-math.inf, math.inf)
 """What is possible of a parameter of which nothing is known."""
 
-# As shares of the width of the prior: what is on a bound to the digits of a search; and what is near it, where the posterior
-# reaches the bound within so many of its standard deviations.
+# As shares of the width of the prior: an estimate on a bound, to the accuracy of a search; and an estimate near a bound, if the
+# posterior reaches the bound within so many of its standard deviations.
 _ON, _NEAR, _REACHES = 1e-4, 0.01, 2.0
-# Of a prior that has but one bound, or none, this share of it is its width.
+# The width of a prior with one bound or none is the width of this central share.
 _WIDTH = 0.9
 
 
@@ -41,7 +42,7 @@ class Leaning(NamedTuple):
     prior: Range
 
     def summary(self) -> dict[str, Any]:
-        """As in `summary.json`; a bound that there is none of is null."""
+        """As in `summary.json`; a missing bound is null."""
         bounds = [bound if math.isfinite(bound) else None for bound in self.prior]
         return {**self._asdict(), "prior": bounds}
 
@@ -81,7 +82,7 @@ def opened(prior: Prior) -> Prior:
 
 
 def touched(prior: Prior, value: float, deviation: float) -> Iterator[tuple[str, float]]:
-    """The bounds of a prior that an estimate is on, physical limits or not: `lower` or `upper`, and where that is."""
+    """The bounds of a prior that an estimate lies on, physical limits or not: `lower` or `upper`, and the bound."""
     low, high = prior.bounds
     if low is not None and high is not None:
         width = high - low
@@ -108,7 +109,7 @@ def caution(
     posterior: Mapping[str, Mapping[str, float]],
     units: Mapping[str, str],
 ) -> str | None:
-    """What to know before any estimate is believed: which of them lean, and which lie outside their own 90 % interval.
+    """The warnings before any use of the estimates: which of them lean, and which lie outside their own 90 % interval.
 
     Arguments:
         leaning: the estimates that lean.
@@ -120,7 +121,7 @@ def caution(
     said = [_leaning_words(leaning, units)] if leaning else []
     for name, value in estimates.items():
         known = posterior[name]
-        # On a bound, be it a physical limit, it lies outside of every interval that leaves out as much on either side.
+        # An estimate on a bound, even on a physical limit, lies outside every interval with equal tails.
         if not known["q05"] <= value <= known["q95"] and not any(touched(priors[name], value, known["sd"])):
             said.append(
                 f"the most probable {name} = {_quantity(name, value, units)} lies outside its own 90 % interval, "

@@ -1,27 +1,28 @@
-r"""The likelihood: errors whose standard deviation is declared or inferred, per output, and which may have a memory.
+r"""The likelihood: errors with a declared or inferred standard deviation per output, which may be autocorrelated.
 
 $$\log L = -\tfrac12\sum_{ij}\Big[w_{ij}^2+\log 2\pi\sigma_{ij}^2(1-\rho_{ij}^2)\Big],\qquad
   w_{ij} = \frac{z_{ij}-\rho_{ij}z_{i,j-1}}{\sqrt{1-\rho_{ij}^2}},\qquad z_{ij} = \frac{f_{ij}(\theta)-y_{ij}}{\sigma_{ij}}$$
 
-(Abbiati & Marelli, Eqs. 3–4, with σ a standard deviation.)  σ is s, declared or a parameter, for an absolute error.  ρ is the
-correlation of the noise of a sample with that of the sample before (a first-order autoregression; Box & Jenkins 1976); of white
-noise and of quantities it is zero.
+(Abbiati & Marelli, Eqs. 3–4, with σ a standard deviation.) For an absolute error, σ is s, declared or a parameter. ρ is the
+correlation of the noise of a sample with that of the sample before (a first-order autoregression; Box & Jenkins 1976).  It is
+zero for white noise and for quantities.
 
-By default the relative error of a *history* is relative to its RMS, which many samples tell without noise: the measured one, less
-what the noise itself adds to it, $\sigma = s\,\mathrm{RMS}(y)/\sqrt{1+s^2}$.  That of a *quantity* is one of its logarithm,
+By default the relative error of a *history* is relative to its RMS, which many samples determine well.  The RMS is the measured
+one without the contribution of the noise: $\sigma = s\,\mathrm{RMS}(y)/\sqrt{1+s^2}$.  The relative error of a *quantity* is an
+error of its logarithm,
 
 $$z = \frac{\log f(\theta) - \log y + \mathrm E\log|1+s\varepsilon|}{\mathrm{sd}\log|1+s\varepsilon|},
   \qquad \varepsilon\sim N(0,1),$$
 
-whose mean and variance are those of y = f·(1 + sε).  Anchored on the noisy datum, σ = s·y, errors that happen to be small would
-count for more than those that happen to be large, which biases every estimate; with σ = s·f a model that is wrong would be drawn
-towards larger predictions, where errors are larger.
+with the mean and variance of y = f·(1 + sε).  With σ = s·y of the noisy datum, errors that happen to be small would count for
+more than large ones, which biases every estimate.  With σ = s·f, a wrong model would move towards larger predictions, where
+errors are larger.
 
-Where the error is one of what was measured (`Error.of_measured`), its scale is given, as in the paper: σ = s·|y| of a quantity
-and s·RMS(y) of a history, and z is Gaussian.
+If the error is relative to the measurement (`Error.of_measured`), its scale is given, as in the paper: σ = s·|y| for a quantity
+and s·RMS(y) for a history, and z is Gaussian.
 
-Where the discrepancy of the model is learned (`hsed_jax.inference.discrepancy`) the errors of all data are correlated with one
-another: $\operatorname{cov} z = C$ in place of the white or autoregressive noise.
+If the discrepancy of the model is learned (`hsed_jax.inference.discrepancy`), the errors of all data are correlated with one
+another: $\operatorname{cov} z = C$ replaces the white or autoregressive noise.
 """
 
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Union
@@ -32,11 +33,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 if TYPE_CHECKING:
-    # Reports read what was fitted and load no distribution.
+    # Reports read fits and need no distribution.
     from hsed_jax.inference.priors import Prior
 
 LOG_2PI = 1.8378770664093453
-# A prediction that is smaller than this share of what was measured has no magnitude that an error could be relative to.
+# A prediction smaller than this share of the measurement gives no reference for a relative error.
 _LEAST = 1e-9
 # Quadrature over a standard normal; the logarithm is cut off where it has its pole.
 _NODES, _SHARES = np.polynomial.hermite_e.hermegauss(40)
@@ -49,7 +50,7 @@ class Error(NamedTuple):
     Attributes:
         size: s, declared (a number) or inferred (its prior).
         is_relative: whether c is the size of the quantity or the RMS of the history; else 1, and s is in SI.
-        correlated: whether the noise of a history has a memory; None: where its declared size lets one tell.
+        correlated: whether the noise of a history is autocorrelated; None: only if its size is declared.
         inflate: where the model leaves more than the declared error, that counts as error, too.
         discrepancy: whether how wrong the model is beyond the error is learned.
         of_measured: whether c of a relative error is given by what was measured (Gaussian); else a quantity's error is one of the
@@ -70,7 +71,7 @@ class Error(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """What the errors of the columns of the data are relative to.
+    """The reference of the errors, by column of the data.
 
     Attributes:
         is_relative: whether the error of a column is relative, (J,).
@@ -84,7 +85,7 @@ class Columns(NamedTuple):
 
     @property
     def is_quantity(self) -> Bool[np.ndarray, " J"]:
-        """Which columns are outputs by themselves, and no samples of a history."""
+        """Which columns are outputs by themselves, and not samples of a history."""
         return self.members.sum(axis=0)[self.members.argmax(axis=1)] == 1
 
     @property
@@ -94,7 +95,7 @@ class Columns(NamedTuple):
 
 
 class Decorrelation(Protocol):
-    """What makes the residuals of all data independent, each of variance one, where the model's discrepancy correlates them."""
+    """The transformation that makes the residuals of all data independent with unit variance, if a discrepancy is learned."""
 
     @property
     def log_determinant(self) -> Float[Array, ""]:
@@ -107,7 +108,7 @@ class Decorrelation(Protocol):
 
 
 class Data(NamedTuple):
-    """Measured outputs of n experiments (padded) and what it takes to predict them.
+    """Measured outputs of n experiments (padded), and the conditions that predict them.
 
     Attributes:
         conditions: conditions of the experiments, leading axis n.
@@ -132,7 +133,7 @@ class Data(NamedTuple):
 
 
 def data_of(conditions: PyTree, measured: np.ndarray, used: np.ndarray, gaps: np.ndarray, count: int) -> Data:
-    """The one place where measured numbers become data; the noise is white until more is known.
+    """Data from measured numbers; the only place.  The noise is white until more is known.
 
     Arguments:
         conditions: of the experiments, leading axis n.
@@ -157,7 +158,7 @@ def data_of(conditions: PyTree, measured: np.ndarray, used: np.ndarray, gaps: np
 def magnitudes(
     values: Float[Array, "n J"], used: Float[Array, "n J"], members: Float[np.ndarray, "J G"]
 ) -> Float[Array, "n J"]:
-    """What a relative error is relative to: the size of a quantity, the RMS of a history over what is used of it.
+    """The reference of a relative error: the size of a quantity, or the RMS of the used samples of a history.
 
     Arguments:
         values: predicted or measured outputs.
@@ -191,13 +192,13 @@ def sigma_of(
 
 
 def whitened(standardised: Any, memory: Any) -> Any:
-    """What is new in every sample, (z_k − ρ z_{k−1})/√(1 − ρ²): white where the noise is as remembered.
+    """The innovation of every sample, (z_k − ρ z_{k−1})/√(1 − ρ²): white if ρ is right.
 
     Arguments:
         standardised: residuals, (…, n, J), an array of NumPy or of JAX.
         memory: ρ, (n, J).
     """
-    # The first column of all has none before it: its memory is zero, whatever the roll brings there.
+    # The first column has no sample before it: its ρ is zero, so the value that the roll brings there does not count.
     before = (jnp if isinstance(standardised, jax.Array) else np).roll(standardised, 1, axis=-1)
     return (standardised - memory * before) / (1 - memory**2) ** 0.5
 
@@ -236,14 +237,14 @@ def _moments(s: Float[Array, " J"]) -> tuple[Float[Array, " J"], Float[Array, " 
 
 
 def decorrelated(z: Float[Array, "n J"], data: Data) -> Float[Array, " k"]:
-    """What is new in every residual, weighed: independent, each of variance one, if the likelihood is right; linear in z."""
+    """The innovation of every residual, weighted: independent with unit variance if the likelihood is right; linear in z."""
     if data.decorrelation is not None:
         return data.decorrelation(z)
     return (jnp.sqrt(data.weights) * whitened(z, data.memory)).ravel()
 
 
 def standardised_residual(z: Float[Array, "n J"], ok: Float[Array, " n"], data: Data) -> Float[Array, " k"]:
-    """What is new in z, zero where there are no data; a diverged experiment counts as a thousand σ."""
+    """The innovation of z, zero without data; a diverged experiment counts as a thousand σ."""
     if data.decorrelation is not None:
         return data.decorrelation(jnp.where(ok[:, None] > 0, z, 1e3 * (data.weights > 0)))
     return (jnp.sqrt(data.weights) * jnp.where(ok[:, None] > 0, whitened(z, data.memory), 1e3)).ravel()

@@ -1,12 +1,13 @@
-r"""What tells how wrong a model is: the marginal likelihood of the linearised model, its parameters integrated.
+r"""The marginal likelihood of the linearised model with its parameters integrated: the measure by which a discrepancy is
+learned.
 
-With z the residuals at the MAP, J their derivatives along u, Λ the curvature of the prior there and C the covariance that noise
-and discrepancy give z,
+With z the residuals at the MAP, J their derivatives along u, Λ the curvature of the prior there, and C the covariance of z from
+noise and discrepancy,
 
 $$-\tfrac12 z^\top Q z - \tfrac12\log|C| - \tfrac12\log|J^\top C^{-1}J + \Lambda|,\qquad
   Q = C^{-1} - C^{-1}J\,(J^\top C^{-1}J + \Lambda)^{-1}J^\top C^{-1}.$$
 
-It asks of C for its determinant and for $[z, J]^\top C^{-1}[z, J]$ alone, whatever the discrepancy is a function of.
+It needs only the determinant of C and $[z, J]^\top C^{-1}[z, J]$, for a discrepancy of any variables.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,8 +22,8 @@ from hsed_jax.inference.posterior import Posterior
 from hsed_jax.programs import program
 
 LEAST_AMPLITUDE = 1e-3
-# The prior of an amplitude falls as 1/(1 + a/10)²: highest at none, and no bar to a model that is wrong by a hundred times
-# the noise.
+# The prior of an amplitude falls as 1/(1 + a/10)²: it is highest at zero, and still allows a model that is wrong by a hundred
+# times the noise.
 _AMPLITUDE = 10.0
 
 
@@ -48,7 +49,7 @@ def log_prior_of_amplitudes(amplitudes: Float[Array, " J"]) -> Float[Array, ""]:
 
 
 def beyond_noise(z: np.ndarray, used: np.ndarray) -> np.ndarray:
-    """By column, what the RMS of residuals (n, J) in units of the error has beyond that of the noise."""
+    """By column, the RMS of residuals (n, J) in units of the error, without the contribution of the noise."""
     squares = np.sum(used * z**2, axis=0) / np.maximum(np.sum(used, axis=0), 1)
     return np.sqrt(np.maximum(squares - 1, 0.05))
 
@@ -58,8 +59,8 @@ def lowest(
     starts: Sequence[np.ndarray],
     bounds: Sequence[tuple[float, float | None]],
 ) -> np.ndarray:
-    """Where an objective, which gives its value and its slope, is lowest, from several starts."""
-    # Half a second to load, which those who want no discrepancy need not wait for.
+    """The minimum of an objective, which gives its value and its slope, from several starts."""
+    # Imported here: it takes half a second, and only a discrepancy needs it.
     from scipy.optimize import minimize
 
     def of_numbers(values: np.ndarray) -> tuple[float, np.ndarray]:

@@ -1,9 +1,9 @@
-"""The maximum a posteriori estimate, by Levenberg–Marquardt from several starts, and the evidence by Laplace.
+"""The maximum a posteriori estimate, by Levenberg–Marquardt from several starts, and the evidence by Laplace's method.
 
-Starts may end in different modes.  What Laplace's method gives each of them is its share of the posterior, and those that matter
-are kept beside the best.
+Starts may end in different modes.  Laplace's method gives the share of each mode in the posterior, and modes with a relevant
+share are kept beside the best.
 
-All searches go by one program, `hsed_jax.inference.expansion`: a point is simulated once, whatever asks for it.
+All searches use one program, `hsed_jax.inference.expansion`: each point is simulated once.
 """
 
 from collections.abc import Sequence
@@ -20,28 +20,28 @@ from hsed_jax.inference.likelihood import LOG_2PI, Data
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.programs import program
 
-# All starts descend this far side by side, but those that met a better one, and the best of them goes on alone: by then it is
-# in its basin, and the kinks of the simulated response make the last digits slow.
+# All starts descend side by side for so many steps, except those that met a better one.  Then the best one continues alone: it is
+# in its basin by then, and the kinks of the simulated response make the last digits slow.
 _RACE = 10
 _MOST_STEPS = 60
-# A descent ends where it expects to gain less than this many nats; or where it expects less than that many and does not gain a
-# quarter of it: at a kink.
+# A descent ends if it expects to gain less than the first number of nats.  It also ends at a kink: if it expects less than the
+# second number, and gains less than a quarter of its expectation.
 _SETTLED, _AT_A_KINK = 1e-9, 3e-2
-# Two have met that are this near, in standard deviations and in u.
+# Descents closer than this, in standard deviations and in u, are merged.
 _MET = 0.5
-# Newton's method towards the mode of the density in u ends where it expects to gain less than this many nats.
+# Newton's method towards the mode of the density in u ends if it expects to gain less than this many nats.
 _LEAST_GAIN = 1e-2
 _MOST_NEWTON_STEPS, _MOST_HALVINGS = 10, 4
-# No coordinate, of order one, goes further at once.
+# Largest step of a coordinate, which has order one.
 _LONGEST = 8.0
-# What ended at a bound starts again at this share of the way to it, at most so often.
+# A descent that ended at a bound starts again at this share of the way to it, at most so often.
 _RETURN, _MOST_RETURNS = 0.5, 3
-# An end of the race this many standard deviations from the mode should be half the square of it lower [nats]; one that is higher
-# is in another mode, if the density between them falls so far below both.
+# The end of a descent that lies k standard deviations from the mode should be k²/2 nats lower.  A higher end belongs to another
+# mode, if the density between the two falls so far below both.
 _APART, _LEAST_DIP = 5.0, 2.0
-# Places between two modes where the density is looked at.
+# Points between two modes at which the density is computed.
 _BETWEEN = np.linspace(0.1, 0.9, 9)
-# A mode of less evidence, relative to the best, does not matter.
+# A mode with less evidence than this, relative to the best, is left out.
 _LEAST_SHARE = 0.01
 
 
@@ -93,7 +93,7 @@ class Maximum(NamedTuple):
 
 
 def maximise(posterior: Posterior, data: Data, starts: Float[Array | np.ndarray, "s p"]) -> Maximum:
-    """Find the MAP, and what other modes the starts end in.
+    """Find the MAP, and the other modes in which the starts end.
 
     Arguments:
         posterior: of the study.
@@ -111,7 +111,7 @@ def maximise(posterior: Posterior, data: Data, starts: Float[Array | np.ndarray,
     best = _mode(posterior, data, race[order[0]])
     modes = [best]
     for end in order[1:]:
-        # Each has its own frame; a wide mode beside a narrow one is far from it and not the other way round.
+        # Each mode has its own frame, so the distance from a narrow mode to a wide one differs from that back.
         if heights[order[0]] - heights[end] < 0.5 * _APART**2 and _is_apart(race[end].u, modes):
             found = _mode(posterior, data, race[end])
             if _is_apart(np.asarray(found.start), modes) and all(_dips(posterior, data, found, mode) for mode in modes):
@@ -121,7 +121,7 @@ def maximise(posterior: Posterior, data: Data, starts: Float[Array | np.ndarray,
 
 
 class _Search:
-    """A descent on its way.
+    """The state of one descent.
 
     Attributes:
         u: where it is, (p,).
@@ -145,11 +145,11 @@ class _Search:
             return np.full(self.u.size, np.nan)
 
     def promise(self, step: Float[np.ndarray, " p"]) -> float:
-        """What the quadratic expects of a step [nats]."""
+        """The gain that the quadratic expects of a step [nats]."""
         return float(step @ self.here.slope - 0.5 * step @ self.here.bend @ step)
 
     def judge(self, step: Float[np.ndarray, " p"], there: Expansion) -> None:
-        """Take a step or not, and adapt the damping (Nielsen 1999): where a kink stops a descent, it soon ends."""
+        """Accept a step or not, and adapt the damping (Nielsen 1999); a descent that stops at a kink soon ends."""
         promise = self.promise(step)
         share = float(there.log_posterior - self.here.log_posterior) / promise
         self.is_settled = share < 0.25 and promise < _AT_A_KINK
@@ -167,7 +167,7 @@ def _begun(posterior: Posterior, data: Data, starts: Float[np.ndarray, "s p"]) -
 
 
 def _descend(posterior: Posterior, data: Data, searches: Sequence[_Search], most_steps: int) -> None:
-    """Let descents go on side by side, so many steps at most; one that meets a better one is over."""
+    """Let descents continue side by side, for a limited number of steps; a descent that meets a better one is over."""
     for _ in range(most_steps):
         going, steps = [], []
         for search in searches:
@@ -189,8 +189,8 @@ def _descend(posterior: Posterior, data: Data, searches: Sequence[_Search], most
 
 
 def _has_met(one: _Search, other: _Search) -> bool:
-    """Whether a descent has come to where a better one is."""
-    # A bound lies at infinity of u, where distances mean nothing.
+    """Whether a descent has come to the place of a better one."""
+    # A bound lies at infinity of u, where distances have no meaning.
     apart = _held(other.u) - _held(one.u)
     behind = float(other.here.log_posterior - one.here.log_posterior)
     return bool(
@@ -242,8 +242,8 @@ def _mode(posterior: Posterior, data: Data, search: _Search) -> Maximum:
 def _off_the_bounds(posterior: Posterior, data: Data, search: _Search) -> _Search:
     """The end of a descent, or a better one.
 
-    A first step too long throws a coordinate against its bound, which lies at infinity of u and where no slope leads back:
-    whoever ends there goes down once more from where there is one.
+    A first step that is too long puts a coordinate at its bound, which lies at infinity of u, where the slope is zero.  A
+    descent that ends there starts again where there is a slope.
     """
     for _ in range(_MOST_RETURNS):
         held = _held(search.u)
@@ -277,8 +277,8 @@ def _sampling_frame(
 ) -> tuple[Float[np.ndarray, " p"], Expansion]:
     """The mode of the density in u, and the posterior there.
 
-    A MAP at a bound lies at infinity of u, the mode does not.  It is found by Newton's method with halved steps; where a kink of
-    the response stops it early, what was reached serves as well.
+    A MAP at a bound lies at infinity of u, but the mode does not.  Newton's method with halved steps finds it.  If a kink of
+    the response stops it early, the point that it reached is good enough.
     """
     center, here = _held(u), around
     if not np.array_equal(center, u):

@@ -1,20 +1,20 @@
-r"""Draws of an approximate posterior moved on until they are draws of the posterior itself.
+r"""Draws of an approximate posterior, moved until they are draws of the posterior itself.
 
-Weights make draws of the right density only where the approximation put some, and where many draws share few of the weights
-little is left of a tail.  Steps that leave the posterior as it is mend both (resample and move; Gilks & Berzuini 2001): each draw
-takes the step $x' = x + \gamma(x_a - x_b)$ along the difference of two others and is accepted by Metropolis' rule (differential
-evolution; ter Braak 2006), so that steps are as long as the draws are wide, in every direction, and take no derivative.
+Weights give the right density only where the approximation has draws, and if few draws carry most of the weight, little is left
+of a tail.  Steps that leave the posterior invariant correct both (resample and move; Gilks & Berzuini 2001).  Each draw takes
+the step $x' = x + \gamma(x_a - x_b)$ along the difference of two others and is accepted by Metropolis' rule (differential
+evolution; ter Braak 2006).  So the steps have the width of the draws in every direction, and need no derivative.
 
-Along a thin bent ridge it takes hundreds of such steps to forget where a draw was.  An emulator $\tilde\pi$ makes a hundred of
-them for the price of few simulations.  Where they lead is then one step of the posterior, accepted with the probability
-$\min(1, \pi(x')\tilde\pi(x) / \pi(x)\tilde\pi(x'))$ (surrogate transitions; Liu 2001): exact, whatever the emulator's error.
-Where the emulator has no density only steps by the simulator go, and every other sweep is one of these.
+Along a thin bent ridge it takes hundreds of such steps to forget the initial position.  An emulator $\tilde\pi$ makes a hundred
+of them for the cost of a few simulations.  Their end is then one proposal for the posterior, accepted with the probability
+$\min(1, \pi(x')\tilde\pi(x) / \pi(x)\tilde\pi(x'))$ (surrogate transitions; Liu 2001).  This is exact for any error of the
+emulator.  Where the emulator has no density, only steps by the simulator move a draw; every other sweep consists of these.
 
-Draws have settled when nothing tells any more where each one was half-way (Kantas, Beskos & Jasra 2014), and all of them
-together are as wide, and in the same place, as they were then.
+Draws have settled when their positions no longer depend on the positions half-way (Kantas, Beskos & Jasra 2014), and their
+means and widths are the same as then.
 
-Source: Gilks & Berzuini, J. R. Statist. Soc. B 63; ter Braak, Statistics and Computing 16; Liu, Monte Carlo Strategies in
-Scientific Computing; Kantas, Beskos & Jasra, SIAM/ASA J. Uncertainty Quantification 2.
+Source: Gilks & Berzuini, J.  R.  Statist.  Soc.  B 63; ter Braak, Statistics and Computing 16; Liu, Monte Carlo Strategies in
+Scientific Computing; Kantas, Beskos & Jasra, SIAM/ASA J.  Uncertainty Quantification 2.
 """
 
 import time
@@ -33,16 +33,16 @@ from hsed_jax.inference.watch import Watch
 from hsed_jax.physics.batch import TILE
 from hsed_jax.programs import program
 
-# γ is this over √(2p), best for a Gaussian of p dimensions; of half of the steps a share of it, its logarithm uniform, since a
-# thin bent ridge takes short steps alone; and of one in ten a whole difference, from a mode to another.
+# γ is this over √(2p), the best value for a Gaussian of p dimensions.  Half of the steps take a share of it with a uniform
+# logarithm, because a thin bent ridge accepts short steps only.  One step in ten takes the whole difference, from mode to mode.
 _LENGTH, _SHORTEST, _WHOLE = 2.38, 0.1, 0.1
-# So many draws move: fewer say too little of what they have forgotten; of more, places of these on their way take the place.
+# So many draws move.  Fewer do not show whether they have settled.  More are replaced by earlier positions of these.
 _LEAST_WALKERS, _WALKERS = 250, 1000
 # Steps by the emulator between two simulations of a draw; sweeps between two looks, and the most of them.
 _BY_EMULATOR, _LOOK, _MOST = 100, 10, 200
-# Standard errors that a rank correlation of none, and moments that are the same, stay within.
+# Standard errors within which a rank correlation counts as zero, and moments count as equal.
 _SURE = 3.0
-# In units of the draws' standard deviation: what keeps steps from a lattice.
+# Noise of a step, in standard deviations of the draws; without it, steps would stay on a lattice.
 _JITTER = 1e-4
 
 Wander = Callable[[Any, Any, PRNGKeyArray], tuple[Any, Any]]
@@ -96,7 +96,7 @@ def moved(
     passed, kept = [points.copy()], [(points, height)]
     watch.report("draws moved by the emulator and the simulator")
     for sweep in range(1, _MOST + 1):
-        # Those that move learn from those that stand: so every step leaves the posterior as it is.
+        # Moving draws use differences of standing ones, so every step leaves the posterior invariant.
         order = random.permutation(len(points))
         halves = order[: len(order) // 2], order[len(order) // 2 :]
         for going, standing in (halves, halves[::-1]):
@@ -130,7 +130,7 @@ def moved(
 def directly(
     going: Float[Array, "N p"], standing: Float[Array, "M p"], key: PRNGKeyArray
 ) -> tuple[Float[Array, "N p"], Float[Array, " N"]]:
-    """One step that the simulator alone decides on: as `wandered` by an emulator that knows nothing."""
+    """One step that the simulator alone decides, as `wandered` with a constant emulator."""
     return _stepped(going, standing, key), jnp.zeros(len(going))
 
 
@@ -143,7 +143,7 @@ def wandered(
     standing: Float[Array, "M p"],
     key: PRNGKeyArray,
 ) -> tuple[Float[Array, "N p"], Float[Array, " N"]]:
-    """Where many steps by the emulator lead, and its log density there less that where they began.
+    """The ends of many steps by the emulator, and its log density there minus that at the starts.
 
     Arguments:
         posterior: of the study.

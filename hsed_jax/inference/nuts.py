@@ -1,9 +1,9 @@
-"""NUTS (numpyro) in whitened coordinates, its chains vectorised, and what tells whether to believe it.
+"""NUTS (numpyro) in whitened coordinates with vectorised chains, and the diagnostics of its draws.
 
 The posterior of a calibration is nearly Gaussian.  Whitened by the Gauss–Newton curvature at its mode it is nearly standard
-normal, so no mass matrix has to be learnt: only the step size is adapted, from that of the step before.
+normal, so no mass matrix has to be learned.  Only the step size is adapted, from that of the step before.
 
-One program serves blocks of any length, between which it can be seen how far the chains are, and they can be stopped.
+One program serves blocks of any length.  Between blocks the chains can be watched and stopped.
 """
 
 from typing import Any, NamedTuple
@@ -25,7 +25,7 @@ from hsed_jax.programs import program
 
 
 class Settings(NamedTuple):
-    """Chains, adaptation draws and kept draws per chain, target acceptance; and by which sampler."""
+    """Numbers of chains, of adaptation draws and of kept draws per chain, target acceptance, and the sampler."""
 
     chains: int = 4
     warmup: int = 100
@@ -62,7 +62,7 @@ class Chains(NamedTuple):
 
 
 class Course(NamedTuple):
-    """Chains on their way, in lockstep: all it takes to go on.
+    """The state of chains in lockstep, with all that continuing needs.
 
     Attributes:
         state: numpyro's, of each chain.
@@ -93,7 +93,7 @@ def begin(maximum: Maximum, step_size: Float[Array, ""], keys: Key[Array, " chai
         scattered, key = jax.random.split(key)
         w = jax.random.normal(scattered, (maximum.start.size,))
         start, _ = hmc(potential_fn=jnp.sum, algo="NUTS")
-        # Potential and gradient are found with the first iteration, by the program that needs them anyway.
+        # The first iteration computes potential and gradient, with the program that all iterations use.
         return _started(start, ParamInfo(w, jnp.zeros(()), jnp.zeros_like(w)), settings, step_size, key)
 
     state = jax.vmap(first)(keys)
@@ -113,7 +113,7 @@ def advance(
     course: Course,
     most: Int[Array, ""],
 ) -> Course:
-    """Let chains go on, until their end or until they took so many leapfrog steps.  Where they halt changes no draw.
+    """Let chains continue to their end or for so many leapfrog steps.  The place of a stop changes no draw.
 
     Arguments:
         posterior: of the study.
@@ -151,7 +151,7 @@ def advance(
         kept = jax.tree.map(lambda all, new: all.at[course.done].set(new), course.kept, _worth_keeping(state))
         return Course(state, kept, course.done + 1, course.work + jnp.max(state.num_steps))
 
-    # Adaptation and draws in one loop: what is traced and compiled twice as often takes twice as long.
+    # Adaptation and draws in one loop: two loops would take twice as long to trace and compile.
     state = jax.lax.cond(course.done == 0, entered, lambda state: state, course.state)
     return jax.lax.while_loop(
         lambda course: (course.done < planned) & (course.work - before < most), one, course._replace(state=state)
@@ -191,7 +191,7 @@ def arrived(posterior: Posterior, maximum: Maximum, course: Course, settings: Se
 
 
 class Convergence(NamedTuple):
-    """What tells whether to believe the draws: split R-hat and bulk ESS per parameter (Vehtari et al. 2021), divergences."""
+    """Diagnostics of the draws: split R-hat and bulk ESS per parameter (Vehtari et al. 2021), divergences."""
 
     rhat: np.ndarray
     ess_bulk: np.ndarray
@@ -215,7 +215,7 @@ def convergence(chains: Chains) -> Convergence:
     from arviz_stats.base.array import array_stats
 
     draws = np.moveaxis(np.asarray(chains.theta), -1, 0)
-    # Chains that stand still have no variance to divide by: their R-hat is not a number, which is no good one.
+    # Chains that stand still have no variance: their R-hat is not a number, and counts as bad.
     with np.errstate(divide="ignore", invalid="ignore"):
         return Convergence(
             np.asarray([array_stats.rhat(d, chain_axis=0, draw_axis=1) for d in draws], dtype=float),

@@ -1,4 +1,4 @@
-"""What of an experiment is compared with the model: its quantities, or its histories.
+"""The outputs of an experiment that are compared with the model: its quantities, or its histories.
 
 An observation knows how to predict its outputs for one experiment, and how to turn measured experiments into padded `Data`.
 Outputs are columns; columns that share an error (all samples of a channel) form a group.
@@ -26,9 +26,9 @@ from hsed_jax.physics.simulator import AbstractModel, Conditions, Recorded
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
 
-# Where two estimates of a slope differ by this share of the slopes nearby, the motion has a corner.
+# The motion has a corner if two estimates of a slope differ by this share of the slopes nearby.
 _CORNER = 0.2
-# Steps between samples between which an imposed elongation turns, where its path is this share of the largest change of a step.
+# Steps of an interval in which an imposed elongation turns, if its path is this share of the largest change of a step.
 _AT_A_TURN, _TURN = 8, 0.01
 
 Excite = Callable[[Mapping[str, Any]], AbstractExcitation] | None
@@ -70,7 +70,7 @@ class Grid:
         path = np.abs(moved).sum(axis=1)
         # With a tolerance: the intervals of a ramp have equal numbers of steps.
         divisions = np.maximum(np.ceil(path / self.change - 1e-9), 1).astype(int)
-        # Where the motion turns the force of a spring has a kink.  What noise turns is little.
+        # At a reversal the force of a spring has a kink.  Reversals by noise are small.
         turns = (moved[:, 1:] * moved[:, :-1] < 0).any(axis=1) & (path > _TURN * self.change)
         divisions[turns] = np.maximum(divisions[turns], _AT_A_TURN)
         return divisions
@@ -194,7 +194,7 @@ class Outputs(eqx.Module):
 
     def __init__(self, model: AbstractModel, observation: Observation, names: tuple[str, ...]):
         self.model = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, model)
-        # A program is known by its static parts: without the ground motion they are equal for studies of one kind.
+        # The static parts identify a program: without the ground motion they are equal for studies of one kind.
         self.observation = dataclasses.replace(observation, grid=None, excitation=None)
         self.names = names
 
@@ -267,7 +267,7 @@ def conditions_of(experiment: Experiment, campaign: Campaign, grid: Grid | None,
         )
     lengths, half_steps, ends = _grid_of(moved.time, divisions, grid, len(record))
     measured = [name for name in record.channels if is_driver(name)]
-    # An experiment that could be made has times, and nothing that was measured.
+    # A possible experiment has times, but no measurement.
     if is_imposed:
         samples: Any = _imposed(moved, half_steps, experiment.id)
     elif measured:
@@ -317,7 +317,9 @@ def _driven(record: Record, times: np.ndarray, measured: Sequence[str]) -> Any:
 
 
 def _between(record: Record, times: np.ndarray, name: str) -> np.ndarray:
-    """A measured channel between its samples: a cubic spline, since a line cuts off the peaks (2 % at 16 samples to a period)."""
+    """A measured channel between its samples: a cubic spline.  A line would cut off the peaks, by 2 % at 16 samples to a
+    period.
+    """
     from scipy.interpolate import CubicSpline
 
     if len(record) < 4:
@@ -343,8 +345,9 @@ def _imposed(record: Record, times: np.ndarray, name: str) -> Imposed:
 def _curve(record: Record) -> "CubicHermiteSpline":
     """The measured elongation between its samples, by cubics.
 
-    Their slopes are those of a spline, which finds the rate and the reversals of a smooth motion between the samples; where
-    the motion has a corner a spline would swing, and the slopes are Akima's (modified), for which a ramp stays straight.
+    Their slopes are those of a spline, which finds the rate and the reversals of a smooth motion between the samples.  At a
+    corner of the motion a spline would oscillate; there the slopes are those of Akima (modified), for which a ramp stays
+    straight.
     """
     from scipy.interpolate import Akima1DInterpolator, CubicHermiteSpline, CubicSpline
 

@@ -1,16 +1,18 @@
-r"""Parameters that vary between specimens: every member of a level has its own, and all of them come from one population.
+r"""Parameters that vary between specimens: every member of a level has its own, and all come from one population.
 
 $$\theta_m = \bar\theta\,e^{d_m} \;\text{(positive ones)}\quad\text{or}\quad \theta_m = \bar\theta + d_m, \qquad
   d_m = \sum_{\text{levels}} \tau\,z_m,\qquad z_m\sim N(0,1)$$
 
-The centre $\bar\theta$ has the prior that the study gives the parameter; the spread τ of every level has one of its own.  Levels
-may lie within each other (bars of a mill): their offsets add up.  So a population is a posterior like any other, whose further
-parameters are spreads and standardised offsets, and each experiment is simulated with the parameters of its own members.
+The centre $\bar\theta$ has the prior that the study gives the parameter; the spread τ of every level has a prior of its own.
+Levels may lie within each other (bars of a mill): their offsets add up.  So a population is a posterior like any other.  Its
+further parameters are spreads and standardised offsets, and each experiment is simulated with the parameters of its own
+members.
 
-A sampler finds z unhandy where measurements tell $d_m$ better than the population does: every change of τ then has to change all
-z.  It moves $c_m = z_m\sqrt{(s_m^2 + \tau^2)/(s_m^2 + \tau_0^2)}$, where $s_m$ is what measurements leave of $d_m$: the offset
-itself where τ is larger, z where it is smaller, and of the same variance with every τ, the centre given (after Papaspiliopoulos,
-Roberts & Sköld 2007).  So its density has its mode where that of τ alone has it, by Laplace's method and the centre given.
+The coordinates z are unsuitable for a sampler if the measurements determine $d_m$ better than the population does: then every
+change of τ changes all z.  Therefore the sampler moves $c_m = z_m\sqrt{(s_m^2 + \tau^2)/(s_m^2 + \tau_0^2)}$, where $s_m$ is
+the standard deviation of $d_m$ from the measurements alone. $c_m$ is the offset itself if τ is larger, and z if it is smaller.
+Given the centre, it has the same variance for every τ (after Papaspiliopoulos, Roberts & Sköld 2007).  So the mode of its
+density is where that of τ alone has its mode, by Laplace's method and given the centre.
 
 Source: Gelman & Hill 2007.
 """
@@ -31,14 +33,16 @@ from hsed_jax.inference.priors import Prior
 
 # Information on a standardised offset that is as good as none.
 _HARDLY = 1e-9
-# A search does not begin below this share of the median of a spread's prior.
+# A search begins at this share of the median of a spread's prior, or above.
 _LEAST = 0.2
 
 
 @cache
 def spread_support(prior: Prior) -> Any:
-    """The map from u to a spread: its logarithm where it is small, where offsets follow it, and itself where it is large, where
-    the density of its logarithm would end like a wall.
+    """The map from u to a spread.
+
+    For small spreads it is the logarithm, which the offsets follow.  For large spreads it is the spread itself, because the
+    density of its logarithm would end like a wall.
     """
     if prior.bounds != (0.0, None):
         return prior.to_support
@@ -89,7 +93,7 @@ class Level(NamedTuple):
 
 @final
 class Population(eqx.Module):
-    """What varies between the specimens of a study; without levels, nothing.
+    """The parameters that vary between the specimens of a study; none without levels.
 
     Arguments:
         levels: the outer ones first.
@@ -131,7 +135,7 @@ class Population(eqx.Module):
 
     @property
     def places(self) -> list[tuple[slice, slice]]:
-        """Where the spreads and the offsets of each level stand in θ."""
+        """The places of the spreads and offsets of each level in θ."""
         place, spreads, offsets = self.first, [], []
         for level in self.levels:
             spreads.append(slice(place, place := place + level.shape[0]))
@@ -239,8 +243,10 @@ class Population(eqx.Module):
         return sum(terms, start=jnp.zeros(()))
 
     def settled(self, theta: Float[Array, " p"]) -> Float[Array, " p"]:
-        """The same members with spreads as far as their offsets lie apart, and not much less than the priors of the spreads say:
-        their joint density is highest where no measurement would have them."""
+        """The same members with spreads that match the scatter of their offsets, and not much less than the priors say.
+
+        The joint density is highest at spreads that no measurement supports.
+        """
         for number, (level, (spreads, offsets)) in enumerate(zip(self.levels, self.places, strict=True)):
             old, z = self.of(theta, number)
             least = jnp.stack([_LEAST * v.spread.quantile(0.5) for v in level.varying])
@@ -249,7 +255,7 @@ class Population(eqx.Module):
         return theta
 
     def centred(self, theta: np.ndarray, information: np.ndarray) -> "Population":
-        """The same in coordinates that suit what the measurements tell of its offsets.
+        """The same in coordinates that follow the measurements of its offsets.
 
         Arguments:
             theta: where, (p,).
@@ -261,7 +267,7 @@ class Population(eqx.Module):
             variances = np.zeros(level.shape)
             positions = np.arange(place.start, place.stop).reshape(level.shape)
             for member, own in enumerate(positions.T):
-                # A parameter that others of its member stand in for is not told.
+                # The data do not determine a parameter that others of its member can replace.
                 block = information[np.ix_(own, own)] + _HARDLY * np.eye(len(own))
                 variances[:, member] = np.diag(np.linalg.inv(block))
             told.append(spreads[:, None] * jnp.sqrt(jnp.asarray(variances)))

@@ -1,8 +1,8 @@
-r"""The posterior of one study as pure functions of unconstrained coordinates and data.
+"""The posterior of one study as pure functions of unconstrained coordinates and data.
 
-Coordinates u are unconstrained; θ(u) maps them into the support of the priors.  Parameters of the model come first, inferred
-errors after them, then those of a population (`hsed_jax.inference.population`).  Nothing here depends on how many experiments
-there are: the data are padded and counted.
+Coordinates u are unconstrained; θ(u) maps them into the support of the priors.  The parameters of the model come first, then
+inferred errors, then the parameters of a population (`hsed_jax.inference.population`).  Nothing here depends on the number of
+experiments: the data are padded and counted.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -30,9 +30,9 @@ from hsed_jax.inference.predict import Predictor
 from hsed_jax.inference.priors import Prior
 from hsed_jax.programs import program
 
-# Beyond this the logistic and the exponential are at their bounds to double precision.
+# Beyond this, the logistic and the exponential equal their bounds in double precision.
 _FAR = 30.0
-# log(σ/σ_min) of an error that is as large as what was measured.
+# log(σ/σ_min) of an error that is as large as the measurement.
 _ROOM = 12.0
 _LEAST_CURVATURE = 1e-3
 
@@ -88,7 +88,7 @@ class Posterior(eqx.Module):
         self._relative = tuple(error.is_relative for error in errors)
         self._of_measured = tuple(error.of_measured for error in errors)
         self.declared = jax.device_put(np.asarray([1.0 if isinstance(s, Prior) else s for s in sizes], dtype=float))
-        # Number of an output, and where its error stands in θ.
+        # Number of an output, and the place of its error in θ.
         self._inferred = tuple(
             (i, self.names.index(f"error.{name}")) for i, name in enumerate(self.outputs) if isinstance(sizes[i], Prior)
         )
@@ -100,12 +100,12 @@ class Posterior(eqx.Module):
 
     @property
     def reported(self) -> tuple[str, ...]:
-        """The names of the first parameters, which mean something by themselves; standardised offsets, after them, do not."""
+        """The names of the first parameters, which have a meaning of their own; the standardised offsets after them do not."""
         return self.names[: len(self._priors)]
 
     @property
     def fitted(self) -> int:
-        """How many parameters predictions were fitted by."""
+        """Number of parameters by which predictions are fitted."""
         return len(self.model_names) + len(self.population.offsets)
 
     @property
@@ -130,7 +130,7 @@ class Posterior(eqx.Module):
 
     @property
     def _errors(self) -> Columns:
-        """What the errors of the columns are relative to."""
+        """The references of the errors of the columns."""
         members = (self.groups[:, None] == np.arange(len(self.outputs))).astype(float)
         relative, of_measured = (
             np.asarray(each, dtype=bool)[self.groups] for each in (self._relative, self._of_measured)
@@ -157,16 +157,16 @@ class Posterior(eqx.Module):
         point in the middle of each (Latin hypercube; McKay, Beckman & Conover 1979)."""
         from scipy.stats import qmc
 
-        # However few they are, no side of a prior is without one: a second mode may lie there.
+        # Even a few starts cover both sides of every prior, because a second mode may lie there.
         parts = qmc.LatinHypercube(len(self._priors), scramble=False, rng=0).random(max(count - 1, 1))
         shares = np.vstack([np.full((1, len(self._priors)), 0.5), 0.1 + 0.8 * parts])[:count]
         return self.at_shares(shares)
 
     def at_shares(self, shares: Float[np.ndarray, "s q"]) -> Float[Array, "s p"]:
-        """Points of u where so large a share of each prior lies below its parameter."""
+        """Points of u at these quantiles of the priors."""
         columns = [np.asarray(prior.quantile(share)) for prior, share in zip(self._priors, shares.T, strict=True)]
         theta = np.stack(columns, axis=1)
-        # Of offsets nobody knows a sign.
+        # Offsets start at zero, because their sign is unknown.
         theta = np.pad(theta, ((0, 0), (0, len(self.population.offsets))))
         return _unconstrained(self, jax.device_put(theta))
 
@@ -192,7 +192,7 @@ class Posterior(eqx.Module):
     def expected_sigma(
         self, theta: Float[Array, " p"], predicted: Float[Array, "n J"], data: Data
     ) -> Float[Array, "n J"]:
-        """σ that a measurement of what is predicted would have, SI: of a band, which knows of no measurement."""
+        """σ of a future measurement of the prediction, SI; a band uses it, since it has no measurement."""
         columns = self._errors
         size = magnitudes(predicted, (data.weights > 0).astype(float), columns.members)
         return self.errors(theta) * jnp.where(columns.is_relative, size, 1.0)
@@ -200,16 +200,16 @@ class Posterior(eqx.Module):
     def standardised(
         self, theta: Float[Array, " p"], predicted: Float[Array, "n J"], ok: Float[Array, " n"], data: Data
     ) -> Float[Array, "n J"]:
-        """(f − y)/σ of predictions at parameters, neither weighed nor whitened; zero where there are no data."""
+        """(f − y)/σ of predictions at parameters, neither weighted nor whitened; zero without data."""
         return (data.weights > 0) * (predicted - data.values) / self.sigma(theta, predicted, ok, data)
 
     def compared(self, theta: Float[Array, " p"], data: Data) -> Float[Array, "n J"]:
-        """z at parameters, neither weighed nor whitened; zero where there are no data and where the simulation diverged."""
+        """z at parameters, neither weighted nor whitened; zero without data and where the simulation diverged."""
         predicted, ok = self.predict(self.by_experiment(theta, data), data.conditions, data.count)
         return self._compared(theta, predicted, ok, data)[0]
 
     def log_density(self, u: Float[Array, " p"], data: Data) -> Float[Array, ""]:
-        """Log posterior density *in u*, unnormalised: what a sampler of u needs."""
+        """Log posterior density *in u*, unnormalised, for samplers of u."""
         return self.log_density_of(u, *self.predictions(u, data), data)
 
     def predictions(self, u: Float[Array, " p"], data: Data) -> tuple[Float[Array, "n J"], Float[Array, " n"]]:
@@ -219,13 +219,13 @@ class Posterior(eqx.Module):
     def log_density_of(
         self, u: Float[Array, " p"], predicted: Float[Array, "n J"], ok: Float[Array, " n"], data: Data
     ) -> Float[Array, ""]:
-        """`log_density` where the predictions are known."""
+        """`log_density` from known predictions."""
         theta = self.constrain(u)
         likelihood = log_likelihood(*self._compared(theta, predicted, ok, data), ok, data)
         return likelihood + self.log_prior(theta) + self._log_jacobian(u)
 
     def log_posterior(self, u: Float[Array, " p"], data: Data) -> Float[Array, ""]:
-        """Log posterior density *in θ*, unnormalised (Eq. 5): what the MAP maximises."""
+        """Log posterior density *in θ*, unnormalised (Eq. 5), which the MAP maximises."""
         theta = self.constrain(u)
         predicted, ok = self.predictions(u, data)
         return log_likelihood(*self._compared(theta, predicted, ok, data), ok, data) + self.log_prior(theta)
@@ -248,14 +248,14 @@ class Posterior(eqx.Module):
         inferred, columns = ~self.is_declared, self._errors
         if inferred.any():
             used = (data.weights > 0).astype(float)
-            # What it is measured against only has to be fixed and of its order.
+            # Any fixed reference of the same order will do.
             size = jnp.where(columns.is_relative, magnitudes(data.values, used, columns.members), 1.0)
             excess = data.weights * (log_sigma - jnp.log(jnp.where(used > 0, size, 1.0)) + _ROOM)
             parts.append(_root(2 * excess @ columns.members[:, inferred]).ravel())
         return jnp.concatenate(parts)
 
     def prior_residuals(self, u: Float[Array, " p"]) -> Float[Array, " p"]:
-        """The part of `residuals` that is told by the priors."""
+        """The part of `residuals` that comes from the priors."""
         theta, parts = self.constrain(u), []
         for prior, x in zip(self._priors, theta, strict=False):
             mode, highest = prior.mode
@@ -263,7 +263,7 @@ class Posterior(eqx.Module):
         return jnp.concatenate([jnp.stack(parts), theta[len(self._priors) :]])
 
     def stiffness(self, u: Float[Array, " p"]) -> Float[Array, " p"]:
-        """Curvature of prior and transformation in u, what is positive of it."""
+        """Positive part of the curvature of prior and transformation in u."""
         return jnp.maximum(-jnp.diag(jax.hessian(self.log_prior_of)(u)), _LEAST_CURVATURE)
 
     def log_prior_of(self, u: Float[Array, " p"]) -> Float[Array, ""]:
@@ -278,7 +278,7 @@ class Posterior(eqx.Module):
         along: Float[Array, "n J p"],
         data: Data,
     ) -> tuple[Any, Any, Any, Any]:
-        """z and log σ, and the derivatives of both along u, (p, n, J), where those of the outputs are known."""
+        """z and log σ, and the derivatives of both along u, (p, n, J), from the known derivatives of the outputs."""
 
         def comparison(u, predicted):
             return self._compared(self.constrain(u), predicted, ok, data)
@@ -304,9 +304,9 @@ class Posterior(eqx.Module):
     def displaced(
         self, theta: Float[Array, " p"], predicted: Float[Array, "n J"], by: Float[Array, "n J"], data: Data
     ) -> tuple[Float[Array, "n J"], Float[Array, "n J"]]:
-        """Predictions moved by so many standard deviations of the error, SI, and how much one more would move them.
+        """Predictions moved by so many standard deviations of the error, SI, and the change by one more.
 
-        Where the error of a quantity is one of its logarithm, so is what it is moved by.
+        If the error of a quantity is one of its logarithm, the logarithm is moved.
         """
         errors = self.errors(theta)
         of_logarithm, sd = self._errors.is_logarithmic, sd_of_logarithm(errors)
@@ -316,7 +316,7 @@ class Posterior(eqx.Module):
         return jnp.where(of_logarithm, moved, predicted + sigma * by), slope
 
     def of_model(self, theta: Float[Array, " p"]) -> Float[Array, " q"]:
-        """The parameters of the model, without inferred errors; of a population those at its centre."""
+        """The parameters of the model, without inferred errors; for a population, those at its centre."""
         return theta[: len(self.model_names)]
 
     def by_experiment(

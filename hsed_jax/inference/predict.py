@@ -1,8 +1,8 @@
 """Predictions of all experiments at one value of the parameters, with their Jacobian, as one flat batch.
 
-Few parameters call for forward mode: the tangents of a lane travel with its values through the integration.  Several
-parameter values at once (chains of NUTS, starts of the MAP) are not a second batch axis but more lanes on the same one, since
-nested batch axes cost several times as much.
+The parameters are few, so derivatives use forward mode: the tangents of a simulation travel with its values through the
+integration.  Several parameter values at once (chains of NUTS, starts of the MAP) are more simulations on the same batch axis,
+because nested batch axes cost several times as much.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int, PyTree
 from hsed_jax.physics.batch import TILE, tiled_map
 from hsed_jax.physics.simulator import Conditions
 
-# A lane with derivatives has several times the state of one without.
+# A simulation with derivatives has several times the state of one without.
 _TILE_WITH_DERIVATIVES = TILE // 2
 
 Respond = Callable[[Float[Array, " p"], PyTree], tuple[Float[Array, " J"], Array]]
@@ -67,7 +67,7 @@ def _(rest, primals, tangents):
     return (outputs[0], ok[0]), (moved, jnp.zeros_like(ok[0]))
 
 
-# Compiled on their own so that all programs of all equal studies share one trace, which costs more than compiling it.
+# Compiled separately, so that all programs of equal studies share one trace: tracing costs more than compiling.
 
 
 @eqx.filter_jit
@@ -75,7 +75,7 @@ def _values(rest, arrays, lanes):
     thetas, conditions = lanes
     stop = None
     if isinstance(conditions, Conditions) and conditions.stop is not None:
-        # One number for all, or the loop would ask every lane at every step.
+        # One number for all simulations: otherwise the loop would check each of them at every step.
         stop, conditions = jnp.max(conditions.stop), conditions.until(None)
 
     def one(theta, own):
@@ -108,7 +108,7 @@ def _over_all(tile_function: Callable, tile: int) -> Callable:
     def run(arrays, thetas, conditions, counts):
         size, chains = jax.tree.leaves(conditions)[0].shape[0], thetas.shape[0]
         by_experiment = jnp.broadcast_to(thetas, (chains, size, thetas.shape[-1]))
-        # Lanes that matter come first, whatever each chain has of them; what fills the last tile repeats one that does.
+        # Simulations that count come first, for every chain; the last tile is filled by repeating one of them.
         ends = jnp.cumsum(counts)
         lane = jnp.minimum(jnp.arange(chains * size), jnp.maximum(ends[-1] - 1, 0))
         chain = jnp.minimum(jnp.sum(lane[:, None] >= ends, axis=1), chains - 1)

@@ -1,7 +1,7 @@
-"""Priors: a distribution by name, and what calibration needs of it.
+"""Priors: a distribution by name, and the functions that calibration needs of it.
 
-What a check of a study asks, bounds and single quantiles, has a closed form for the usual families; numpyro, which takes as long
-to load as all the rest of a check, is loaded when more is asked for, or to say what is wrong.
+A check of a study needs bounds and single quantiles.  For the usual families these have a closed form. numpyro takes as long to
+load as the rest of a check, so it is loaded only for other functions, or to explain what is wrong.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -121,11 +121,11 @@ class Prior:
 
     @cached_property
     def _member(self) -> _Member | None:
-        """What it is of the usual families; None of another one, and where its arguments are not plainly right."""
+        """The family member for the usual families; None for others, and if the arguments are not plainly right."""
         return _usual(self.name, self.arguments)
 
     def __post_init__(self):
-        # What is wrong with it is said where it is made.
+        # The distribution itself reports what is wrong.
         assert self._member is not None or self.distribution is not None
 
     def log_density(self, value: Float[Array, "..."]) -> Any:
@@ -201,7 +201,7 @@ def _usual(name: str, arguments: Any) -> _Member | None:
 
 @cache
 def _one_quantile(prior: Prior, probability: float, precision: Any) -> Any:
-    """A number of a prior, which is asked for again and again: hundreds of operations, each by itself."""
+    """One quantile of a prior, cached: it takes hundreds of single operations and is asked for often."""
     del precision  # another one is another number
     with jax.ensure_compile_time_eval():
         return prior._quantile(probability)

@@ -1,4 +1,4 @@
-"""What a sampler is asked for."""
+"""The request to a sampler."""
 
 from typing import NamedTuple
 

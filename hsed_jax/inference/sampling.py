@@ -1,7 +1,7 @@
 """Draws of a posterior by the sampler that a study asks for (`hsed_jax.inference.samplers`).
 
-No sampler crosses from one mode of a posterior to another.  So each mode is drawn from by itself, in its own frame, and the
-draws are mixed as the modes share the posterior.
+No sampler crosses from one mode of a posterior to another.  So each mode is sampled alone, in its own frame, and the draws are
+mixed by the shares of the modes in the posterior.
 """
 
 import jax
@@ -61,7 +61,7 @@ def _mixed(found: list[Chains], shares: Float[np.ndarray, " modes"], key: PRNGKe
     A chain takes its draws from the chains of the same number and in their order, so that one that has not converged in its mode
     still differs from the others.
     """
-    # A budget leaves some of them fewer.
+    # Under a time budget some chains have fewer draws.
     chains, draws = found[0].theta.shape[0], min(c.theta.shape[1] for c in found)
     ends = np.round(np.cumsum(shares) * draws).astype(int)
     counts = np.diff(ends, prepend=0)
@@ -77,7 +77,7 @@ def _mixed(found: list[Chains], shares: Float[np.ndarray, " modes"], key: PRNGKe
             for leaves in zip(*(c[: _ARRAYS - 1] for c in found), strict=True)
         ]
     )
-    # Mixing hides that draws of one mode follow one another: they are worth what they were.
+    # Mixing hides the correlation of draws within a mode, so their effective number stays as before.
     worths = [min(chains * count, convergence(c).ess_bulk.min()) for c, count in zip(found, counts, strict=True)]
     errors = [c.emulator_error for c in found if c.emulator_error is not None]
     return Chains(

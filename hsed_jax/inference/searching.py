@@ -1,4 +1,4 @@
-"""A search for the mode of a posterior without derivatives, for models whose response jumps: where descents begin.
+"""A search for the mode of a posterior without derivatives, for models whose response jumps; its result starts the descents.
 
 Differential evolution (Storn & Price 1997) on shares of the priors: every parameter lies between 0 and 1, whatever its unit.
 """
@@ -19,14 +19,14 @@ from hsed_jax.inference.watch import Watch, fingerprint
 _LEAST, _FOR_EACH = 16, 3
 # Shares of the priors between which it searches.
 _EDGE = 0.002
-# What stands for the logarithm of no density at all [nats].
+# The logarithm of zero density [nats].
 _NOTHING = -1e30
 
 
 def searched(
     posterior: Posterior, data: Data, simulations: int, seed: int, watch: Watch | None = None
 ) -> Float[Array, " q"] | None:
-    """Parameters of the model (SI) where a search ends; None where the budget is less than two generations.
+    """Parameters of the model (SI) at the end of a search; None if the budget is less than two generations.
 
     Arguments:
         posterior: of a study.

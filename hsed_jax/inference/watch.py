@@ -1,6 +1,6 @@
-"""How a long calculation is followed from outside: what it says of itself, and what it keeps to go on from.
+"""How a long calculation is watched from outside: its reports, and the state that it keeps in order to continue.
 
-A calculation is handed a `Watch` and knows of no bars and no files.
+A calculation gets a `Watch` and knows of no bars and no files.
 """
 
 import hashlib
@@ -21,19 +21,19 @@ class Watch:
     """Follows a calculation; this one neither shows nor keeps anything."""
 
     def report(self, what: str) -> None:
-        """Hear what is being done."""
+        """Hear what the calculation does now."""
 
     def count(self, done: int, total: int) -> None:
         """Hear how much of it is done."""
 
     def lead(self, content: dict[str, Any]) -> None:
-        """Hear what leads so far, in the words of `summary.json`."""
+        """Hear the leading result so far, in the words of `summary.json`."""
 
     def fitted(self, predicted: np.ndarray, data: "Data", groups: np.ndarray) -> None:
         """Hear what the most probable parameters predict (n, J) before anything is drawn; `groups`: the output of each column."""
 
     def keep(self, name: str, arrays: Sequence[np.ndarray]) -> None:
-        """Keep what was reached under a name, in place of what was kept before."""
+        """Keep a state under a name, instead of an earlier one."""
 
     def recall(self, name: str) -> list[np.ndarray] | None:
         """What was kept under a name; None where nothing was."""
@@ -41,7 +41,7 @@ class Watch:
 
 
 def fingerprint(*parts: PyTree) -> str:
-    """A short name of what a calculation starts from: of all numbers and words in it, to the last bit."""
+    """A short name of the inputs of a calculation: of all numbers and words in them, to the last bit."""
     digest = hashlib.blake2b(digest_size=10)
     for leaf in jax.tree.leaves(parts):
         if isinstance(leaf, str):

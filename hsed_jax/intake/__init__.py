@@ -1,1 +1,1 @@
-"""What a file of a laboratory holds, before anybody declared it: its columns, what they are, the campaign they make."""
+"""Files of a laboratory without a declaration: their columns, the meaning of these, and the resulting campaign."""

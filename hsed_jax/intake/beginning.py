@@ -1,4 +1,4 @@
-"""A campaign made of a laboratory's files: what was taken for what is said, and asked where it cannot be told."""
+"""A campaign from a laboratory's files: each decision is stated, and the user is asked about open ones."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -29,7 +29,7 @@ _FLAGS = {"elongation": "--elongation", "force": "--force", "time": "--time"}
 
 @dataclass(frozen=True)
 class Said:
-    """What the user says of the files.
+    """The user's statements on the files.
 
     Attributes:
         columns: by channel, its column.
@@ -123,7 +123,7 @@ def begun(files: Sequence[Path], said: Said | None = None) -> Begun:
 
 
 def _choice(where: str, files: Sequence[Path], table: Found, said: Said) -> tuple[Choice, list[str]]:
-    """What the columns are.
+    """The meaning of the columns.
 
     Raises:
         UserError: it cannot be told.
@@ -134,7 +134,7 @@ def _choice(where: str, files: Sequence[Path], table: Found, said: Said) -> tupl
         units = {n if n in known else column_named(table, n): unit for n, unit in said.units.items()}
     except UserError as error:
         raise UserError(f"{where}: {error}") from None
-    # A unit that the user gives tells as much as one in the file.
+    # A unit from the user has the same weight as one in the file.
     of_columns = {name: unit for name, unit in units.items() if name in table.names}
     choice, told = chosen(replace(table, units={**table.units, **of_columns}), given)
     of_channels = {c: unit for c, unit in units.items() if c in choice.columns}
@@ -147,7 +147,8 @@ def _choice(where: str, files: Sequence[Path], table: Found, said: Said) -> tupl
     except UserError as error:
         raise UserError(f"{where}: {error}") from None
     ask_of_faults(where, table, choice)
-    # A shaken structure is told by any of its responses; imposed cycles by both, and a time only where there are several.
+    # Any response identifies a shaken structure.  Imposed cycles need both channels, and a time only if there are several
+    # candidates.
     responses = choice.columns.keys() - {"time", "ground_acceleration"}
     is_told = choice.protocol == "ground_motion" and responses
     asked = {c: names for c, names in told.candidates.items() if names or (c != "time" and not is_told)}
@@ -160,7 +161,7 @@ def _choice(where: str, files: Sequence[Path], table: Found, said: Said) -> tupl
 def _question(
     where: str, files: Sequence[Path], table: Found, choice: Choice, asked: Mapping[str, list[str]], missing: list[str]
 ) -> str:
-    """What cannot be told, the columns it may be, and the command that says it."""
+    """The open question, the possible columns, and the command that answers it."""
     parts, flags = [], []
     for channel, names in asked.items():
         likely = f" ({', '.join(map(repr, names))} may be it)" if names else ""

@@ -51,7 +51,7 @@ def found_in_cells(path: Path, laid: Laid) -> Found:
 
 
 def made(where: object, columns: dict[str, Any], faults: dict[str, str], laid: Laid, rows: np.ndarray | None) -> Found:
-    """What was found, without columns that hold nothing.
+    """The columns found, without empty ones.
 
     Raises:
         UserError: there is no column of numbers; the message says what is wrong with the first one.

@@ -1,4 +1,4 @@
-"""What the columns of tables are, as recognised and as the user says, and the campaign that this makes of them."""
+"""The meaning of the columns of tables, as recognised and as the user states it, and the resulting campaign."""
 
 import re
 from collections.abc import Mapping
@@ -17,14 +17,14 @@ from hsed_jax.plain import shown
 
 HELD_OUT = 1 / 3
 """Share of a record, its end, that is not fitted."""
-# Values by which loggers say that nothing was measured; they count where they lie far beyond all other samples.
+# Values that loggers write for a missing measurement; they count as such if they lie far beyond all other samples.
 _SENTINELS = (999.0, 7999.0, 8888.0, 9999.0, 32767.0, 32768.0, 99999.0, 999999.0, 9999999.0)
 _BEYOND, _FAR = 1e29, 5.0
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What the columns are.
+    """The meaning of the columns.
 
     Attributes:
         protocol: kind of test.
@@ -56,7 +56,7 @@ class Made:
 
 
 def chosen(found: Found, given: Mapping[str, str] | None = None) -> tuple[Choice, Recognised]:
-    """What a table's columns are; channels and units that cannot be told are absent.
+    """The meaning of a table's columns; unknown channels and units are absent.
 
     Arguments:
         found: the table.

@@ -1,4 +1,4 @@
-"""The height of a specimen by two columns of its file: a displacement over the drift ratio beside it."""
+"""The height of a specimen from two columns of its file: a displacement over the drift ratio beside it."""
 
 import re
 from collections.abc import Iterator

@@ -8,7 +8,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Found:
-    """What a file has for somebody who is yet to choose channels.
+    """The content of a file, before the user chooses channels.
 
     Attributes:
         columns: columns of numbers by name, in the file's units and order, each (n,); nan where a sample is missing.

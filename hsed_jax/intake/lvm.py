@@ -1,4 +1,4 @@
-"""LabVIEW measurement files (.lvm): a header of its own says separator, decimal mark, units and time step of the channels."""
+"""LabVIEW measurement files (.lvm): their header gives separator, decimal mark, units and time step of the channels."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What a file holds, whatever its format: tables of columns with names and units, for the command line and the page alike."""
+"""The content of a file of any format: tables of columns with names and units, for the command line and the page."""
 
 from collections.abc import Collection, Iterable
 from itertools import chain, count
@@ -74,7 +74,7 @@ def found_in_text(path: Path) -> Found:
 
 
 class Gathered(NamedTuple):
-    """What some files hold.
+    """The content of some files.
 
     Attributes:
         records: every table, by the name of a record; files of one column each are one record.
@@ -88,12 +88,12 @@ class Gathered(NamedTuple):
 
     @property
     def left_out(self) -> list[str]:
-        """What of the files is not used, and why."""
+        """The unused parts of the files, and the reasons."""
         return [*(f"{said}; the file is left out" for said in self.refused), *self.notes]
 
 
 def gathered(files: Iterable[Path], sheet: str | None = None) -> Gathered:
-    """What files hold that were given together.
+    """The content of files that were given together.
 
     Arguments:
         files: of one specimen.

@@ -1,4 +1,4 @@
-"""Which columns of a file are elongation, force and time, by their names and units; where these do not tell, it is asked.
+"""Recognition of elongation, force and time among the columns of a file, by their names and units; open cases are asked.
 
 No column is chosen by its numbers, and none in place of another one that cannot be read.
 """
@@ -28,7 +28,7 @@ _FORCES = {pair.force_unit for pair in PAIRS}
 
 @dataclass
 class Recognised:
-    """What the columns of a file are.
+    """The meaning of the columns of a file.
 
     Attributes:
         columns: by channel, the column that is it.
@@ -81,7 +81,7 @@ def unit_of(found: Found, name: str) -> str | None:
     said = found.units.get(name) or without_unit(name)[1]
     if said:
         return spelled_unit(said) or said
-    # A header that is a unit, and no symbol of a channel, says the unit alone.
+    # A header that is a unit, and no symbol of a channel, gives only the unit.
     is_symbol = any(strength(channel, name) for channel in ("elongation", "force", "time"))
     return None if is_symbol else spelled_unit(name)
 
@@ -136,14 +136,14 @@ def _ranked(
         fits = unit is not None and any(_measures(unit, one) for one in si)
         if unit is not None and not fits:
             continue
-        # A word for the other channel beside a unit that serves for both (as % does) says which one it is.
+        # A unit that serves for both channels (such as %) is decided by a word for the other channel.
         if is_never(bare) or strength("time", bare) == STRONG or (strength(other, bare) == STRONG and rank != STRONG):
             continue
         if rank or fits:
             ranked[name] = rank or _BY_UNIT
     named = [name for name, rank in ranked.items() if rank == STRONG]
     if named and all(map(is_transverse, named)) and len(named) < len(ranked):
-        # The vertical load of a wall beside a column in kN that is called anything: which one is meant is asked.
+        # The vertical load of a wall beside a column in kN with any name: the user is asked which one is meant.
         ranked = dict.fromkeys(ranked, _BY_UNIT)
     return ranked
 

@@ -21,7 +21,7 @@ from hsed_jax.measurements.layout import table_in
 from hsed_jax.measurements.sheets import NUMBER, Sheet, is_missing, kind_of
 from hsed_jax.plain import shown
 
-# What a sheet can have; a damaged one may number its rows beyond.
+# Largest size of a sheet; a damaged one may number its rows beyond it.
 _LAST_ROW = 2**20
 
 
@@ -54,7 +54,7 @@ def read_workbook(path: Path) -> Workbook:
             with ZipFile(file) as archive:
                 members = archive.infolist()
             ask(path, parts=len(members))
-            # No more than this is unpacked of a member, whatever is in it; pictures are not read.
+            # At most this much of a member is unpacked; pictures are not read.
             ask(path, bytes=sum(m.file_size for m in members if not m.filename.startswith("xl/media/")))
             with closing(openpyxl.load_workbook(file, read_only=True, data_only=True, keep_links=False)) as book:
                 for sheet in book.worksheets:
@@ -143,7 +143,7 @@ def _found(path: Path, title: str, rows: list[tuple[int, tuple[Any, ...]]]) -> F
 
 
 def _as_text(rows: list[tuple[int, tuple[Any, ...]]]) -> str:
-    """What is said of the first number that is stored as text; empty where there is none."""
+    """The note on the first number that is stored as text; empty without one."""
     for number, cells in rows:
         for cell in cells:
             if isinstance(cell, str) and kind_of(cell) == NUMBER:

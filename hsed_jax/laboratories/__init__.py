@@ -1,1 +1,1 @@
-"""Where an experiment is performed."""
+"""Laboratories: they perform the experiments."""

@@ -1,4 +1,4 @@
-"""What a program or a person leaves in the folder of an experiment: `record.csv` and `quantities.json`, or their like."""
+"""The answer of a program or a person in the folder of an experiment: `record.csv` and `quantities.json`, or similar files."""
 
 import json
 from collections.abc import Iterable, Mapping

@@ -1,4 +1,4 @@
-"""What every laboratory offers: it performs an experiment at given inputs, or says why it could not."""
+"""The interface of every laboratory: it performs an experiment at given inputs, or gives the reason for a failure."""
 
 from collections.abc import Mapping
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -17,7 +17,7 @@ class Awaited(Exception):
 
 
 class Measured(NamedTuple):
-    """What a laboratory hands over: quantities (SI) by name and, where it has one, the record."""
+    """The result of a laboratory: quantities (SI) by name and the record, if there is one."""
 
     quantities: dict[str, float]
     record: Record | None = None

@@ -26,7 +26,7 @@ def _run(words: list[str]) -> int:
         print(f"{words[0]} cannot be started: {error.strerror}", file=sys.stderr)
         return 127
     status = program.wait()
-    # As a shell tells it: 128 and the signal.
+    # As in a shell: 128 plus the signal.
     return status if status >= 0 else 128 - status
 
 

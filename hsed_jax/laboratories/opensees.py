@@ -1,4 +1,4 @@
-"""A laboratory in which OpenSees plays structure and specimen.
+"""A laboratory in which OpenSees simulates structure and specimen.
 
 OpenSees runs in a process of its own: its model is global to a process, and a material that crashes must not take this one
 with it.  So it is a command laboratory whose program is `opensees_model.py`.

@@ -1,4 +1,4 @@
-"""Running a program in a folder: with a time limit, its output kept, and nothing of it left alive."""
+"""Running a program in a folder: with a time limit, its output kept, and all its processes ended."""
 
 import contextlib
 import os

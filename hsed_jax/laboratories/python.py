@@ -1,4 +1,4 @@
-"""A laboratory that is a Python function: of a request, it returns what was measured."""
+"""A laboratory that is a Python function: it takes a request and returns the measurements."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

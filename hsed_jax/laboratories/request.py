@@ -1,4 +1,4 @@
-"""What a laboratory outside this program is told: the inputs of an experiment, what drives it, and when to sample.
+"""The request to a laboratory outside this program: the inputs of an experiment, its excitation, and the times of the samples.
 
 `request.json` has the inputs with their units and in SI, and the columns and units of what is wanted back; beside it lies what
 drives the experiment: `ground_motion.csv` and `.AT2`, `applied_force.csv`, or `imposed_elongation.csv`.
@@ -102,7 +102,7 @@ class Request:
 
 @dataclass(frozen=True)
 class Programme:
-    """What the experiments of a study have in common, to make requests of.
+    """The common properties of the experiments of a study, from which requests are made.
 
     Attributes:
         units: of the inputs.

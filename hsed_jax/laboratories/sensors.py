@@ -1,4 +1,4 @@
-"""What a laboratory outside this program measures, and whether what it hands over is that."""
+"""The sensors of a laboratory outside this program, and the check of its answers against them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

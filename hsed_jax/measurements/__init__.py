@@ -1,4 +1,4 @@
-"""What was measured: experiments, campaigns, their files and their faults."""
+"""Measurements: experiments, campaigns, their files and their faults."""
 
 from hsed_jax.measurements.at2 import read_at2 as read_at2
 from hsed_jax.measurements.at2 import write_at2 as write_at2

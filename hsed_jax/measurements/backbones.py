@@ -1,13 +1,14 @@
-r"""Backbones of a measured loop, and the idealised curves that design codes make of them.
+r"""Backbones of a measured loop, and the idealised curves that design codes derive from them.
 
-A backbone is the line through the largest forces of the excursions that exceed all before (FEMA 461; the envelope of ASTM E2126).
-The *first-cycle* one has the first of consecutive cycles of one amplitude, the *stabilised* one the last of them (the third
-envelope of ISO 16670).  Where the force falls before the peak of the elongation is reached, the peak is a point of its own.
+A backbone is the line through the largest forces of the excursions that exceed all before (FEMA 461; the envelope of ASTM
+E2126).  The *first-cycle* backbone has the first of consecutive cycles of one amplitude, and the *stabilised* one has the last
+(the third envelope of ISO 16670).  If the force falls before the peak of the elongation is reached, the peak is a further
+point.
 
 With the largest force $P$ and the elongation $\Delta_u$ at which the force has fallen to $0.8 P$ (or the last one):
 
 * `eeep`: elastic to $P_y$, then constant until $\Delta_u$, with the area $A$ of the backbone and the stiffness
-  $K_e = 0.4 P/\Delta_{0.4P}$: $P_y = K_e (\Delta_u - \sqrt{\Delta_u^2 - 2A/K_e})$, or $0.85 P$ where there is no root
+  $K_e = 0.4 P/\Delta_{0.4P}$: $P_y = K_e (\Delta_u - \sqrt{\Delta_u^2 - 2A/K_e})$, or $0.85 P$ if there is no root
   (ASTM E2126);
 * `bilinear`: to $(\Delta_y, F_y)$ with the secant stiffness at $0.6 F_y$, then straight to the largest force, with the area
   of the backbone to there (ASCE/SEI 41, FEMA 356);
@@ -25,7 +26,7 @@ from hsed_jax.tables import Table, Tabular, cell
 
 Which = Literal["first", "stabilised"]
 
-# A further peak of the backbone exceeds those before by this share.
+# A new peak of the backbone exceeds the earlier ones by this share.
 _FURTHER = 0.02
 # The force has fallen before the peak if the largest lies before this share of the elongation there.
 _BEFORE = 0.95
@@ -124,7 +125,7 @@ class Backbone(Tabular):
             at = _yield_elongation(u, f, force)
             return 0.5 * force * at + 0.5 * (force + peak) * (end - at) - area
 
-        # The area grows with the yield force; where every force gives that area, the backbone is straight until the largest.
+        # The area grows with the yield force.  If every force gives that area, the backbone is straight until the largest force.
         low, high, nothing = 0.05 * peak, peak, 1e-12 * peak * end
         while high - low > 1e-12 * peak:
             force = 0.5 * (low + high)
@@ -210,12 +211,12 @@ def _points(
 
 
 def _tells(u: np.ndarray, f: np.ndarray) -> bool:
-    """Whether a backbone of one direction has three points, and forces to its side."""
+    """Whether a backbone of one direction has three points, with forces to its side."""
     return u.size >= 3 and float(f.max()) > 0
 
 
 def _failure(u: np.ndarray, f: np.ndarray) -> tuple[float, bool]:
-    """Elongation at which the force has fallen to 80 % of the largest, and whether it does; the last where it does not."""
+    """Elongation at which the force has fallen to 80 % of the largest, and whether it does so; otherwise the last elongation."""
     top = int(np.argmax(f))
     level = _FAILED * float(f[top])
     below = np.flatnonzero(f[top:] < level)
@@ -232,7 +233,7 @@ def _until(u: np.ndarray, f: np.ndarray, end: float) -> tuple[np.ndarray, np.nda
 
 
 def _reaches(u: np.ndarray, f: np.ndarray, level: float) -> float:
-    """Elongation at which the force first reaches a level that it does reach."""
+    """Elongation at which the force first reaches a level within its range."""
     i = int(np.argmax(f >= level))
     return float(np.interp(level, [f[i - 1], f[i]], [u[i - 1], u[i]]))
 

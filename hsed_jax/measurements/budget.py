@@ -1,7 +1,7 @@
-"""One budget for every reader of measurements: what a file asks for is counted before it is read.
+"""One memory budget for every reader of measurements: the size of a file's content is counted before it is read.
 
-A file of some kilobytes can declare, or unpack to, more than a machine holds.  Every reader asks first, so that no file takes
-more than about half a gigabyte of RAM.
+A file of some kilobytes can declare, or unpack to, more than a machine holds.  Every reader asks first, so no file takes more
+than about half a gigabyte of RAM.
 """
 
 import stat
@@ -10,7 +10,7 @@ from pathlib import Path
 from hsed_jax.errors import UserError
 
 _ONE_BY_ONE = "save it as Parquet or HDF5, of which only the columns of the channels are read"
-# A number is 8 bytes, and up to four copies of it are made on the way into a record; a cell of text is an object of some 70.
+# A number has 8 bytes, and up to four copies of it exist while a record is made; a cell of text is an object of some 70 bytes.
 _MOST = {
     "bytes": (2**26, _ONE_BY_ONE),
     "cells": (5_000_000, _ONE_BY_ONE),
@@ -23,7 +23,7 @@ are variables, data sets, groups, columns and sheets."""
 
 
 def ask(where: object, **asked: int) -> None:
-    """Refuse what goes beyond the budget.
+    """Refuse content beyond the budget.
 
     Arguments:
         where: the file, and the place in it, for the message.
@@ -39,7 +39,7 @@ def ask(where: object, **asked: int) -> None:
 
 
 def ask_of_file(path: Path, *, whole: bool) -> None:
-    """Refuse what is no file; where it is read whole, also one beyond the budget.
+    """Refuse a path that is no file, and a file beyond the budget if it is read whole.
 
     Raises:
         UserError: it is missing, empty, no file, or too large.

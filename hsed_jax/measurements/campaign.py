@@ -30,7 +30,7 @@ class Campaign(Header, Tabular):
         inputs: Unit of each variable input.
         channels: Channels of the records by canonical name.  Without `time` the row number is the time.
         quantities: Quantities of experiments.csv by canonical name.
-        pair: What elongation and force are, as their units say: rotation and moment, strain and stress, or just these.
+        pair: The kind of elongation and force, from their units: rotation and moment, strain and stress, or just these.
         experiments: The experiments, in order.
         source: Where it was read from.
 
@@ -92,7 +92,7 @@ class Campaign(Header, Tabular):
         if strange := record.channels.keys() - self.channels.keys():
             raise UserError(f"{where}: the record has {sorted(strange)}; the campaign declares {sorted(self.channels)}")
         missing = self.channels.keys() - record.channels.keys() - {"time"}
-        # Either everything that was declared, or what drives it alone (planned, or beside scalar quantities).
+        # Either all declared channels, or the excitation alone (planned, or beside scalar quantities).
         if missing and (missing != responses or self.channels.keys() - responses <= {"time"}):
             raise UserError(f"{where}: the record lacks {sorted(missing)}; every declared channel must be there")
         time = self.unit("time").snap(record.time)

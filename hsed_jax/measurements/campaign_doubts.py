@@ -1,4 +1,4 @@
-"""Doubts of a campaign as a whole: what its experiments say of one another."""
+"""Doubts of a campaign as a whole, from a comparison of its experiments."""
 
 from collections.abc import Iterator
 
@@ -18,7 +18,7 @@ BEYOND = 1.5  # test amplitudes over the largest that is fitted
 
 
 def campaign_doubts(campaign: Campaign) -> Iterator[Finding]:
-    """Samples that are there twice, and test experiments that go beyond all that is fitted."""
+    """Samples that occur twice, and test experiments that go beyond all fitted ones."""
     yield from _copies(campaign)
     yield from _beyond(campaign)
 
@@ -41,7 +41,7 @@ def _copies(campaign: Campaign) -> Iterator[Finding]:
 
 
 def _shared(campaign: Campaign, one: Experiment, other: Experiment, count: int) -> Iterator[Finding]:
-    """What to say of two experiments that share samples."""
+    """The message on two experiments that share samples."""
     channel = next(name for name in other.record.channels if _is_response(name)) if other.record else ""
     if one.inputs != other.inputs:
         told = " and ".join(
@@ -66,7 +66,7 @@ def _shared(campaign: Campaign, one: Experiment, other: Experiment, count: int) 
 
 
 def _samples(experiment: Experiment) -> set[bytes]:
-    """What tells samples from others: a sample of all responses with the two that follow it."""
+    """Keys that distinguish samples: a sample of all responses with the two that follow it."""
     assert experiment.record is not None
     columns = [values for name, values in experiment.record.channels.items() if _is_response(name)]
     table = np.stack(columns, axis=1)

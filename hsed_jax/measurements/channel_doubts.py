@@ -54,7 +54,7 @@ def quantity_doubts(campaign: Campaign, experiment: Experiment) -> Iterator[Find
 
 
 def channel_doubts(campaign: Campaign, id: str, record: Record) -> Iterator[Finding]:
-    """Doubts of every channel by itself, and the error of one that measured nothing."""
+    """Doubts of every channel alone, and the error of a channel that measured nothing."""
     for name, values in record.channels.items():
         if np.ptp(values) == 0:
             # A free vibration has a constant ground and no force; any other constant channel measured nothing.
@@ -83,7 +83,7 @@ def _plateaus(campaign: Campaign, id: str, record: Record, name: str) -> Iterato
     for start, end in runs:
         if start == 0 or end == values.size:
             continue  # rest before and after the motion
-        # Rounding flattens a smooth peak too, but then the samples beside it are one or two digits away.
+        # Rounding also flattens a smooth peak, but then the neighbouring samples differ by one or two digits.
         sharp = max(steps[start - 1], steps[end - 1]) > 5 * quantum
         if values[start] in (values.max(), values.min()):
             if sharp and values[start] != values[0]:
@@ -135,7 +135,7 @@ def _noise(campaign: Campaign, id: str, record: Record, name: str) -> Iterator[F
         return
     declared = noise.standard_deviation(values)
     second, third, fourth = (difference_noise(record.time, values, order) for order in (2, 3, 4))
-    # On white noise every order estimates the same; a signal that is not resolved by the samples tells them apart.
+    # For white noise every order gives the same estimate; an under-resolved signal gives different ones.
     if not 0.75 * third < fourth < 1.33 * third and third > declared:
         return
     if third > NOISE_FACTOR * declared or NOISE_FACTOR * min(second, third) < declared:
@@ -153,11 +153,11 @@ def _thousandfold(campaign: Campaign, id: str, record: Record, name: str) -> Ite
         return
     windows = np.lib.stride_tricks.sliding_window_view(steps, AROUND)
     typical = np.median(np.abs(windows), axis=1)
-    # Noise goes to and fro, a motion one way: rest before a motion is no other unit.
+    # Noise changes its direction, and a motion keeps it: a rest before a motion is no change of unit.
     moves = np.abs(windows.sum(axis=1)) > 0.5 * np.abs(windows).sum(axis=1)
     before, after = typical[: -AROUND - 1], typical[AROUND + 1 :]  # the step between is that of the change
     counts = moves[: -AROUND - 1] & moves[AROUND + 1 :] & (before > 0) & (after > 0)
-    # In another unit the value changes with its steps: a motion that comes to rest is none.
+    # With another unit, the values change as much as their steps: a motion that comes to rest is no change of unit.
     values = np.abs(record.channels[name])
     here, there = values[AROUND : AROUND + before.size], values[AROUND + 1 : AROUND + 1 + before.size]
     counts &= np.abs(there - here) > 0.5 * np.maximum(np.maximum(here, there), 1e-300)
@@ -175,7 +175,7 @@ def _thousandfold(campaign: Campaign, id: str, record: Record, name: str) -> Ite
 
 
 def _jumps(campaign: Campaign, id: str, record: Record, name: str) -> Iterator[Finding]:
-    """Steps of the elongation that missing rows leave; where a time shows the gap it is no jump."""
+    """Steps of the elongation that missing rows leave; if a time shows the gap, there is no jump."""
     values = record.channels[name]
     steps = np.abs(np.diff(values))
     if own_name(name) != "elongation" or not (steps > 0).sum() >= QUIET:
@@ -184,7 +184,7 @@ def _jumps(campaign: Campaign, id: str, record: Record, name: str) -> Iterator[F
     steps = steps / np.maximum(interval / np.median(interval), 1.0)
     usual = float(np.quantile(steps[steps > 0], 0.95))
     jumps = np.flatnonzero(steps > max(JUMP * usual, 0.05 * float(np.ptp(values))))
-    # A pulse after rest has long steps as well, but they come one after the other.
+    # A pulse after a rest also has long steps, but they follow one another.
     padded = np.pad(steps, AROUND)
     beside = np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1)[jumps].copy()
     beside[:, AROUND] = 0.0
@@ -205,7 +205,7 @@ def _base_lines(campaign: Campaign, id: str, record: Record) -> Iterator[Finding
     if driver is None:
         return
     drive = record.channels[driver] - np.median(record.channels[driver][:QUIET])
-    # A first small loading is a motion, too: it begins where the driver leaves its own noise.
+    # A small first loading is a motion, too: it begins when the driver leaves its own noise.
     noise = 5 * noise_estimate(record.time, record.channels[driver])
     quiet = int(np.argmax(np.abs(drive) > min(max(noise, 1e-6 * np.abs(drive).max()), 0.01 * np.abs(drive).max())))
     if quiet < QUIET:
@@ -215,7 +215,7 @@ def _base_lines(campaign: Campaign, id: str, record: Record) -> Iterator[Finding
         if name.endswith("_absolute") or name.startswith("velocity"):
             continue
         offset, scatter = float(np.mean(values[:quiet])), float(np.std(values[:quiet]))
-        # Drift and hum are not independent from sample to sample, so no 1/sqrt(n): the offset must stand out by itself.
+        # Drift and hum are autocorrelated, so there is no factor 1/sqrt(n): the offset alone must exceed the noise.
         if abs(offset) > max(0.02 * float(np.abs(values).max()), scatter):
             size = amount(campaign.pair, name, offset)
             message = f"it is {size} on average before the motion starts ({quiet} samples): an offset?"

@@ -1,4 +1,4 @@
-"""Characteristic values of a campaign, from its data: what makes amplitudes dimensionless and priors sensible."""
+"""Characteristic values of a campaign, from its data; amplitudes are relative to them, and priors are placed by them."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from hsed_jax.physics.outputs import loops
 
 
 class Characteristics(NamedTuple):
-    """Typical magnitudes over the experiments of a campaign, of several specimens the most; NaN where nothing tells.
+    """Typical magnitudes over the experiments of a campaign; with several specimens, the largest; NaN if unknown.
 
     Attributes:
         force: median over experiments of the largest force [N].
@@ -31,8 +31,8 @@ class Characteristics(NamedTuple):
 START = 0.02
 """Share of the largest magnitude at which a record may begin."""
 
-# A specimen that is loaded has at least this share of the secant stiffness to its peak, and has moved by this share of what it
-# moves from one sample to the next: less is a zero that is not quite set.
+# A loaded specimen has at least this share of the secant stiffness to its peak, and has moved by at least this share of its
+# motion between two samples.  Smaller values are a zero offset.
 _SECANT, _MOVED = 0.5, 0.1
 
 
@@ -60,11 +60,12 @@ def initial_stiffness(record: Record, specimen: str = "") -> float:
 
 
 def from_unloaded(record: Record) -> Record:
-    """A record that begins loaded, with one sample more before it, at which the specimen was neither moved nor loaded.
+    """A record that begins loaded, with one more sample before it, at which the specimen was neither moved nor loaded.
 
-    Loggers often write no row of the virgin specimen: force and elongation of the first row are then of one sign.  It comes there
-    from zero, as fast as the record moves on.  Where a force is much smaller than the elongation would need, that begins with an
-    offset, and the record is returned as it is; so is one in which the force was not measured.
+    Loggers often write no row of the virgin specimen: force and elongation of the first row then have one sign.  The added
+    sample is zero, and its distance in time follows from the rate of the record.  If the force is much smaller than the
+    elongation would need, the record begins with an offset and is returned unchanged.  The same holds for a record without a
+    measured force.
     """
     if not {"elongation", "force"} <= record.channels.keys():
         return record
@@ -85,7 +86,7 @@ def from_unloaded(record: Record) -> Record:
 
 
 def _of(experiment: Experiment) -> np.ndarray:
-    """Of the specimen that has most of each, (5,)."""
+    """The values of the specimen with the largest of each, (5,)."""
     record = experiment.record
     names = [*experiment.quantities, *([] if record is None else record.channels)]
     rows = [_of_specimen(experiment, specimen) for specimen in dict.fromkeys(["", *(owner_of(name) for name in names)])]
@@ -96,7 +97,7 @@ def _of_specimen(experiment: Experiment, specimen: str) -> tuple[float, ...]:
     record, rate, stiffness = experiment.record, float("nan"), float("nan")
     elongation = named(specimen, "elongation")
     if record is not None and elongation in record.channels:
-        # A high quantile: single noisy differences are no rates.
+        # A high quantile, because single noisy differences are no rates.
         with np.errstate(all="ignore"):  # a time that is repeated is an error, which the check of the data says
             rate = float(np.quantile(np.abs(np.gradient(record[elongation], record.time)), 0.98))
         stiffness = initial_stiffness(record, specimen)

@@ -1,4 +1,4 @@
-"""Faults of measured data: errors that stop, doubts that are listed.  Nothing is repaired."""
+"""Faults of measured data: errors stop a calculation, and doubts are listed.  Nothing is repaired."""
 
 from collections.abc import Iterator, Set
 from dataclasses import replace
@@ -58,7 +58,7 @@ def stop_at_errors(campaign: Campaign, accepted: Set[tuple[str, str]] = frozense
 
     Arguments:
         campaign: the measurements.
-        accepted: doubts that were looked at, each an experiment and a kind.
+        accepted: doubts that the user has accepted, each an experiment and a kind.
         needs_loops: a diagnosis follows, so at least one fitted test must have a loop.
 
     Raises:

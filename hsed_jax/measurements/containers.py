@@ -1,6 +1,6 @@
-"""What is in a binary file, told before any of it is read: Parquet, MATLAB, HDF5, NumPy and TDMS.
+"""The variables of a binary file (Parquet, MATLAB, HDF5, NumPy, TDMS), listed before any of them is read.
 
-The libraries that read these formats raise whatever damaged bytes lead to, and allocate what the bytes declare.
+The libraries that read these formats raise any exception on damaged bytes, and allocate as much as the bytes declare.
 """
 
 import math
@@ -53,7 +53,7 @@ class Variable:
 
 @contextmanager
 def opened(path: Path) -> Iterator[dict[str, Variable]]:
-    """Within, the variables of a binary file by name, in its order; none of them has been read.
+    """Within this context, the variables of a binary file by name, in its order; none of them has been read.
 
     Raises:
         UserError: it cannot be read, also within where a variable is damaged, or it goes beyond the budget.
@@ -97,7 +97,7 @@ def _parquet(path: Path) -> Iterator[dict[str, Variable]]:
         def column(i: int) -> Variable:
             field = schema.field(i)
             is_numeric = pa.types.is_integer(field.type) or pa.types.is_floating(field.type)
-            # By its position: a column of the same name, or a part of a nested one, is another.
+            # By its position, because another column may have the same name, or a nested one such a part.
             read = lambda: file.read(columns=[field.name]).column(0).to_numpy()  # noqa: E731
             return Variable((about.num_rows,), str(field.type), is_numeric, read)
 
@@ -126,7 +126,7 @@ def _hdf5(path: Path) -> Iterator[dict[str, Variable]]:
         if isinstance(node, h5py.Dataset):
             if node.external or node.is_virtual:
                 raise UserError(f"{path}: {name!r} lies in another file; write its numbers into this one")
-            # A chunk is unpacked whole, however little of it is in use.
+            # A chunk is always unpacked whole.
             ask(f"{path}: a chunk of {name!r}", numbers=math.prod(node.chunks or ()))
             shape = tuple(node.shape or ())
             read = (lambda: np.transpose(node[()])) if turned else (lambda: node[()])
@@ -144,7 +144,7 @@ def _hdf5(path: Path) -> Iterator[dict[str, Variable]]:
 
 
 def _unit(attributes: Any) -> str:
-    """The unit among the attributes of a variable, by the names that are usual for it."""
+    """The unit among the attributes of a variable, under its usual names."""
     for name in ("unit", "units", "Unit", "Units", "unit_string"):
         said = attributes.get(name)
         said = said.decode(errors="replace") if isinstance(said, bytes) else said
@@ -161,7 +161,7 @@ def _numpy(path: Path) -> Iterator[dict[str, Variable]]:
         found: dict[str, Variable] = {}
         for member in members:
             with archive.open(member) as file:
-                # A header may declare any shape; what is there is told by the size of the member.
+                # A header may declare any shape; the size of the member shows the true content.
                 version = np.lib.format.read_magic(file)
                 headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
                 shape, _, dtype = headers[version](file)
@@ -254,7 +254,7 @@ def _ask_of_matlab(path: Path) -> None:
 
 
 def _unpacked(path: Path, content: memoryview, most: int) -> memoryview:
-    """What is compressed, unpacked piece by piece up to the budget."""
+    """Compressed content, unpacked piece by piece up to the budget."""
     unpacking, pieces, size = zlib.decompressobj(), [], 0
     left: Any = content
     while not unpacking.eof and len(left):
@@ -268,7 +268,7 @@ def _unpacked(path: Path, content: memoryview, most: int) -> memoryview:
 
 
 def _matrices(path: Path, content: memoryview, order: str, before: int) -> int:
-    """How many matrices there are in an element, counted with those within cells and structures."""
+    """Number of matrices in an element, with those within cells and structures."""
     at, count = 0, 0
     while at + 8 <= len(content):
         kind, length = struct.unpack_from(f"{order}II", content, at)

@@ -1,6 +1,6 @@
-r"""What engineers read from the cycles of a measured loop.
+r"""Engineering measures of the cycles of a measured loop.
 
-Of cycle i with the largest elongation $u_i^+$ and the smallest $u_i^-$, and the forces $F_i^\pm$ there:
+For cycle i with the largest elongation $u_i^+$ and the smallest $u_i^-$, and the forces $F_i^\pm$ there:
 
 * the energy it absorbs, $E_i = \oint F\,\mathrm du$, and the sum of these;
 * its secant stiffness from peak to peak, $k_i = (F_i^+ - F_i^-)/(u_i^+ - u_i^-)$ (the effective stiffness of ASCE/SEI 41);
@@ -10,11 +10,11 @@ Of cycle i with the largest elongation $u_i^+$ and the smallest $u_i^-$, and the
 * the reloading stiffness, from the last zero of the force before the peak to the peak;
 * the strength loss, $1 - F_i^\pm/F_1^\pm$ against the first of consecutive cycles of one amplitude (EN 12512).
 
-Where a specimen unloads steeply, the force at the very sample of a reversal has fallen already.  So $F_i^\pm$ is the largest
-force towards that side of the samples that lie within the noise of the peak, and of the two before the peak.  A peak is a
-reversal: a record that begins beyond all that follows in its cycle has no peak there.
+If a specimen unloads steeply, the force at the sample of a reversal has already fallen.  So $F_i^\pm$ is the largest force
+towards that side among the samples within the noise of the peak and the two samples before the peak.  A peak is a reversal: a
+record that begins beyond all later values of its cycle has no peak there.
 
-Cycles are those of the measured elongation (`hsed_jax.measurements.turns`); a prediction is read over the same samples.
+The cycles are those of the measured elongation (`hsed_jax.measurements.turns`); a prediction is read over the same samples.
 """
 
 from collections.abc import Sequence
@@ -29,15 +29,15 @@ from hsed_jax.tables import Table, Tabular, cell
 SIDES = (-1.0, 1.0)
 """The rows of what a cycle has on either side."""
 
-# Samples that count as a peak: within so many times the noise, between these shares of the range of the cycle; and some before.
+# Samples that count as a peak: within so many times the noise, between these shares of the range of the cycle; and a few before.
 _NOISE, _NEAR, _BEFORE = 3.0, (0.0005, 0.005), 2
 # A peak is reached from further away than this share of its size.
 _REACHED = 0.05
 # Consecutive cycles whose amplitudes differ by less than this share have one amplitude.
 _SAME = 0.05
-# A cycle that absorbs less than this share of the rectangle around it, below zero, returns more than it was given.
+# A cycle returns more energy than it received if its energy is below zero by this share of the rectangle around it.
 _RETURNED = 0.02
-# Standard deviations of its noise that an energy is beyond by no chance.
+# Standard deviations of its noise that an energy does not exceed by chance.
 _SURPRISE = 4.0
 # The unloading stiffness is the slope between these shares of the force at the peak.
 _UNLOADING = (0.8, 0.2)
@@ -158,9 +158,9 @@ def absorbed_energy(force: np.ndarray, elongation: np.ndarray) -> np.ndarray:
 
 
 def returned(cycles: Cycles, elongation: np.ndarray, force: np.ndarray) -> list[int]:
-    """Numbers, from 1, of the whole cycles that return more energy than they were given, which no specimen does.
+    """Numbers, from 1, of the whole cycles that return more energy than they received, which no specimen does.
 
-    The noise of the samples gives a cycle an energy of either sign: as much as that may be is no doubt.
+    The noise of the samples gives a cycle an energy of either sign; an energy within this noise is no doubt.
 
     Arguments:
         cycles: of the loop.
@@ -172,12 +172,12 @@ def returned(cycles: Cycles, elongation: np.ndarray, force: np.ndarray) -> list[
     least = _RETURNED * np.where(cycles.is_whole, swing, 0.0) * ranges
     chance = _SURPRISE * np.asarray([_energy_of_noise(elongation, force, part) for part in parts])
     is_negative = cycles.is_whole & (cycles.energy < -np.maximum(least, chance))
-    # The last one may end before it has taken up anything.
+    # The last cycle may end before it has absorbed energy.
     return [int(i) + 1 for i in np.flatnonzero(is_negative[:-1])]
 
 
 def _energy_of_noise(elongation: np.ndarray, force: np.ndarray, part: slice) -> float:
-    """Standard deviation of the energy of a cycle by the noise of both channels: of each on the steps of the other."""
+    """Standard deviation of the energy of a cycle from the noise of both channels: of each on the steps of the other."""
     u, f = elongation[part], force[part]
     samples = np.arange(len(force), dtype=float)
     of_u, of_f = (np.nan_to_num(noise_estimate(samples, channel)) for channel in (elongation, force))
@@ -193,7 +193,7 @@ def _peaks(elongation: np.ndarray, found: Sequence[Span]) -> np.ndarray:
 
 
 def _is_reversal(elongation: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Whether each peak is reached from elsewhere, (2, c)."""
+    """Whether the elongation comes to each peak from a smaller magnitude, (2, c)."""
     reached = elongation[at]
     furthest = np.maximum(
         reached - np.minimum.accumulate(elongation)[at], np.maximum.accumulate(elongation)[at] - reached
@@ -202,14 +202,14 @@ def _is_reversal(elongation: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 
 def _is_on_its_side(elongation: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Whether each peak lies on the side of zero that it is the peak of, (2, c)."""
+    """Whether each peak lies on its own side of zero, (2, c)."""
     low, high = elongation[at]
     least = 0.02 * np.maximum(np.abs(low), np.abs(high))
     return np.stack([low < -least, high > least])
 
 
 def _nearness(elongation: np.ndarray) -> float:
-    """How far the noise moves a peak [m]."""
+    """Distance by which the noise moves a peak [m]."""
     return _NOISE * noise_estimate(np.arange(elongation.size), elongation) if elongation.size >= 8 else 0.0
 
 
@@ -235,14 +235,14 @@ def _slopes(
         place = int(np.searchsorted(order, top))
         before = int(order[place - 1]) if place else 0
         after = int(order[place + 1]) if place + 1 < order.size else force.size - 1
-        # The way down passes the share where it is last above it, whatever it does near the peak.
+        # The unloading path passes the share where it is above it for the last time.
         down = slice(top, after + 1)
         high, low, zero = (
             _crossing(side * force[down], elongation[down], share * abs(peak)) for share in (*_UNLOADING, 0.0)
         )
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = np.divide(side * (_UNLOADING[0] - _UNLOADING[1]) * abs(peak), high - low)
-        # A way down that goes further out is none: the cycle is but noise.
+        # An unloading path with a growing elongation is noise.
         unloading[row, cycle] = slope if slope > 0 else np.nan
         residual[row, cycle] = zero
         up = slice(before, top + 1)
@@ -267,7 +267,7 @@ def _crossing(force: np.ndarray, elongation: np.ndarray, level: float) -> float:
 
 
 def _groups(amplitude: np.ndarray) -> np.ndarray:
-    """Number of the amplitude of each cycle: consecutive ones that differ little have one."""
+    """Number of the amplitude of each cycle: consecutive cycles that differ little share one."""
     group, first, numbers = -1, np.nan, []
     for value in amplitude:
         if not abs(value - first) <= _SAME * first:

@@ -1,4 +1,4 @@
-"""campaign.yaml: what a laboratory says about its measurements, and what it may say."""
+"""campaign.yaml: the declaration of a laboratory's measurements, and its allowed content."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -126,7 +126,7 @@ def declared_channel(where: str, name: str, entry: ChannelEntry) -> Channel:
 
 
 def _sentence(error: ValidationError) -> str:
-    """Say the first fault that pydantic found: which key, what is wrong, what is allowed."""
+    """The first fault that pydantic found: the key, the fault, and what is allowed."""
     fault = error.errors()[0]
     path = [str(part) for part in fault["loc"]]
     where, given = ".".join(path), shown(fault["input"])

@@ -153,7 +153,7 @@ class Experiment:
             for name, value in numbers.items():
                 if not abs(value) <= MOST:
                     raise UserError(f"{where}{name} is {value:g}; {kind} are finite numbers of sensible size")
-        # A blank cell of a table cannot be told from an absent one, nor blanks around a text from none.
+        # A table cannot distinguish a blank cell from an absent one, and ignores blanks around a text.
         texts = {str(name): str(text).strip() for name, text in self.metadata.items()}
         object.__setattr__(self, "metadata", {name: text for name, text in texts.items() if text})
         object.__setattr__(self, "reason", (self.reason or "").strip() or None)
@@ -212,7 +212,7 @@ class Experiment:
 
     @property
     def _slack(self) -> float:
-        # A table says 0.3 where the record's third step of 0.1 is 0.30000000000000004.
+        # A tolerance: a table says 0.3, and the record's third step of 0.1 is 0.30000000000000004.
         return 0.0 if self.record is None else 1e-9 * float(np.ptp(self.record.time))
 
 

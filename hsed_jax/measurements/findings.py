@@ -1,4 +1,4 @@
-"""What a check of measured data says: one fault, its place, and the setting that accepts it."""
+"""A finding of a check of measured data: one fault, its place, and the setting that accepts it."""
 
 import json
 import re
@@ -26,7 +26,7 @@ DoubtKind = Literal[
 ]
 """What may be doubted, as `measurements.accept` of a study names it."""
 
-# Ids that YAML reads as what they are.
+# Ids that YAML reads back unchanged.
 _PLAIN = re.compile(r"(?!(?:y|n|yes|no|on|off|true|false|null)$)[A-Za-z]\w*", re.IGNORECASE)
 
 
@@ -62,7 +62,7 @@ class Finding:
 
     @property
     def setting(self) -> str:
-        """What accepts a doubt, as a key of `measurements` of a study; empty of an error."""
+        """The setting that accepts a doubt, as a key of `measurements` of a study; empty for an error."""
         return "" if self.kind is None else f"accept: {{{yaml_key(self.experiment)}: {self.kind}}}"
 
     def __str__(self) -> str:

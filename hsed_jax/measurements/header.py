@@ -1,4 +1,4 @@
-"""What a campaign declares, whatever its experiments: protocol, inputs, channels and quantities, each with its unit."""
+"""The declaration of a campaign, without its experiments: protocol, inputs, channels and quantities, each with its unit."""
 
 from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
@@ -18,7 +18,7 @@ RESERVED_COLUMNS = ("id", "record", "status", "reason", "split", "from", "to")
 
 @dataclass(frozen=True, repr=False)
 class Header:
-    """What a campaign declares.
+    """The declaration of a campaign.
 
     Attributes:
         name: What was tested.
@@ -26,7 +26,7 @@ class Header:
         inputs: Unit of each variable input.
         channels: Channels of the records by canonical name.  Without `time` the row number is the time.
         quantities: Quantities of experiments.csv by canonical name.
-        pair: What elongation and force are, as their units say: rotation and moment, strain and stress, or just these.
+        pair: The kind of elongation and force, from their units: rotation and moment, strain and stress, or just these.
 
     Raises:
         UserError: An unknown channel, a wrong unit, or units of no pair.

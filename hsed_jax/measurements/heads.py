@@ -1,7 +1,7 @@
-"""Where a declared record begins: titles above the names of its columns, and a row of units below them.
+"""The beginning of a declared record: titles above the names of its columns, and a row of units below them.
 
-The declaration says which columns are wanted, so that the row with their names is known and nothing is guessed.  What stands
-above it is no data; a row of numbers there is refused.
+The declaration names the wanted columns, so the row with their names is known and nothing is guessed.  Lines above it are no
+data; a row of numbers there is refused.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence, Set
@@ -51,7 +51,7 @@ def titles_above(
         return above
     if not all(column.isdecimal() for column in wanted):
         return 0
-    # By their positions: the first row of as many numbers as follow, below titles of another width.
+    # By their positions: the first row with as many numbers as the following ones, below titles of another width.
     above = next((k for k, line in enumerate(lines) if not is_comment(line) and _is_row_of_numbers(line, cells)), 0)
     widths = [max(len(_filled(line, d, cells)) for d in DELIMITERS) for line in (lines[0], lines[above])]
     return above if widths[0] != widths[1] else 0

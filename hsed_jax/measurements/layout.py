@@ -1,4 +1,4 @@
-"""Where the table starts in a sheet of cells: titles above it, names, units, the rows of numbers, what stands below it."""
+"""The table in a sheet of cells: titles above it, names, units, the rows of numbers, text below it."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -10,11 +10,11 @@ from hsed_jax.measurements.sheets import BLANK, MISSING, NUMBER, TEXT, Sheet, ki
 from hsed_jax.measurements.spelled import is_unit, without_unit
 from hsed_jax.plain import shown
 
-# Rows above the numbers that may name their columns, and rows that are looked at to tell which columns hold numbers.
+# Rows above the numbers that may name their columns, and rows that are examined to find the columns with numbers.
 _ABOVE, _SAMPLED = 40, 2000
 # A sheet with so many times more columns than rows, so many columns at least and so many rows at most holds its channels in rows.
 _LYING, _LEAST_LYING, _MOST_LYING = 3, 16, 100
-# A table in front of the names with so many rows is one, and not a parameter of the test.
+# A block of so many rows above the names is a table, and not a parameter of the test.
 _LEAST_BLOCK = 3
 
 
@@ -132,13 +132,13 @@ def _is_clean(sheet: Sheet, k: int, columns: Sequence[int]) -> bool:
 
 
 def _belongs(sheet: Sheet, k: int, columns: Sequence[int]) -> bool:
-    """Whether a row with something else in it is one of the table: it begins with a number, as `Max` and `End of test` do not."""
+    """Whether a row with other content is part of the table: it begins with a number, unlike `Max` and `End of test`."""
     row, first = sheet.rows[k], columns[0]
     return first < len(row) and kind_of(row[first], sheet.is_text) == NUMBER and k not in sheet.comments
 
 
 def _trimmed(sheet: Sheet, block: tuple[int, int], columns: Sequence[int]) -> tuple[int, int]:
-    """A block without the rows at both ends that are titles or a footer; a row with a fault in it stays, so that it is told."""
+    """A block without the rows at both ends that are titles or a footer; a row with a fault stays, so that it is reported."""
     start, end = block
     while start < end and not _is_clean(sheet, start, columns):
         start += 1
@@ -178,14 +178,14 @@ def _header(sheet: Sheet, start: int, columns: Sequence[int], knows: Callable[[s
             unit_row = k, cells
         hits = sum(knows(without_unit(word)[0]) for word in words)
         candidates.append((len(set(words)) / len(columns), hits, k, cells))
-    # Where a row of names stands above one of units, the units are no names.
+    # If a row of names stands above a row of units, the units are no names.
     named = [one for one in candidates if unit_row is None or one[2] != unit_row[0]]
     named = [one for one in named if one[1] or one[0] >= (0.5 if len(one[3]) > 1 else 0.6)]
     if not named and unit_row is not None:
         named, unit_row = [one for one in candidates if one[2] == unit_row[0]], None
     if not named:
         return _Heads(None, [], [])
-    # Of rows that are as full, the one with names of channels, and of several of these the nearest.
+    # Among equally full rows, the one with names of channels; among several of these, the nearest.
     fullest = max(named, key=lambda one: (min(one[0], 0.99) if one[1] else one[0] * 0.5, one[1], one[2]))
     return _Heads(fullest[2], fullest[3], [] if unit_row is None else unit_row[1])
 
@@ -195,7 +195,7 @@ def _is_word(cell: str) -> bool:
 
 
 def _fitted(sheet: Sheet, k: int, width: int) -> list[str]:
-    """The cells of a row of the header, as texts; where blanks or commas cut names, as many of them as there are columns."""
+    """The cells of a row of the header, as texts; if blanks or commas cut names, as many cells as there are columns."""
     cells = ["" if cell is None else " ".join(str(cell).split()) for cell in sheet.rows[k]]
     while cells and not cells[-1]:
         cells.pop()
@@ -214,7 +214,7 @@ def _fitted(sheet: Sheet, k: int, width: int) -> list[str]:
 
 
 def _bracketed(cells: list[str]) -> list[str]:
-    """Cells that blanks separate, a unit in brackets with the name before it."""
+    """Cells separated by blanks, with a unit in brackets joined to the name before it."""
     joined: list[str] = []
     for cell in cells:
         if joined and cell.startswith(("[", "(", "/")):
@@ -225,7 +225,7 @@ def _bracketed(cells: list[str]) -> list[str]:
 
 
 def _joined(sheet: Sheet, heads: _Heads, one: tuple[int, int], other: tuple[int, int], columns: Sequence[int]) -> str:
-    """What is said of two parts of a table that are one, since the names stand above both.
+    """The note on two parts of a table that are one, because the names stand above both.
 
     Raises:
         UserError: something else is between them.
@@ -243,7 +243,7 @@ def _joined(sheet: Sheet, heads: _Heads, one: tuple[int, int], other: tuple[int,
 
 
 def _apart(sheet: Sheet, parts: Sequence[tuple[int, int]]) -> str:
-    """What is said of a few rows of numbers that an empty row parts from all others: samples, or a summary?"""
+    """The note on a few rows of numbers that an empty row separates from all others: samples, or a summary?"""
     for start, end in (parts[0], parts[-1]):
         rows = range(start, end)
         empty = [k for k in rows if all(kind_of(cell, sheet.is_text) == BLANK for cell in sheet.rows[k])]
@@ -259,7 +259,7 @@ def _apart(sheet: Sheet, parts: Sequence[tuple[int, int]]) -> str:
 
 
 def _bad_rows(sheet: Sheet, heads: _Heads, start: int, counts: list[tuple[int, int, int]]) -> str:
-    """What is said of rows with numbers between the names and the table, which are not read."""
+    """The note on rows with numbers between the names and the table, which are not read."""
     if heads.names is None:
         return ""
     rows = [k for k in range(heads.names + 1, start) if counts[k][0]]
@@ -282,7 +282,7 @@ def _quoted(sheet: Sheet, k: int) -> str:
 
 
 def _ask_of_widths(sheet: Sheet, rows: list[int]) -> None:
-    """Refuse rows of unlike width where blanks separate: which cell is missing cannot be told.
+    """Refuse rows of different width if blanks separate: the missing cell is unknown.
 
     Raises:
         UserError: with the first row that differs.
@@ -300,7 +300,7 @@ def _ask_of_widths(sheet: Sheet, rows: list[int]) -> None:
 
 
 def _ask_of_longer(sheet: Sheet, names: int, count: int, rows: list[int]) -> None:
-    """Refuse single rows that have more cells than there are names: which cell is which cannot be told.
+    """Refuse single rows with more cells than names: the column of each cell is unknown.
 
     Raises:
         UserError: with the first of them.

@@ -1,8 +1,8 @@
-r"""Doubts of a loop: what force and elongation say together, with a time or without.
+"""Doubts of a loop, from force and elongation together, with a time or without.
 
-* A specimen unloads where its elongation turns.  The largest force lies at that turn or before it.  A force whose extreme
+* A specimen unloads when its elongation turns.  The largest force lies at that turn or before it.  A force whose extreme
   comes after the turn is late; one that always comes before it by as many samples is early.
-* Zeros that drift move the middle of every cycle in proportion to the rows, beyond what the amplitude explains.
+* Drifting zeros move the middle of every cycle in proportion to the rows, beyond what the amplitude explains.
 * A step back that is faster than the loading is a slip; an elongation that rests while the force relaxes is a hold.
 """
 
@@ -54,8 +54,8 @@ def loop_doubts(campaign: Campaign, id: str, record: Record) -> Iterator[Finding
 
 
 def _one_branch(elongation: np.ndarray, found: np.ndarray) -> str | None:
-    """What to say of a record that never unloads."""
-    # The way back to the origin within an envelope takes a sample or two: it was not measured.
+    """The message on a record that never unloads."""
+    # In an envelope, the return to the origin takes a sample or two: it was not measured.
     ways = [(a, b) for a, b in pairwise(found.tolist()) if b - a >= BRANCH]
     if len(ways) > 2:
         return None
@@ -134,7 +134,7 @@ def _timing(campaign: Campaign, id: str, record: Record, owner: str, found: np.n
         return
     cycle = 2 * float(np.median(np.diff(found)))
     early = -float(np.median(lags[is_early])) if is_early.any() else 0.0
-    # A viscous force leads, too, so that with a time this says nothing.
+    # A viscous force is early, too, so with a time this is no doubt.
     is_long = early >= CYCLE * cycle and (early >= 2 or early >= 2 * CYCLE * cycle)
     if not campaign.has_time and is_early.mean() > EARLY and is_long:
         message = words(
@@ -159,7 +159,7 @@ def _energy(campaign: Campaign, id: str, record: Record, owner: str, found: np.n
     name = named(owner, "force")
     force, elongation = record.channels[name], record.channels[named(owner, "elongation")]
     done = 0.5 * (force[1:] + force[:-1]) * np.diff(elongation)
-    # A passive specimen gives back at most what it held at the start; a twentieth is left for noise and delay.
+    # A passive specimen returns at most the energy that it held at the start; a twentieth is allowed for noise and delay.
     allowed = 0.05 * float(np.abs(done).sum()) + abs(float(force[0] * elongation[0]))
     if done.sum() < -allowed:
         what, size = (
@@ -215,10 +215,11 @@ def _at_zero(force: np.ndarray, elongation: np.ndarray, begin: int, end: int) ->
 
 
 def _drift(rows: np.ndarray, ends: np.ndarray, amplitude: np.ndarray, samples: int) -> float | None:
-    """By how much the middles between ends of cycles move over a record in proportion to the rows; None where they do not, or
-    where amplitudes explain it."""
-    # Where amplitudes go up in steps, the middle is that of the ends of one cycle; where they grow all the time, that of an end
-    # and both its neighbours.  The straightest is the right one.
+    """Rise of the middles between ends of cycles over a record, in proportion to the rows; None without one, or if amplitudes
+    explain it.
+    """
+    # If amplitudes grow in steps, the middle is that of the ends of one cycle; if they grow all the time, it is that of an end
+    # and both its neighbours.  The straightest line is the right one.
     found = [_line(rows, ends, amplitude, samples, weights, step) for weights, step in
              (((0.5, 0.5), 2), ((0.0, 0.5, 0.5), 2), ((0.25, 0.5, 0.25), 1))]  # fmt: skip
     lines = [line for line in found if line is not None]

@@ -20,7 +20,7 @@ def noise_estimate(time, values) -> float:
 
 
 def difference_noise(time: np.ndarray, values: np.ndarray, order: int) -> float:
-    """The same from divided differences of any order; white noise gives every order the same."""
+    """The same from divided differences of any order; for white noise every order gives the same estimate."""
     if time.size < order + 5:
         return float("nan")
     windows = np.lib.stride_tricks.sliding_window_view(time, order + 1)
@@ -30,6 +30,6 @@ def difference_noise(time: np.ndarray, values: np.ndarray, order: int) -> float:
         weights = 1.0 / np.prod(gaps / np.abs(gaps).max(axis=(1, 2), keepdims=True), axis=2)
         weights /= np.linalg.norm(weights, axis=1, keepdims=True)
         differences = np.sum(weights * np.lib.stride_tricks.sliding_window_view(values, order + 1), axis=1)
-    # Exact zeros are a record at rest that was rounded or padded: they say nothing about the sensor.
+    # Exact zeros are a record at rest that was rounded or padded: they carry no information on the sensor.
     informative = np.abs(differences[np.isfinite(differences) & (differences != 0)])
     return float(1.4826 * np.median(informative)) if informative.size else 0.0

@@ -1,4 +1,4 @@
-"""The data of a campaign in a few numbers in their declared units, so that kN for N catches the eye."""
+"""The data of a campaign in a few numbers in their declared units, so that a wrong unit (kN for N) is visible."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Which pair a specimen was measured in: rotation and moment, strain and stress, and so on, as the declared units say."""
+"""The pair in which a specimen was measured, from the declared units: rotation and moment, strain and stress, and so on."""
 
 from collections.abc import Mapping
 from itertools import combinations
@@ -58,7 +58,7 @@ def _pairs(where: str, channel: Channel) -> list[Pair]:
 
 
 def _apart(found: Mapping[str, list[Pair]]) -> tuple[str, str]:
-    """Two that have no pair in common; where any two have one, the first and the last."""
+    """Two that have no pair in common; if any two have one, the first and the last."""
     for one, other in combinations(found, 2):
         if not set(found[one]) & set(found[other]):
             return one, other

@@ -1,4 +1,4 @@
-"""A file of text as a sheet of cells: its encoding, its separator, its lines; where the table is in it, `layout` finds."""
+"""A text file as a sheet of cells: its encoding, its separator, its lines; `layout` finds the table in it."""
 
 import csv
 import datetime
@@ -11,16 +11,16 @@ from typing import Any
 from hsed_jax.errors import UserError
 from hsed_jax.measurements.budget import ask, ask_of_file
 
-# Lines that are looked at to tell the separator, and rows that may be header and are kept as they were written.
+# Lines that are examined to find the separator, and rows that may be header and are kept as they were written.
 _SAMPLED, _HEADS = 300, 400
-# Of a line that goes on without end, so much tells the separator.
+# Characters of a very long line that are examined for the separator.
 _LONG = 5000
-# Of the cells of a line that the right separator makes, so many are numbers.
+# With the right separator, this share of the cells of a line are numbers.
 _LEAST_SHARE = 0.3
 NUMBER_WITH_POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
 NUMBER_WITH_COMMA = re.compile(r"[+-]?(\d+,\d*|,\d+)([eEdD][+-]?\d+)?")
 NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)", re.IGNORECASE)
-# What may be a number with three decimals as well as one with thousands separators.
+# A number that may have three decimals or a thousands separator.
 EITHER = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
 _LINE_WITH_ERROR = re.compile(r"#([A-Z0-9/]+[!?]|N/A|NV|N/D)(\s*[,;\t ]|\s*$)|##+\s*[,;\t]")
 _NUMBERS = (int, float, datetime.datetime, datetime.time, datetime.timedelta)
@@ -61,7 +61,7 @@ class Sheet:
 
 
 def kind_of(cell: Any, is_text: bool = True) -> int:
-    """What a cell is: blank, a number, the mark of a missing sample, or text (also a number stored as text)."""
+    """The kind of a cell: blank, a number, the mark of a missing sample, or text (also a number stored as text)."""
     if cell is None:
         return BLANK
     if not isinstance(cell, str):
@@ -83,7 +83,7 @@ def kind_of(cell: Any, is_text: bool = True) -> int:
 
 
 def is_missing(cell: Any) -> bool:
-    """Whether a cell says that a sample is missing."""
+    """Whether a cell marks a missing sample."""
     return kind_of(cell) in (BLANK, MISSING)
 
 
@@ -111,7 +111,7 @@ def sheet_of(path: Path, text: str | None = None) -> Sheet:
     if delimiter is not None and '"' in text:
         _quoted(sheet, lines, delimiter, comments)
     else:
-        # A line ends in its line break: blanks before that may be empty cells behind tabs.
+        # Only the line break is removed: blanks before it may be empty cells behind tabs.
         sheet.rows = [line.split() if delimiter is None else line.rstrip("\r\n").split(delimiter) for line in lines]
         sheet.numbers = list(range(1, len(lines) + 1))
         sheet.heads = {k: lines[k].rstrip("\r\n") for k in range(min(_HEADS, len(lines)))}
@@ -151,7 +151,7 @@ def _decoded(data: bytes) -> str:
 
 
 def _decoded_by_script(data: bytes) -> str:
-    """Shift-JIS where it makes pairs of its first block, which Western texts hardly have; otherwise the encoding of Windows."""
+    """Shift-JIS if it makes pairs of the first block, which Western texts hardly have; otherwise the encoding of Windows."""
     if len(re.findall(rb"[\x81-\x84\x88-\x90\x93-\x9f][\x40-\x7e\x80-\xfc]", data[:20_000])) >= 2:
         try:
             return data.decode("cp932")
@@ -174,7 +174,7 @@ def is_comment(line: str) -> bool:
 
 def _delimiter(lines: list[str]) -> str | None:
     """The separator of the numbers: the one by which most cells of most lines are numbers, in rows of one width."""
-    # Titles come first; of the rest, lines from everywhere.
+    # The first lines, because titles come first, and lines spread over the rest.
     rest = lines[len(lines) // 3 :]
     sampled = rest[:: max(1, len(rest) // _SAMPLED)]
     found: list[tuple[float, int, str | None]] = []
@@ -182,7 +182,7 @@ def _delimiter(lines: list[str]) -> str | None:
         rows = [_cells(line, delimiter) for line in sampled]
         widths = [len(row) for row in rows]
         usual = max(set(widths), key=widths.count, default=0)
-        # A line counts for its share of numbers: a column of words, or of times of day, is none.
+        # The weight of a line is its share of numbers: a column of words, or of times of day, has none.
         score = sum(_share(row) for row in rows if len(row) == usual) / max(len(rows), 1)
         if usual > 1 and score >= _LEAST_SHARE:
             found.append((round(score, 6), -order, delimiter))
@@ -197,7 +197,7 @@ def _share(row: Sequence[str]) -> float:
 
 
 def _not_decimal(lines: list[str], comma: str) -> str | None:
-    """Nothing but blanks in place of the comma, where each line is one number with a decimal comma below one name."""
+    """Only blanks separate if each line is one number with a decimal comma below one name."""
     rows = [line.split(comma) for line in lines[: 10 * _SAMPLED]]
     numbers = [row for row in rows if all(_INTEGER.fullmatch(cell) for cell in row)]
     names = [row for row in rows if not any(kind_of(cell) == NUMBER for cell in row)]

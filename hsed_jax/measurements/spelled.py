@@ -1,4 +1,4 @@
-"""Units as laboratories spell them in headers: ``[mm]``, ``(KN)``, ``Sec``, ``kN·m``."""
+"""Units as laboratories write them in headers: ``[mm]``, ``(KN)``, ``Sec``, ``kN·m``."""
 
 import functools
 import re
@@ -6,7 +6,7 @@ import re
 from hsed_jax.errors import UserError
 from hsed_jax.measurements.units import parse_unit
 
-# What the units library reads, by the ways in which loggers and spreadsheets write it.
+# The spelling that the units library reads, by the spellings of loggers and spreadsheets.
 _SPELLINGS = {
     "mm": "millimeter millimeters millimetre millimetres millimètre millimètres",
     "cm": "centimeter centimeters centimetre centimetres",
@@ -51,13 +51,13 @@ _SPELLINGS = {
     "psi": "lbf/in2 lb/in2",
     "ksi": "kip/in2",
 }
-# Of quantities that no channel of ours is: a row of them is a row of units all the same.
+# Units of other quantities than our channels: a row of them is still a row of units.
 _OTHERS = """
 v mv mv/v µv a ma °c degc c k hz khz bar mbar rpm kg w j kj ts rn volt volts 1/s mm/s mm/min mm/sec m/s in/s kn/s n/s °f
 kn/mm db counts count
 """
 _EXACT = {spelling: unit for unit, others in _SPELLINGS.items() for spelling in (unit, *others.split())}
-# Prefixes and symbols that differ by their case alone are not among these: mN is no MN, and M no metre.
+# Prefixes and symbols that differ only by their case are left out: mN is not MN, and M is no metre.
 _FOLDED = {spelling.casefold(): unit for spelling, unit in _EXACT.items() if unit not in ("MN",)}
 _FOLDED = {spelling: unit for spelling, unit in _FOLDED.items() if spelling != "m"}
 _ELSE = set(_OTHERS.split())
@@ -82,7 +82,7 @@ def spelled_unit(text: str) -> str | None:
 
 
 def is_unit(text: str) -> bool:
-    """Whether a text is a unit, of whatever quantity."""
+    """Whether a text is a unit of any quantity."""
     bare = _bare(text)
     return bool(bare) and (spelled_unit(bare) is not None or bare.casefold() in _ELSE or _is_known(text))
 

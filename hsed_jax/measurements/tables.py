@@ -1,4 +1,4 @@
-"""Tables as spreadsheets and data loggers write them: numbers out, every fault with its row and column."""
+"""Tables as spreadsheets and data loggers write them: the result is numbers, and every fault has its row and column."""
 
 import csv
 import re
@@ -245,7 +245,7 @@ def read_record_table(path: Path, wanted: Iterable[str]) -> Table:
         _ask_of_names(path, columns, wanted)
         told = row_of_units(rows[0], [k for k, column in enumerate(columns) if column in wanted]) if rows else {}
         units = {columns[k]: unit for k, unit in told.items()}
-        # A row of units, and the blank rows that a spreadsheet has above the numbers, are no samples.
+        # A row of units and blank rows above the numbers are no samples.
         start = next((k for k in range(len(told) > 0, len(rows)) if any(map(str.strip, rows[k]))), len(rows))
         rows, numbers = rows[start:], numbers[start:]
     else:

@@ -1,12 +1,12 @@
 r"""Long records of component tests, thinned along the path of the elongation.
 
-A quasi-static test is sampled in time, and its loops are told by far fewer samples.  Kept are both ends, every reversal, the
-largest force between two reversals, and between them samples at equal steps of
+A quasi-static test is sampled in time, but far fewer samples describe its loops.  The kept samples are both ends, every
+reversal, the largest force between two reversals, and between them samples at equal steps of
 
 $$s = 0.8\,\frac{\sigma}{\sigma_{end}} + 0.2\,\frac{row}{rows}, \qquad d\sigma = \frac{|d\Delta u|}{\sqrt{w}},$$
 
-with w the elongation from one reversal to the next: small cycles keep more than their share, since they tell the stiffness, and a
-hold its relaxation.  Samples are left out and never averaged: what is kept was measured.
+with w the elongation from one reversal to the next.  Small cycles keep more than their share, because they show the stiffness,
+and a hold keeps its relaxation.  Samples are left out and never averaged: every kept sample was measured.
 """
 
 from dataclasses import replace
@@ -22,7 +22,7 @@ _EVENLY = 0.2
 
 
 class Loss(NamedTuple):
-    """What a record lost.
+    """The loss by thinning.
 
     Attributes:
         rows, kept: samples before and after.
@@ -78,7 +78,7 @@ def thinned(experiment: Experiment, samples: int) -> Experiment:
 
 
 def loss(record: Record, thin: Record) -> Loss:
-    """Compare a record with what was kept of it."""
+    """Compare a record with its kept samples."""
     deviations = [
         float(np.sqrt(np.mean((np.interp(record.time, thin.time, thin[name]) - values) ** 2)) / (np.ptp(values) or 1.0))
         for name, values in record.channels.items()

@@ -1,7 +1,7 @@
-"""Where an elongation turns, and the cycles and branches that its turns make.
+"""The turns of an elongation, and the cycles and branches between them.
 
-A turn counts if it exceeds the noise.  A step back that is small beside the way before or after it, such as a slip of the
-actuator or a correction of its controller, is no turn of the loading.  A hold, in which the elongation rests, has no turn.
+A turn counts if it exceeds the noise.  A step back that is small compared with the path before or after it, such as a slip of
+the actuator or a correction of its controller, is no turn of the loading.  A hold, in which the elongation rests, has no turn.
 """
 
 from itertools import pairwise
@@ -56,7 +56,7 @@ def turns(elongation: np.ndarray) -> np.ndarray:
         values = elongation[found]
         ways = np.abs(np.diff(values))
         inner, beside = ways[1:-1], np.stack([ways[:-2], ways[2:]])
-        # A way from one side of zero to the other is no slip, however small: cycles grow by any factor.
+        # A path from one side of zero to the other is never a slip, because cycles grow by any factor.
         is_slip = (inner <= beside.min(axis=0)) & (inner < _SLIP * beside.max(axis=0))
         is_slip &= values[1:-2] * values[2:-1] > 0
         if not is_slip.any():
@@ -92,7 +92,7 @@ def spans(elongation: np.ndarray) -> list[Span]:
     values = elongation[found]
     crossing = np.count_nonzero(values[:-1] * values[1:] < 0)
     ways = len(found) - 1
-    # The first way and the last one may begin and end at zero.
+    # The first path and the last one may begin and end at zero.
     ends = int(abs(values[0]) < _REST * abs(values[1])) + int(abs(values[-1]) < _REST * abs(values[-2]))
     if ways <= 2 or 2 * crossing >= ways - ends:
         return _about_zero(elongation, found)
@@ -171,7 +171,7 @@ def _about_zero(elongation: np.ndarray, found: np.ndarray) -> list[Span]:
         between = side * elongation[found[last] : found[first] + 1]
         begins.append(int(found[last]) + int(np.flatnonzero(between >= 0)[-1]) + 1)
     ends = [*begins[1:], elongation.size]
-    # One that has no turn besides the first sample is on its way back from a peak before the record.
+    # An excursion without a turn besides the first sample is the return from a peak before the record.
     is_fragment = len(excursions) > 1 and excursions[0][1:] == [0, 0]
     result = [Span(0, ends[0], False, True)] if is_fragment else []
     for first in range(int(is_fragment), len(excursions), 2):

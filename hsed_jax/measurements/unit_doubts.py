@@ -1,6 +1,6 @@
 """Doubts of units: magnitudes that no specimen has, and records that differ by the factor between two units.
 
-A unit that is wrong for the whole record leaves the shape of every loop as it is.  Three things can tell it: the largest force
+A unit that is wrong for the whole record does not change the shape of a loop.  Three comparisons can find it: the largest force
 over the largest elongation, the other experiments of the campaign, and an input that is the amplitude of the test.
 """
 
@@ -50,13 +50,13 @@ SAME = 1.25  # peaks over their input differ by less where the input is the ampl
 
 
 class _Growth(NamedTuple):
-    """How the magnitude of one channel grows with that of the other one: magnitudes reached so far, growing, (g,) each."""
+    """The growth of the magnitude of one channel with that of the other: magnitudes reached so far, (g,) each."""
 
     levels: np.ndarray
     values: np.ndarray
 
     def at(self, levels: np.ndarray) -> np.ndarray:
-        """What has been reached when a level is first reached, on lines between the samples that reach further."""
+        """The value reached when a level is first reached, on lines between the samples that reach further."""
         return np.interp(levels, self.levels, self.values)
 
 
@@ -87,7 +87,7 @@ def factor_doubts(campaign: Campaign) -> Iterator[Finding]:
 
 
 def mixed(dimension: Dimension, ratio: float, near: float | None = None) -> tuple[float, str] | None:
-    """The factor between two units that a ratio of magnitudes is near to, and these units; None where it is near to none.
+    """The factor between two units that is near a ratio of magnitudes, and these units; None if there is none.
 
     Arguments:
         dimension: of the magnitudes.
@@ -132,7 +132,7 @@ def _against_others(campaign: Campaign, measured: Sequence[Experiment]) -> Itera
                 if found is None:
                     continue
                 factor, units = found
-                # Of two experiments with other inputs, one may be so by itself: so is a damper under another tension.
+                # With other inputs, one of two experiments may differ by nature, as a damper under another tension does.
                 if len(known) == 2 and factor < LARGE and len({tuple(campaign[k].inputs.values()) for k in known}) > 1:
                     continue
                 nearest = min(compared, key=lambda other: abs(abs(np.log(compared[other].ratio)) - np.log(factor)))
@@ -159,7 +159,7 @@ class _Compared(NamedTuple):
     apart: float
 
     def tells(self, factor: float) -> bool:
-        """Whether the loops are alike but for the factor."""
+        """Whether the loops are alike except for the factor."""
         return self.scatter < ALIKE[factor > LARGE] and self.apart < factor**0.5
 
 
@@ -178,7 +178,7 @@ def _factor(dimension: Dimension, compared: Sequence[_Compared]) -> tuple[float,
 
 
 def _growth(record: Record | None, owner: str) -> dict[str, _Growth]:
-    """By channel, how it grows with the other channel of a loop; none of a record without one."""
+    """By channel, its growth with the other channel of a loop; none of a record without one."""
     names = {channel: named(owner, channel) for channel in LEVELS}
     if record is None or not {*names.values()} <= record.channels.keys():
         return {}
@@ -204,7 +204,7 @@ def _compared(one: _Growth, other: _Growth, channel: str) -> _Compared:
 
 
 def _against_inputs(campaign: Campaign, measured: Sequence[Experiment]) -> Iterator[Finding]:
-    """Peaks of what drives the experiments against an input of the same dimension that is their amplitude."""
+    """Peaks of the excitation against an input of the same dimension that is their amplitude."""
     driver = "elongation" if campaign.protocol == "displacement" else "ground_acceleration"
     if driver not in campaign.channels:
         return
@@ -214,7 +214,7 @@ def _against_inputs(campaign: Campaign, measured: Sequence[Experiment]) -> Itera
             continue
         peaks = [(e.id, _peak(e.record, driver), abs(e.inputs[name])) for e in measured]
         known = [(id, peak, value) for id, peak, value in peaks if peak > 0 and value > 0]
-        # One value may be any length of the specimen; an amplitude varies, and the peaks follow it.
+        # A constant input may be any length of the specimen; an amplitude varies, and the peaks follow it.
         if len({round(np.log(value), 1) for _, _, value in known}) < 2 or len(known) < 3:
             continue
         usual = float(np.median([peak / value for _, peak, value in known]))
@@ -222,7 +222,7 @@ def _against_inputs(campaign: Campaign, measured: Sequence[Experiment]) -> Itera
         if 2 * sum(follow) <= len(known):
             continue
         for (id, peak, value), follows in zip(known, follow, strict=True):
-            # Of records that follow the input, all are wrong or none is; of the others each by itself.
+            # If the records follow the input, all are wrong or none is; otherwise each is judged alone.
             said = mixed(dimension, peak / value if follows else peak / value / usual)
             if said is None or (not follows and not _is_near(usual, 1.0, SAME)):
                 continue

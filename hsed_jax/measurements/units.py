@@ -1,4 +1,4 @@
-"""Units and dimensions: what each channel and quantity is measured in, and its conversion to SI."""
+"""Units and dimensions: the unit of each channel and quantity, and its conversion to SI."""
 
 import functools
 import re
@@ -31,7 +31,7 @@ VELOCITY = Dimension("velocity", "m/s", "m/s, cm/s, mm/s, inch/s")
 ACCELERATION = Dimension("acceleration", "m/s^2", "m/s^2, cm/s^2, Gal, g (standard gravity)")
 FORCE = Dimension("force", "N", "N, kN, MN, lbf, kip")
 ENERGY = Dimension("energy", "J", "J, kJ, kN*mm, N*m, kip*inch")
-# Of the other pairs that a specimen may be measured in.
+# Dimensions of the other pairs in which a specimen may be measured.
 _OF_PAIRS = (
     Dimension("angle", "rad", "rad, mrad, deg, %"),
     Dimension("angular velocity", "rad/s", "rad/s, mrad/s, deg/s"),
@@ -46,8 +46,8 @@ _OF_PAIRS = (
 _BY_UNIT = {d.si: d for d in (TIME, LENGTH, VELOCITY, ACCELERATION, FORCE, ENERGY, *_OF_PAIRS)}
 DIMENSIONLESS = {"-", "–", "1"}
 """Texts of the unit of a pure number."""
-# What pint makes of the units that most studies are written in: by dimension in base dimensions and SI unit, their factors.  pint
-# takes as long to load as all else that reads a study, and is asked for the others.
+# The results of pint for the most frequent units: by dimension in base dimensions and SI unit, their factors.  pint takes as long
+# to load as all else that reads a study, so it is used only for the other units.
 _USUAL: dict[tuple[str, str], dict[str, int | str]] = {
     ("[time]", "s"): {"s": 1, "ms": "1/1000"},
     ("[length]", "m"): {"m": 1, "cm": "1/100", "mm": "1/1000"},
@@ -72,7 +72,7 @@ USUAL = {
     text: (Fraction(factor), formula, si) for (formula, si), units in _USUAL.items() for text, factor in units.items()
 }
 """Factor to SI, dimension in base dimensions and SI unit, by text."""
-# A long number, or a power of a power: pint would compute it to its last digit, however many those are.
+# A long number, or a power of a power: pint would compute all its digits.
 _ENDLESS = re.compile(r"\d{3}|\d[eE]|\d[\s)]*(\*\*|\^)")
 
 
@@ -178,7 +178,7 @@ def _registry():
 
     exact: Any = Fraction  # pint says float and takes any type of number
     try:
-        # Reading pint's table of units takes a quarter of a second, so what was read is kept.
+        # Reading pint's table of units takes a quarter of a second, so the result is kept.
         folder = cache_folder()
         kept = None if folder is None else folder / "pint"
         return pint.UnitRegistry(non_int_type=exact, cache_folder=kept)

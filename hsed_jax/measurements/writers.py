@@ -43,7 +43,7 @@ def write_experiment(campaign: Campaign, id: str, folder: str | Path) -> None:
     """
     owners = _owners(campaign)
     for owner in dict.fromkeys(owners.values()):
-        # One whose record was shared with this experiment until now has none of its own.
+        # An experiment that shared its record with this one until now has no file of its own.
         if owner == owners[id] or (
             campaign[owner].record is not None and not (Path(folder) / _record_name(owner)).exists()
         ):
@@ -59,7 +59,7 @@ def _write_record(campaign: Campaign, experiment: Experiment, folder: Path) -> N
     for name, channel in campaign.channels.items():
         if name == "time" or name in record.channels:
             values = record.time if name == "time" else record.channels[name]
-            # repr is the shortest text that is read back as the same double
+            # repr is the shortest text that reads back as the same double
             columns[channel.column] = [repr(value) for value in campaign.unit(name).from_si(values).tolist()]
     _write(folder / _record_name(experiment.id), _csv(list(columns), zip(*columns.values(), strict=True)))
 

@@ -1,1 +1,1 @@
-"""Models that are no spring law: a function of the user's, or a program."""
+"""Models that are no spring law: a function of the user's own, or a program."""

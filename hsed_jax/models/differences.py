@@ -1,4 +1,4 @@
-r"""A plain function, which JAX cannot look into, as one that it can call and differentiate: by central differences.
+r"""A plain function, which JAX cannot trace, as one that it can call and differentiate: by central differences.
 
 The step of a parameter is a share of its prior's spread, or of its distance to a bound where that is less:
 $h = 10^{-3}\,\min(\sigma, d)$.  What the function computes is then needed to some six digits, and what a simulation leaves
@@ -25,7 +25,7 @@ from hsed_jax.physics.outputs import is_quantity
 
 _LOG = logging.getLogger(__name__)
 _SHARE, _LEAST = 1e-3, 1e-3
-# Results that are kept: a search asks for the value where it then asks for the derivatives, and padding repeats the last.
+# Results that are kept: a search asks for the value before the derivatives at the same point, and padding repeats the last.
 _KEPT = 4096
 
 
@@ -130,7 +130,7 @@ def unpadded(inputs: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def failure(error: BaseException) -> str:
-    """What went wrong in a function, in a sentence."""
+    """The error of a function, in a sentence."""
     return str(error) if isinstance(error, UserError | ExperimentFailed) else f"{type(error).__name__}: {error}"
 
 

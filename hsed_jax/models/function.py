@@ -1,4 +1,4 @@
-"""A model that is a function: from parameters and what is known of an experiment to what is predicted of it."""
+"""A model that is a function: from parameters and the conditions of an experiment to its predicted outputs."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, final

@@ -3,27 +3,29 @@
 A tile of 64 keeps every state component in the first-level cache; memory grows with the tile, not with the batch.
 """
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from collections.abc import Callable
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
-from jaxtyping import PyTree
+from jaxtyping import Array
 
 TILE = 64
 
 
-def tiled_map(
-    many: Callable[[PyTree], PyTree], lanes: PyTree, *, count: ArrayLike | None = None, tile: int = TILE
-) -> PyTree:
-    """Apply a batched function to all lanes, tile by tile.
+def tiled_map[T, R](many: Callable[[T], R], lanes: T, *, count: ArrayLike | None = None, tile: int = TILE) -> R:
+    """Apply a batched function to all simulations of a batch, tile by tile.
 
     Arguments:
-        many: from a tile of lanes (leading axis) to a pytree of arrays with the same leading axis; usually a `jax.vmap`.
+        many: from a tile of the batch (leading axis) to a pytree of arrays with the same leading axis; usually a `jax.vmap`.
         lanes: pytree of arrays with a common leading axis of length N.
-        count: how many lanes matter (may be traced); tiles beyond it are not computed, and the results of lanes beyond
-            it are zero.  With it, one compiled program costs what the data need, whatever they are padded to.
-        tile: lanes that run together.
+        count: how many simulations count (may be traced); tiles beyond it are not computed, and results beyond it are zero.
+            So one compiled program costs what the data need, for any padding.
+        tile: simulations that run together.
 
     Returns:
         The results, leading axis N.
@@ -33,25 +35,43 @@ def tiled_map(
     tiles = -(-size // tile)
     padding = tiles * tile - size
 
-    def cut(values):
-        # Padding repeats the last lane, so that it is as well behaved as the data.
+    def cut(values: Array) -> Array:
+        # Padding repeats the last simulation, so it converges like the data.
         padded = jnp.concatenate([values, jnp.repeat(values[-1:], padding, axis=0)]) if padding else values
         return padded.reshape(tiles, tile, *values.shape[1:])
 
     cuts = jax.tree.map(cut, lanes)
     if count is None:
-        results = jax.lax.map(many, cuts)
+        results = cast(R, jax.lax.map(many, cuts))
     else:
-        shapes = jax.eval_shape(many, jax.tree.map(lambda values: values[0], cuts))
-        empty = jax.tree.map(lambda s: jnp.zeros((tiles, *s.shape), s.dtype), shapes)
 
-        def one_tile(i, filled):
-            result = many(jax.tree.map(lambda values: values[i], cuts))
-            return jax.tree.map(lambda kept, new: kept.at[i].set(new), filled, result)
+        def one(i: Any) -> T:
+            def at(values: Array) -> Array:
+                return values[i]
 
-        results = jax.lax.fori_loop(0, (jnp.asarray(count) + tile - 1) // tile, one_tile, empty)
-    results = jax.tree.map(lambda values: values.reshape(tiles * tile, *values.shape[2:])[:size], results)
+            return jax.tree.map(at, cuts)
+
+        def no_results(shape: jax.ShapeDtypeStruct) -> Array:
+            return jnp.zeros((tiles, *shape.shape), shape.dtype)
+
+        def one_tile(i: Any, filled: R) -> R:
+            def put(kept: Array, new: Array) -> Array:
+                return kept.at[i].set(new)
+
+            return jax.tree.map(put, filled, many(one(i)))
+
+        empty = jax.tree.map(no_results, jax.eval_shape(many, one(0)))
+        results = cast(R, jax.lax.fori_loop(0, (jnp.asarray(count) + tile - 1) // tile, one_tile, empty))
+
+    def joined(values: Array) -> Array:
+        return values.reshape(tiles * tile, *values.shape[2:])[:size]
+
+    results = jax.tree.map(joined, results)
     if count is None:
         return results
     matters = jnp.arange(size) < count
-    return jax.tree.map(lambda values: jnp.where(matters.reshape(-1, *[1] * (values.ndim - 1)), values, 0), results)
+
+    def of_count(values: Array) -> Array:
+        return jnp.where(matters.reshape(-1, *[1] * (values.ndim - 1)), values, 0)
+
+    return jax.tree.map(of_count, results)

@@ -1,4 +1,4 @@
-"""The springs of a structure that have a memory, as a simulator is told of them, and what of a study belongs to each."""
+"""The springs of a structure that have a memory, as the simulator gets them, and the parts of a study that belong to each."""
 
 from collections.abc import Mapping
 from typing import NamedTuple

@@ -1,20 +1,24 @@
-"""What is absent is not computed: branches that are taken by all lanes of a batch together.
+"""Absent effects are not computed: a batch of simulations takes each branch together.
 
-One compiled program may hold every effect of the catalogue.  Whether an effect acts is then an operand, the same for all lanes
-that run together: under `jax.vmap` a choice by lane computes both sides, and a choice for all lanes is a branch.
+One compiled program may hold every effect of the catalogue.  Whether an effect acts is then an operand, the same for all
+simulations of the batch.  Under `jax.vmap`, a choice per simulation computes both sides, and a choice for the whole batch is a
+branch.
 """
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, PyTree
+from jaxtyping import Array, Bool
 
 LANES = "lanes"
 """The axis of `jax.vmap` over what runs together, where effects are gated."""
 
-# Every gate has to be asked, so effects stand behind a common gate in groups of so many.
+# Every gate costs a test, so effects share a gate in groups of this size.
 _GROUP = 6
 
 
@@ -27,16 +31,23 @@ def gated[T](acts: Bool[Array, ""] | None, there: Callable[[], T], absent: Calla
     """
     if acts is None:
         return there()
-    return jax.lax.cond(acts, lambda: _arrays(there()), lambda: _arrays(absent()))
+
+    def numbers_there() -> T:
+        return _arrays(there())
+
+    def numbers_absent() -> T:
+        return _arrays(absent())
+
+    return cast(T, jax.lax.cond(acts, numbers_there, numbers_absent))
 
 
 def in_any_lane(happens: Bool[Array, ""]) -> Bool[Array, ""]:
-    """Whether something happens in any of the lanes that run together."""
-    return jax.lax.pmax(jnp.asarray(happens, int), LANES) > 0
+    """Whether an event happens in any simulation of the batch."""
+    return cast(Array, jax.lax.pmax(jnp.asarray(happens, int), LANES)) > 0
 
 
 class Acts(NamedTuple):
-    """What an effect does in simulations that run together.
+    """The action of an effect in simulations that run together.
 
     Attributes:
         acts: whether it acts in any of them.
@@ -83,14 +94,23 @@ def gathered(
         return gated(acts, lambda: absent() | dict(one.contribute()), absent)
 
     able = [(acts, one) for acts, one in zip(acting, contributors, strict=True) if one.names()]
-    found = []
+    found: list[Mapping[str, Any]] = []
     for start in range(0, len(able), _GROUP):
         group = able[start : start + _GROUP]
         names = tuple(dict.fromkeys(name for _, one in group for name in one.names()))
-        together = Contributor(lambda own=names: own, lambda own=group: merged([behind(*pair) for pair in own]))
-        found.append(behind(jnp.any(jnp.stack([acts for acts, _ in group])), together))
+
+        def own_names(own: tuple[str, ...] = names) -> tuple[str, ...]:
+            return own
+
+        def own(pairs: Sequence[tuple[Bool[Array, ""], Contributor]] = group) -> dict[str, Any]:
+            return merged([behind(acts, one) for acts, one in pairs])
+
+        found.append(behind(jnp.any(jnp.stack([acts for acts, _ in group])), Contributor(own_names, own)))
     return merged(found)
 
 
-def _arrays(tree: PyTree) -> PyTree:
-    return jax.tree.map(lambda value: jnp.asarray(float(value) if isinstance(value, int) else value), tree)
+def _arrays[T](tree: T) -> T:
+    def array(value: Any) -> Array:
+        return jnp.asarray(float(value) if isinstance(value, int) else value)
+
+    return jax.tree.map(array, tree)

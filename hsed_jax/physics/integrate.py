@@ -5,16 +5,20 @@ arithmetic.  `RungeKutta4` keeps nothing.  The independent variable of the integ
 ends are exact integers, uneven sampling is a table of step lengths, and a padded step has length zero.
 """
 
-from typing import Any, ClassVar, NamedTuple, final
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple, cast, final
 
 import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Float, Int
 
 from hsed_jax.physics.excitations import AbstractForcing
-from hsed_jax.physics.laws.base import Turn
+from hsed_jax.physics.laws.base import Memory, Turn
 from hsed_jax.physics.names import of_each, own_name, owner_of
 from hsed_jax.physics.outputs import EQ_18, quantity
 from hsed_jax.physics.response import Response
@@ -25,7 +29,7 @@ Scalar = Float[Array, ""] | float
 
 
 class Progress(NamedTuple):
-    """What travels through the integration.
+    """The values that travel through the integration.
 
     Attributes:
         state: at the end of the last step.
@@ -39,13 +43,13 @@ class Progress(NamedTuple):
 
 
 @final
-class RungeKutta4(diffrax.AbstractSolver):
-    r"""The classical fourth-order Runge–Kutta method with a forcing that is known at the ends and the middle of the step.
+class RungeKutta4(diffrax.AbstractSolver[Any]):
+    """The classical fourth-order Runge–Kutta method with a forcing that is known at the ends and the middle of the step.
 
-    After each step it looks for a reversal inside it, a zero of Δu̇, where a hysteretic spring has its peaks, and updates
-    them there and not on the grid: with θ ∈ (0, 1) the zero of the linear Δu̇, the peak elongation is the cubic Hermite
-    interpolant of Δu at θ.  What the spring does of it is its own: a law that integrates its force mends the kink
-    (`hsed_jax.physics.laws.reversal`), a law of paths commits its states there.  This is worth a factor of four in step size.
+    After each step it looks for a reversal inside it, a zero of Δu̇, where a hysteretic spring has its peaks, and updates the
+    peaks there instead of on the grid.  With θ ∈ (0, 1) the zero of the linear Δu̇, the peak elongation is the cubic Hermite
+    interpolant of Δu at θ.  The spring then does its own part: a law that integrates its force corrects the kink
+    (`hsed_jax.physics.laws.reversal`), and a law of paths commits its states there.  This allows steps four times as long.
     """
 
     term_structure: ClassVar = diffrax.ODETerm
@@ -55,19 +59,21 @@ class RungeKutta4(diffrax.AbstractSolver):
     step_length: Float[Array, "..."] | float
     channel_names: tuple[str, ...] = eqx.field(static=True)
 
-    def order(self, terms: PyTree) -> int:
+    def order(self, terms: Any) -> int:
         """Four, in the length of the step."""
         return 4
 
-    def init(self, terms: PyTree, t0: Any, t1: Any, y0: Progress, args: Any) -> PyTree:
+    def init(self, terms: Any, t0: Any, t1: Any, y0: Progress, args: Any) -> Any:
         """The forcing at the start."""
         return self.forcing.start()
 
-    def func(self, terms: PyTree, t0: Any, y0: Progress, args: Any) -> PyTree:
+    def func(self, terms: Any, t0: Any, y0: Progress, args: Any) -> Any:
         """The vector field at the start of a step."""
         return terms.vf(t0, y0, args)
 
-    def step(self, terms: PyTree, t0: Any, t1: Any, y0: Progress, args: Any, solver_state: PyTree, made_jump: Any):
+    def step(
+        self, terms: Any, t0: Any, t1: Any, y0: Progress, args: Any, solver_state: Any, made_jump: Any
+    ) -> tuple[Progress, None, dict[str, Progress], tuple[Any, Any], diffrax.RESULTS]:
         """One step from step number `t0` to `t1 = t0 + 1`."""
         del made_jump
         system, *_ = args
@@ -79,35 +85,44 @@ class RungeKutta4(diffrax.AbstractSolver):
         carry, last = self.forcing.advance(carry, 2 * number + 2)
 
         def moved(rates: State, length: Scalar) -> State:
-            return jax.tree.map(lambda y, k: y + length * k, start, rates)
+            def of_one(y: Scalar, k: Scalar) -> Scalar:
+                return y + length * k
 
-        @jax.jit
-        def rates(state: State, sample: PyTree) -> State:
+            return jax.tree.map(of_one, start, rates)
+
+        def flow_of(state: State, sample: Any) -> State:
             return terms.vf(t0, y0._replace(state=state), (system, sample, h)).state
+
+        # One function of the program for all four stages.
+        rates = cast(Callable[[State, Any], State], jax.jit(flow_of))
 
         start = y0.state
         flow = rates(start, first)
         second = _kept(moved(flow, 0.5 * h))
         third = _kept(moved(rates(second, middle), 0.5 * h))
         fourth = _kept(moved(rates(third, middle), h))
-        # From the states of the stages, which are kept, and not from their rates, which then need not be: a step of many
-        # lanes takes as long as its loads and stores.  The sum in this order is exactly 4y where the step has no length.
-        end = jax.tree.map(
-            lambda y, b, c, d, k: y + (b + d + 2 * c - 4 * y) / 3 + h / 6 * k,
-            *(start, second, third, fourth, rates(fourth, last)),
-        )
+
+        # From the states of the stages, which are stored, so that their rates need not be stored: a step of many
+        # simulations takes as long as its loads and stores.  In this order the sum is exactly 4y if the step has no length.
+        def ended(y: Scalar, b: Scalar, c: Scalar, d: Scalar, k: Scalar) -> Scalar:
+            return y + (b + d + 2 * c - 4 * y) / 3 + h / 6 * k
+
+        end: State = jax.tree.map(ended, start, second, third, fourth, rates(fourth, last))
+
         # The rates of displacements are the velocities of the stages themselves.
-        end = end._replace(
-            displacement=jax.tree.map(
-                lambda y, a, b, c, d: y + h / 6 * (a + 2 * (b + c) + d),
-                start.displacement,
-                *(state.velocity for state in (start, second, third, fourth)),
-            )
-        )
+        def displaced(y: Scalar, a: Scalar, b: Scalar, c: Scalar, d: Scalar) -> Scalar:
+            return y + h / 6 * (a + 2 * (b + c) + d)
+
+        velocities = (state.velocity for state in (start, second, third, fourth))
+        end = end._replace(displacement=jax.tree.map(displaced, start.displacement, *velocities))
         end = jax.lax.optimization_barrier(end)
         end, turns = _turned(system, (start, first), (end, last), flow, h)
-        # Each of the two stages is off by h²/8 ÿ, one this way and one that.
-        halfway = jax.tree.map(lambda b, c: 0.5 * (b + c), second, third)
+
+        # The two stages have errors of h²/8 ÿ with opposite signs.
+        def mean(b: Scalar, c: Scalar) -> Scalar:
+            return 0.5 * (b + c)
+
+        halfway: State = jax.tree.map(mean, second, third)
         passed = Step(system, (start, first), (halfway, middle), (end, last), h, turns)
         kept = {
             name: quantity(name).kept.after(before, passed._replace(specimen=_place(system, name)))
@@ -118,7 +133,7 @@ class RungeKutta4(diffrax.AbstractSolver):
 
 
 def _kept(state: State) -> State:
-    """The state of a stage, written to memory: without the barrier XLA computes it again for everything that uses it.
+    """The state of a stage, written to memory.  Without the barrier XLA computes it again for every use.
 
     Its displacement is cheaper to compute again.
     """
@@ -127,13 +142,14 @@ def _kept(state: State) -> State:
 
 
 def _turned(
-    system: AbstractSystem, before: tuple, after: tuple, flow: State, h: Scalar
+    system: AbstractSystem, before: tuple[State, Any], after: tuple[State, Any], flow: State, h: Scalar
 ) -> tuple[State, tuple[tuple[Scalar, Scalar], ...]]:
     """The state after a step in which specimens may turn, and force and elongation of each at its reversal (or else the end).
 
     `flow` are the rates at the start of the step.
     """
-    memories, turns = [], []
+    memories: list[Memory] = []
+    turns: list[tuple[Scalar, Scalar]] = []
     for i, (specimen, first, last) in enumerate(
         zip(system.specimens, system.kinematics(*before), system.kinematics(*after), strict=True)
     ):
@@ -150,7 +166,7 @@ def _turn(first: tuple[Scalar, Scalar], last: tuple[Scalar, Scalar], h: Scalar) 
     turns = v0 * v1 < 0
     theta = jax.lax.optimization_barrier(jnp.where(turns, v0 / jnp.where(turns, v0 - v1, 1.0), 1.0))
     turns, rest = theta < 1, 1 - theta
-    # The cubic in powers of 1 − θ: exactly Δu₁ where nothing turns.
+    # The cubic in powers of 1 − θ: exactly Δu₁ without a reversal.
     back, bend = du0 - du1, 2 * (du0 - du1) + h * (v0 + v1)
     elongation = du1 + rest * (rest * (back + bend + h * v1 - rest * bend) - h * v1)
     elongation = jax.lax.optimization_barrier(elongation)
@@ -210,15 +226,16 @@ def integrate(
         saveat=diffrax.SaveAt(subs=_saves({name: _place(system, name) for name in names}, channels, every)),
         adjoint=diffrax.ForwardMode() if adjoint is None else adjoint,
         max_steps=steps,
-        # Nothing can fail in steps of one; asking for it would be a call back into Python within the program.
+        # Steps of one cannot fail; a check would be a call back into Python within the program.
         throw=False,
     )
     assert solution.ys is not None
-    histories = solution.ys.get("histories", {})
+    saved = cast(dict[str, dict[str, Array]], solution.ys)
+    histories = saved.get("histories", {})
     if stop is not None:
         last = jnp.minimum(jnp.arange(steps // every + 1), stop // every)
         histories = {name: values[last] for name, values in histories.items()}
-    values = {name: kept[-1] for name, kept in solution.ys["end"].items()}
+    values = {name: kept[-1] for name, kept in saved["end"].items()}
     finite = jnp.isfinite(sum(jnp.abs(value) for value in values.values()))
     return Response(values, histories, finite & (system.steepness(forcing, step_length) < RESOLVED))
 
@@ -230,16 +247,18 @@ class _StepsOfOne(diffrax.ConstantStepSize):
     that end is an operand, and such a program cannot be kept.
     """
 
-    def init(
-        self, terms: PyTree, t0: Any, t1: Any, y0: PyTree, dt0: Any, args: Any, func: Any, error_order: Any
-    ) -> Any:
+    def init(self, terms: Any, t0: Any, t1: Any, y0: Any, dt0: Any, args: Any, func: Any, error_order: Any) -> Any:
         """The end of the first step, and the state of the controller."""
         return super().init(terms, t0, t1, y0, jnp.ones_like(t1), args, func, error_order)
 
 
+def _none(value: Array) -> Array:
+    return jnp.zeros_like(value)
+
+
 def _vector_field(number: Any, progress: Progress, args: Any) -> Progress:
     system, sample, step = args
-    still = jax.tree.map(jnp.zeros_like, progress)
+    still: Progress = jax.tree.map(_none, progress)
     return still._replace(state=system.rates(progress.state, sample, step))
 
 
@@ -256,8 +275,12 @@ class _Values(eqx.Module):
         return {name: quantity(name).kept.value(kept[name], memory[place]) for name, place in self.places}
 
 
+def _channels(number: Any, progress: Progress, args: Any) -> dict[str, Scalar]:
+    return progress.channels
+
+
 def _saves(quantities: dict[str, int], channels: tuple[str, ...], every: int) -> dict[str, diffrax.SubSaveAt]:
     saves = {"end": diffrax.SubSaveAt(t1=True, fn=_Values(tuple(quantities.items())))}
     if channels:
-        saves["histories"] = diffrax.SubSaveAt(t0=True, steps=every, fn=lambda t, y, args: y.channels)
+        saves["histories"] = diffrax.SubSaveAt(t0=True, steps=every, fn=_channels)
     return saves

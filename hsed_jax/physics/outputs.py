@@ -1,12 +1,12 @@
-r"""What is measured and predicted, channels and quantities: the only list of either.
+r"""Measured and predicted outputs, channels and quantities: the only list of either.
 
-A further quantity is one entry of `QUANTITIES`: symbol, unit and meaning, how it follows from a record, and how it is kept while
-an experiment is integrated.  It may then stand in a campaign and in a study, and has its place in reports.
+A further quantity is one entry of `QUANTITIES`: symbol, unit and meaning, its formula from a record, and how the integration
+keeps it.  It may then stand in a campaign and in a study, and has its place in reports.
 
-Where a structure has several specimens, what belongs to one has its name in front: `storey2.force`, `storey2.peak_force`.
+If a structure has several specimens, the name of a specimen stands before its outputs: `storey2.force`, `storey2.peak_force`.
 
-Peaks in a simulation are those of the continuous response.  Work in between the ends of a step, of length h, is the cubic of the
-work e and the power $r\,\Delta\dot u$ at both ends (Hermite).
+Peaks in a simulation are those of the continuous response.  Between the ends of a step of length h, the work is the cubic
+(Hermite) of the work e and the power $r\,\Delta\dot u$ at both ends.
 """
 
 import functools
@@ -90,16 +90,41 @@ def _largest(of: Callable[["Step"], Scalar]) -> Kept:
     def after(kept: tuple[Scalar, ...], step: "Step") -> tuple[Scalar, ...]:
         import jax.numpy as jnp  # here: who reads a campaign needs no JAX
 
-        # Not `maximum`, whose derivative shares out a tie, which costs; what is no number passes through here as well.
+        # `maximum` would split the derivative at a tie, which costs time.  A NaN passes through here, too.
         largest, value = kept[0], jnp.abs(of(step))
         return (jnp.where(value <= largest, largest, value),)
 
-    return Kept((0.0,), after, lambda kept, end: kept[0])
+    return Kept((0.0,), after, _number(0))
 
 
 def _last(of: Callable[["Step"], Scalar]) -> Kept:
     """What it is at the end of the last step."""
-    return Kept((0.0,), lambda kept, step: (of(step),), lambda kept, end: kept[0])
+
+    def after(kept: tuple[Scalar, ...], step: "Step") -> tuple[Scalar, ...]:
+        return (of(step),)
+
+    return Kept((0.0,), after, _number(0))
+
+
+def _number(index: int) -> Callable[[tuple[Scalar, ...], Mapping[str, Scalar]], Scalar]:
+    """One of the numbers that travelled with the integration."""
+
+    def value(kept: tuple[Scalar, ...], end: Mapping[str, Scalar]) -> Scalar:
+        return kept[index]
+
+    return value
+
+
+def _at_the_end(state: str) -> Kept:
+    """A state of the specimen at the end; nothing travels with the integration."""
+
+    def after(kept: tuple[Scalar, ...], step: "Step") -> tuple[Scalar, ...]:
+        return ()
+
+    def value(kept: tuple[Scalar, ...], end: Mapping[str, Scalar]) -> Scalar:
+        return end[state]
+
+    return Kept((), after, value)
 
 
 def _energy(time: np.ndarray, channels: Channels) -> np.ndarray:
@@ -129,7 +154,7 @@ def _energy_at(until: float) -> Quantity:
         (*_FORCE, *_ELONGATION),
         channels=lambda masses: ("force", "elongation"),
         measured=measured,
-        kept=Kept((0.0, 0.0), after, lambda kept, end: kept[1]),
+        kept=Kept((0.0, 0.0), after, _number(1)),
         is_strength=True,
         until=until,
     )
@@ -164,7 +189,7 @@ QUANTITIES: dict[str, Quantity] = {
         (*_FORCE, *_ELONGATION),
         channels=lambda masses: ("force", "elongation"),
         measured=lambda time, channels: float(np.trapezoid(channels["force"], channels["elongation"])),
-        kept=Kept((), lambda kept, step: (), lambda kept, end: end["energy"]),
+        kept=_at_the_end("energy"),
         is_strength=True,
         limit="energy",
     ),

@@ -1,4 +1,4 @@
-r"""Conjugate pairs: what a specimen is driven by and what it answers with, as the laboratory measures them.
+"""Conjugate pairs: the imposed and the resisting quantity of a specimen, as the laboratory measures them.
 
 A spring law relates two quantities whose product is a work.  They are called elongation [m] and force [N]; the same law, with the
 same numbers, relates the rotation [rad] of a joint to its moment [N m], or the strain of a coupon to its stress [Pa].  So nothing
@@ -83,7 +83,7 @@ class Pair:
             KeyError: there is no such channel or quantity.
         """
         known = output(name)
-        # What has no gain is not measured on the specimen: the ground and the masses move in metres.
+        # Outputs without a gain are not measured on the specimen: the ground and the masses move in metres.
         if not known.gains:
             return known
         symbol = known.symbol

@@ -1,4 +1,4 @@
-"""What is known of a parameter, written once, where the parameter is declared.
+"""The declaration of a parameter, written once.
 
 Schema, priors, axis labels, `hsed effects` and the tables of the documentation are all read from here.
 """

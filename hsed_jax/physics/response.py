@@ -1,4 +1,4 @@
-"""What one experiment did, or a batch of them."""
+"""The response of one experiment, or of a batch of experiments."""
 
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ from hsed_jax.tables import Table, cell
 
 
 class Response(NamedTuple):
-    """What one experiment did.
+    """The response of one experiment.
 
     Attributes:
         quantities: by name, SI (`hsed_jax.physics.outputs`).

@@ -1,12 +1,15 @@
-r"""What the test rig makes of a response: gains, zero shifts and delays of the measured force and elongation.
+r"""The measured response, from the true one: gains, zero shifts and delays of the measured force and elongation.
 
 $$F_{meas}(t) = g_F\,r(t-\tau_F) + F_0 + F_1 e^{-\lambda t} + \dot F_0\tfrac1s\ln[1 + s\max(t - t_0, 0)],\qquad
   \Delta u_{meas}(t) = g_u\,\Delta u(t-\tau_u)$$
 
-In a component test the imposed elongation is the measured one: what is known is $\Delta u_{meas}$, and the specimen feels
-$\Delta u_{meas}(t-\tau_F+\tau_u)/g_u$, on the clock of the force.  Gains act on the quantities as well; shifts of time and of
-zero act on histories alone, and none of them on energy.
+In a component test, the imposed elongation is the measured one. $\Delta u_{meas}$ is known, and the specimen feels $\Delta
+u_{meas}(t-\tau_F+\tau_u)/g_u$, on the clock of the force.  Gains act on the quantities, too.  Shifts of time and of zero act on
+histories alone, and none of them on energy.
 """
+
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
 
 import math
 from collections.abc import Callable
@@ -44,7 +47,7 @@ def measured(
 
     def delay_of(owner: str, own: str) -> Scalar:
         lag, late = slots("elongation_delay", owner), slots("force_delay", owner)
-        # Of what is imposed: back from what the specimen felt to what was asked.
+        # For an imposed elongation: back from the felt elongation to the requested one.
         of_elongation = lag - late if is_imposed else lag
         of_force = 0.0 if is_imposed else late
         return {"force": of_force, "elongation": of_elongation, "elongation_rate": of_elongation}.get(own, 0.0)
@@ -84,12 +87,16 @@ def felt(forcing: Tabulated, slots: Callable[[str], Any], step_length: Float[Arr
     samples = forcing.samples
     if not is_zero(delay):
         time = jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.repeat(0.5 * step_length, 2))])
-        # Rather the smooth elongation than the force, which has a corner at every reversal.
+        # The elongation is shifted because it is smooth; the force has a corner at every reversal.
         elongation, rate = (shifted(values, time, delay) for values in samples)
-        # Before the path begins the specimen rests; after it has ended the motion goes on as it was.
+        # The specimen rests before the path begins; after its end the motion continues unchanged.
         beyond = jnp.maximum(time - delay - time[-1], 0.0)
         samples = Imposed(elongation + rate * beyond, jnp.where(time - delay >= time[0], rate, 0.0))
-    return Tabulated(jax.tree.map(lambda values: values / gain, samples))
+
+    def divided(values: Array) -> Array:
+        return values / gain
+
+    return Tabulated(jax.tree.map(divided, samples))
 
 
 def shifted(
@@ -107,14 +114,14 @@ def shifted(
     before, after = gaps[:-1], gaps[1:]
     both = jnp.where(is_padding[:-1] & is_padding[1:], 1.0, before + after)
     inner = (after * rises[:-1] + before * rises[1:]) / both
-    # Beside padding the slope is that of the one side that has a length.
+    # Beside padding, the slope is that of the side that has a length.
     inner = jnp.where(is_padding[1:], rises[:-1], jnp.where(is_padding[:-1], rises[1:], inner))
     slopes = jnp.concatenate([rises[:1], inner, rises[-1:]])
     wanted = jnp.clip(time - delay, time[0], time[-1])
     i = jnp.clip(jnp.searchsorted(time, wanted, side="right") - 1, 0, gaps.shape[0] - 1)
     share = (wanted - time[i]) / lengths[i]
     rest = 1 - share
-    # Written so that share 0 and 1 give the sample itself, without rounding.
+    # In this form, shares 0 and 1 give the sample itself, without rounding.
     return (
         values[i] * (rest * rest * (1 + 2 * share))
         + values[i + 1] * (share * share * (3 - 2 * share))

@@ -1,10 +1,15 @@
 """The computational simulator: from the conditions of one experiment and the parameters of the model to a response."""
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+# A compiled method is an object, and a field of this model says more than the abstract one.
+# pyright: reportIncompatibleMethodOverride=false, reportIncompatibleVariableOverride=false
+
 from abc import abstractmethod
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple, cast, final
 
 import equinox as eqx
 import jax
@@ -93,16 +98,16 @@ class Parametrised[T](eqx.Module):
 
         def told(value: Any) -> Any:
             if isinstance(value, tuple):
-                return tuple(told(one) for one in value)
+                return tuple(map(told, cast(tuple[Any, ...], value)))
             return inputs[value] if isinstance(value, str) else value
 
         return self.constructor(**self.arrays, **{name: told(value) for name, value in self.arguments})
 
 
 class AbstractModel(eqx.Module):
-    """A computational model: from parameters and the conditions of one experiment to what is predicted of it.
+    """A computational model: from parameters and the conditions of one experiment to its predicted response.
 
-    What calibrates, designs, compares and reports knows of a model no more than this; `Simulator` is the one of a spring law.
+    Calibration, design, comparison and report use only this interface; `Simulator` is the model of a spring law.
 
     Attributes:
         excitation: from inputs to what drives it; None where every experiment brings its record, or has none.
@@ -186,7 +191,7 @@ class Simulator(AbstractModel):
         return tuple(element.name for element in self.elements)
 
     def gives(self, name: str) -> bool:
-        """Everything: what there is of a structure is checked where a study is built."""
+        """True: the build of a study checks which outputs its structure has."""
         return True
 
     @property
@@ -210,10 +215,10 @@ class Simulator(AbstractModel):
         structure = self.structure.told(given.owners[OWNER])
         if self.damping_follows_model:
             stiffness = tuple(specimen.law.stiffness for specimen in specimens)
-            structure = eqx.tree_at(lambda s: s.damping.specimen_stiffness, structure, stiffness)
+            structure = eqx.tree_at(_stiffness_of_specimens, structure, stiffness)
         altered, damping = structure, None
         if slots is not None:
-            # C is what the model was built with: an error of mass or stiffness does not carry over to it.
+            # C is formed by the model without errors: an error of mass or stiffness does not change it.
             damping = slots("damping") * structure.damping_matrix()
             altered = structure.altered(slots("mass"), slots("support"))
         yielding = {
@@ -241,7 +246,7 @@ class Simulator(AbstractModel):
             channels: names of the histories to keep.
             quantities: names of those to keep beside the ones of Eq. 18.
         """
-        # Here and not above: what only builds or checks a simulator does without diffrax.
+        # Imported here, because building or checking a simulator needs no diffrax.
         from hsed_jax.physics.integrate import integrate
 
         steps, every = self.timeline.steps, self.timeline.every
@@ -304,7 +309,15 @@ class Simulator(AbstractModel):
             return combine([e.contribute(setup) for name, e in effects.items() if owner_of(name) in places])
 
         of_each = {element.name: written(element.name) for element in self.elements} | {"": written("")}
-        return lambda slot, owner="": of_each[owner](slot)
+
+        def slot_of(slot: str, owner: str = "") -> Any:
+            return of_each[owner](slot)
+
+        return slot_of
+
+
+def _stiffness_of_specimens(structure: Any) -> Any:
+    return structure.damping.specimen_stiffness
 
 
 class _Given(NamedTuple):

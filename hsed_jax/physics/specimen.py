@@ -7,6 +7,9 @@ is no force, and the element beyond it feels the elongation less the slack, $\De
 integration may cross a slack in a step: for it, force and flow of the element count with the share of the step that is outside.
 """
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from collections.abc import Iterable, Mapping
 from functools import partial
 from typing import final
@@ -70,7 +73,7 @@ class Specimen(eqx.Module):
     def force_and_rates(
         self, elongation: Scalar, rate: Scalar, memory: Memory, step: Scalar = 0.0
     ) -> tuple[Scalar, Memory]:
-        """Restoring force r [N], and time derivatives of the states; the average over a step [s] of what jumps within it."""
+        """Restoring force r [N] and time derivatives of the states; averages over a step [s] for values that jump within it."""
         point = self._point(elongation, rate, memory)
         slots = self._slots(point)
         flow = self.law.flow(_beyond(elongation, slots), rate, memory, slots)
@@ -89,7 +92,7 @@ class Specimen(eqx.Module):
         slots = self._slots(point)
         committed = self.law.settle(_beyond(elongation, slots), memory, slots)
         kept = {s.name: s.settled(memory[s.name], elongation, turned) for s in self._shared if s.settled is not None}
-        # Of a law of paths, what is committed is the force that the element has now.
+        # A law of paths commits the present force of the element.
         point = point._replace(hysteretic=committed.get("hysteretic", point.hysteretic))
         settled = [Contributor(lambda e=effect: e.states, partial(effect.settle, point)) for effect in self.effects]
         return {**memory, **committed, **kept, **gathered(settled, self.acting, _joined, memory.__getitem__)}
@@ -133,7 +136,7 @@ class Specimen(eqx.Module):
         """Restoring force, and the point with the force that the element has now."""
         element = self.law.force(_beyond(point.elongation, slots), point.memory, slots)
         if element is not point.hysteretic:
-            # A law of paths knows its force only now; forces beside it may depend on it.
+            # A law of paths has its force only now; forces beside it may depend on it.
             point = point._replace(hysteretic=element)
             slots = self._slots(point)
         return _outside(point, slots, element, step) + slots("force"), point

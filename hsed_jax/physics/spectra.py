@@ -5,6 +5,9 @@ recurrence from sample to sample is exact for the motion that is drawn through i
 $y=\omega^2x$ and $w=\omega\dot x$, both accelerations, its coefficients stay near one from stiff to soft oscillators.
 """
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from typing import NamedTuple
 
 import jax
@@ -41,7 +44,7 @@ def response_spectrum(
         periods: natural periods T [s], shape (k,); at T = 0 the spectrum is the peak ground acceleration.
         damping_ratio: ζ, fraction of critical damping, 0 ≤ ζ < 1.
     """
-    motion, periods, damping_ratio = map(jnp.asarray, (acceleration, periods, damping_ratio))
+    motion, periods, damping_ratio = jnp.asarray(acceleration), jnp.asarray(periods), jnp.asarray(damping_ratio)
     samples = jnp.arange(_PER_STEP * (motion.size - 1) + 1) / _PER_STEP
     fine = jnp.interp(samples, jnp.arange(motion.size), motion)
 

@@ -1,4 +1,7 @@
-"""States of the spring that several effects look at: each is declared once, here, and integrated where an effect needs it."""
+"""States of the spring that several effects use: each is declared here once, and integrated if an effect needs it."""
+
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -33,11 +36,11 @@ LARGEST_ELONGATION = SharedState(
     "largest_elongation",
     "m",
     "largest elongation reached, to either side",
-    # Kept and not integrated: a maximum has no rate.
+    # Updated at the ends of steps, because a maximum has no rate.
     settled=lambda value, elongation, turned: jnp.maximum(value, jnp.abs(elongation)),
 )
 
-# To each side of its own: both grow from zero.
+# One for each side: both grow from zero.
 LARGEST_TENSION = SharedState(
     "largest_tension",
     "m",

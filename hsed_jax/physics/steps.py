@@ -11,7 +11,7 @@ Scalar = Float[Array, ""] | float
 
 
 class Step(NamedTuple):
-    """A step; what a quantity asks of it is computed where it is asked for.
+    """A step; each property is computed when a quantity asks for it.
 
     Attributes:
         system: what is integrated.

@@ -5,9 +5,12 @@ $$M\ddot u + C\dot u + K u + \sum_s b_s\,r_s = -M\,1\,a_g,\qquad \Delta u_s = b_
 with b = +1 at a specimen's second end and −1 at its first (0 for the ground).
 """
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, final
+from typing import Any, cast, final
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -25,7 +28,7 @@ End = int | None
 class Spring(eqx.Module):
     """A linear spring between two masses (numbered from 0) or the ground (None), stiffness [N/m]."""
 
-    # Static: where a spring is decides what is computed, so a traced structure must not trace it.
+    # Static, because the place of a spring decides which operations are computed; a traced structure must not trace it.
     ends: tuple[End, End] = eqx.field(static=True)
     stiffness: Scalar
 
@@ -47,7 +50,7 @@ class ModalDamping(eqx.Module):
     def matrix(self, masses: Float[Array, " m"], stiffness: Float[Array, "m m"]) -> Float[Array, "m m"]:
         """C [N·s/m] from the masses [kg] and the stiffness matrix with the specimen [N/m]."""
         root = jnp.sqrt(masses)
-        eigenvalues, modes = jnp.linalg.eigh(stiffness / jnp.outer(root, root))
+        eigenvalues, modes = _eigen(stiffness / jnp.outer(root, root))
         is_rigid = _is_rigid(eigenvalues)
         circular = jnp.where(is_rigid, 0.0, jnp.sqrt(jnp.where(is_rigid, 1.0, eigenvalues)))
         modal = 2 * jnp.asarray(self.ratios) * circular
@@ -128,7 +131,7 @@ class Structure(eqx.Module):
         self, specimen_stiffness: Scalar | Sequence[Scalar] = 0.0
     ) -> Float[Array, "m m"] | Float[np.ndarray, "m m"]:
         """K [N/m], the specimens counted with the given stiffness [N/m], one for all or one for each."""
-        # Where a spring is is known: only what is traced becomes an operation of the program.
+        # In NumPy, because the places of springs are known: only traced numbers become operations of the program.
         one = specimen_stiffness
         of_specimens = one if isinstance(one, Sequence) else [one] * len(self.specimens)
         matrix: Any = np.zeros((len(self.masses),) * 2)
@@ -190,6 +193,11 @@ class Structure(eqx.Module):
         if second is not None:
             b[second] += 1.0
         return b
+
+
+def _eigen(matrix: Float[Array, "m m"]) -> tuple[Float[Array, " m"], Float[Array, "m m"]]:
+    """Eigenvalues and eigenvectors of a symmetric matrix."""
+    return cast(tuple[Array, Array], jnp.linalg.eigh(matrix))
 
 
 def _is_rigid(eigenvalues: Any) -> Any:

@@ -1,8 +1,11 @@
-"""What is integrated: specimens in a shaken structure, or one whose elongation is imposed.
+"""The system that is integrated: specimens in a shaken structure, or one specimen with an imposed elongation.
 
-The state is a pytree of scalars on purpose: under `vmap` every component becomes one array over the batch, and XLA turns
-a whole Runge–Kutta stage into one loop over it.  A stacked state vector is six times slower.
+The state is a pytree of scalars.  Under `vmap` every component becomes one array over the batch, and XLA turns a whole
+Runge–Kutta stage into one loop over it.  A stacked state vector is six times slower.
 """
+
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
 
 import functools
 from abc import abstractmethod
@@ -21,7 +24,7 @@ from hsed_jax.physics.structures import End, Spring, Structure, difference
 
 Scalar = Float[Array, ""] | float
 
-# Of the steepness of a system at its steps, up to which a response is a prediction; at 2.8 the Runge–Kutta method is unstable.
+# Largest steepness of a system at its steps for which a response is accepted; at 2.8 the Runge–Kutta method is unstable.
 RESOLVED = 2.0
 
 
@@ -67,7 +70,7 @@ class AbstractSystem(eqx.Module):
         """The longest step times the fastest rate of the virgin specimens."""
 
     def _specimen_channels(self, state: State, sample: Any) -> dict[str, Scalar]:
-        values = {}
+        values: dict[str, Scalar] = {}
         moved = self.kinematics(state, sample)
         for name, specimen, (elongation, rate), memory in zip(
             self.names, self.specimens, moved, state.memory, strict=True

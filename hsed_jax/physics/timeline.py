@@ -1,4 +1,7 @@
-"""When an experiment is integrated and sampled: the only place that turns numbers of steps into times."""
+"""Times of the integration and of its samples: the only place that turns numbers of steps into times."""
+
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
 
 from typing import NamedTuple
 

@@ -1,1 +1,1 @@
-"""What a study found, for people: figures, tables and the report."""
+"""The results of a study for readers: figures, tables and the report."""

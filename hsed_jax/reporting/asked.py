@@ -1,4 +1,4 @@
-"""What a study asked, in sentences, read from the study as it was written into the run folder."""
+"""The question of a study in sentences, from the study file in the run folder."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -19,7 +19,7 @@ _RELATIVE_TO = {
 
 
 def asked(study: Mapping[str, Any], campaign: Campaign) -> list[str]:
-    """Sentences on specimen, excitation, model, experiments, what is observed, its error, and the steps."""
+    """Sentences on specimen, excitation, model, experiments, observed outputs, their error, and the steps."""
     parts = [_specimen(study, campaign), _excitation(study, campaign), _model(study), _experiments(study, campaign)]
     parts += [_observed(study, campaign), _design(study)]
     return [sentence for sentence in parts if sentence]
@@ -99,7 +99,7 @@ def _one_model(what: str, model: Mapping[str, Any]) -> str:
 
 
 def _law(spring: str | Mapping[str, str]) -> str:
-    """A spring law in words; of a user's own nothing is executed to know it."""
+    """A spring law in words; the code of a user's own law is not executed."""
     return (
         LAWS[spring].title
         if isinstance(spring, str)
@@ -135,7 +135,7 @@ def _observed(study: Mapping[str, Any], campaign: Campaign) -> str:
 
 
 def _error(entry: Mapping[str, Any], observe: str) -> str:
-    """What an error is, of all outputs or of one, and how it is taken."""
+    """The error in words, of all outputs or of one."""
     if entry.get("unknown"):
         said = "inferred"
     elif "relative" in entry:

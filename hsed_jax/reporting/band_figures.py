@@ -1,4 +1,4 @@
-"""The figure of a predictive band with its parts: what the parameters leave open, what the model, what the noise."""
+"""The figure of a predictive band with its parts: the uncertainty of the parameters, of the model, and the noise."""
 
 import numpy as np
 
@@ -26,7 +26,7 @@ def nested(prediction: Prediction) -> dict[str, np.ndarray]:
 
 @style.in_house_style
 def band_parts(comparison: Comparison, campaign: Campaign) -> Picture | None:
-    """The 90 % bands of experiments with their parts, and what was measured; of those held out, where there are any.
+    """The 90 % bands of experiments with their parts, and the measurements; of held-out experiments, if there are any.
 
     Arguments:
         comparison: of a calibrated model that says how wrong it is.
@@ -122,5 +122,5 @@ def _of_histories(split: str, prediction: Prediction, row: int, campaign: Campai
 
 
 def _words(part: str) -> str:
-    """What a shade is called in the legend."""
+    """The name of a shade in the legend."""
     return part if part == next(iter(_SHADES)) else f"and {part}"

@@ -1,4 +1,4 @@
-"""What a specimen does along the test, by numerical experiments on the fitted model: before and after."""
+"""The behaviour of a specimen along the test, by numerical experiments on the fitted model: before and after."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,13 +12,13 @@ from hsed_jax.reporting.style import Picture
 
 _COLUMNS = 3
 _MOST = 6
-# A quantity is shown that differs by this share of its size, along the test or from the model as it was.
+# A quantity is shown if it differs by this share of its size, along the test or from the first model.
 _DIFFERS = 0.05
 
 
 @style.in_house_style
 def behaviour(found: Behaviours) -> Picture | None:
-    """Probed quantities over the path of the longest test, with bands of 90 %; None where nothing differs.
+    """Probed quantities over the path of the longest test, with 90 % bands; None if nothing differs.
 
     Arguments:
         found: by the diagnosis.

@@ -1,4 +1,4 @@
-"""The catalogue of effects as text: what `hsed effects` prints."""
+"""The catalogue of effects as text, the output of `hsed effects`."""
 
 import inspect
 from collections.abc import Callable, Mapping
@@ -28,7 +28,7 @@ def catalogue(effects: Catalogue) -> str:
 
 
 def entry(name: str, effects: Catalogue, curves_of: Callable[[type[AbstractSpringEffect]], Any]) -> str:
-    """Equation, parameters, forms with what drives them, and reference of one effect.
+    """Equation, parameters, forms with their drivers, and reference of one effect.
 
     Arguments:
         name: of the effect.
@@ -45,7 +45,7 @@ def entry(name: str, effects: Catalogue, curves_of: Callable[[type[AbstractSprin
     lines = [f"{name} ({effect.family})", "", in_text(inspect.getdoc(effect) or ""), "", "parameters:"]
     lines += [line for p in known.values() if not p.shapes for line in _parameter(p)]
     if effect.forms:
-        # An effect outside the spring has no state to be drawn over.
+        # An effect outside the spring has no state as abscissa.
         curves = curves_of(effect) if issubclass(effect, AbstractSpringEffect) else None
         lines += ["", "forms (`form: NAME`; the first is the default):"]
         lines += _forms(effect, curves.values if curves else {})
@@ -91,7 +91,7 @@ def _forms(effect: type[AbstractEffect], curves: Mapping[str, Float[np.ndarray, 
 
 
 def _spark(values: Float[np.ndarray, " n"]) -> str:
-    """A curve in a line of characters; a flat one where it has no shape."""
+    """A curve in a line of characters; a flat one if there is no curve."""
     values = values[::2]
     if np.ptp(values) < 1e-9:
         return "─" * len(values)
@@ -100,5 +100,5 @@ def _spark(values: Float[np.ndarray, " n"]) -> str:
 
 
 def first_line(effect: type) -> str:
-    """What an effect does, in a few words."""
+    """The action of an effect, in a few words."""
     return (inspect.getdoc(effect) or "").splitlines()[0].split(":")[0].rstrip(".")

@@ -1,7 +1,7 @@
 """The interactive charts of a report: each function draws one with Altair and returns it as Vega-Lite.
 
-Data stay outside: a chart names its table (`page_tables`) and the page puts it there.  Colours are CSS variables of the page, so
-that light, dark and print need no second chart.
+Data stay outside: a chart names its table (`page_tables`) and the page inserts it.  Colours are CSS variables of the page, so
+light, dark and print need no second chart.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -166,7 +166,8 @@ def _history(
         name=f"under_{index}", nearest=True, on="pointerover", clear="pointerout", encodings=["x"]
     )
     values = [_number(alt.Tooltip, f"{name}_{key}", title=SERIES[key], format=".4g") for key in show]
-    # Invisible, one per sample: what is nearest to the pointer.  A selection takes every layer that has a name, hence only this.
+    # Invisible, one per sample, for the nearest one to the pointer.  A selection takes every layer with a name, so only this
+    # has one.
     spots = alt.Chart(name=f"samples_{index}").mark_point(opacity=0, clip=True).add_params(under)
     spots = spots.encode(
         x, _y(f"{name}_measured", title=title), tooltip=[_number(alt.Tooltip, "time", title=time), *values]
@@ -251,7 +252,7 @@ def intervals(names: Sequence[str]) -> Specification:
 def _chart(
     table: str, description: str, drawn: Any, *params: alt.Parameter | alt.TopLevelSelectionParameter
 ) -> Specification:
-    """What the page embeds: a chart of a table that the page has, with what the reader may choose."""
+    """A chart that the page embeds, of a table of the page, with the reader's choices."""
     look: Any = {"description": description, "background": "transparent", "config": _CONFIG}
     drawn = drawn.properties(data=alt.NamedData(name=table), **look)
     own = [] if drawn.params is alt.Undefined else drawn.params  # selections with a place in one of the panels
@@ -267,7 +268,7 @@ def _side_by_side(panels: Sequence[Any], across: int) -> alt.ConcatChart:
 
 def _number(channel: Any, name: str, **more: Any) -> Any:
     """A channel (`alt.X`, `alt.Size`, ...) that shows a column of numbers under its own name."""
-    # Brackets and dots in a name mean something to Vega.
+    # Brackets and dots in a name have a meaning in Vega.
     plain = name.replace("\\", "\\\\").replace(".", "\\.").replace("[", "\\[").replace("]", "\\]")
     return channel(field=plain, **({"type": "quantitative", "title": name} | more))
 

@@ -1,4 +1,4 @@
-"""What engineers read from a loop, measured against predicted: energy and stiffness of each cycle, and the backbone."""
+"""Engineering measures of a loop, measured against predicted: energy and stiffness of each cycle, and the backbone."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -26,7 +26,7 @@ _LOOKS: dict[str, dict[str, Any]] = {
 
 
 class Cycles(NamedTuple):
-    """What is read from one loop: energy and stiffness of each cycle, elongation and force of the backbone (SI)."""
+    """Measures of one loop: energy and stiffness of each cycle, elongation and force of the backbone (SI)."""
 
     energy: np.ndarray
     stiffness: np.ndarray

@@ -1,4 +1,4 @@
-"""The paper's figures of a run, from what it stored over its inputs (`hsed_jax.design.over_inputs`)."""
+"""The paper's figures of a run, from its stored results over the inputs (`hsed_jax.design.over_inputs`)."""
 
 from collections.abc import Mapping
 
@@ -15,7 +15,7 @@ CHANNELS = ("elongation", "force", "energy")
 
 
 def excitations(stored: xr.Dataset, pair: Pair) -> Picture:
-    """Fig. 3: what the inputs' distributions make of the excitation."""
+    """Fig. 3: the excitations at the distributions of the inputs."""
     (channel,) = (str(name) for name in stored.data_vars if name not in ("time", "spectrum"))
     values = stored[channel].values
     time = np.broadcast_to(stored["time"].values, values.shape)
@@ -43,7 +43,7 @@ def responses(measured: xr.Dataset, predicted: xr.Dataset, owner: str) -> Pictur
 
 
 def estimate_maps(stored: xr.Dataset) -> Picture:
-    """Fig. 4bis: what each parameter would be estimated as from one experiment alone."""
+    """Fig. 4bis: the estimate of each parameter from one experiment alone."""
     _, *inputs = (str(name) for name in stored["map"].dims)
     x, y = (stored[name].values for name in inputs)
     names, units = stored["parameter"].values.tolist(), stored["unit"].values.tolist()
@@ -52,6 +52,6 @@ def estimate_maps(stored: xr.Dataset) -> Picture:
 
 
 def _history(stored: xr.Dataset, point: int, owner: str) -> Mapping[str, np.ndarray]:
-    """What a specimen did at a point, by the names of an only one; a channel that there is not is left out."""
+    """The histories of a specimen at a point, by the names of an only specimen; a missing channel is left out."""
     columns = {"time": "time"} | {name: named(owner, name) for name in CHANNELS}
     return {name: stored[column].values[point] for name, column in columns.items() if column in stored}

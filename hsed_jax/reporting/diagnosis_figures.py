@@ -1,4 +1,4 @@
-"""The figures of a diagnosis and of what became of the model: the candidates, the fall of the error, before and after."""
+"""The figures of a diagnosis and of the improved model: the candidates, the fall of the error, before and after."""
 
 import textwrap
 from collections.abc import Container, Mapping
@@ -34,9 +34,9 @@ _MEASURED = {**style.MEASURED, "label": "measured", "linewidth": 0.9}
 
 @style.in_house_style
 def ranking(diagnosis: Diagnosis) -> Picture:
-    """The best candidates: how much worse than the best each predicts what was left out, and its probability.
+    """The best candidates: the loss of the score against the best one, and the probability of each.
 
-    What is named and its look-alikes stand out.
+    Named effects and their look-alikes stand out.
 
     Arguments:
         diagnosis: `ranking` with at least one candidate that was scored.
@@ -60,7 +60,7 @@ def ranking(diagnosis: Diagnosis) -> Picture:
     gains = np.asarray([0.0 if candidate.score is None else candidate.score["gain"] for candidate in shown])
     best = float(gains.max())
     behind = gains - best
-    # What is further behind than any odds that matter is cut, or it would leave nothing of the others.
+    # Larger losses are cut: they are beyond any odds of interest, and would hide the other bars.
     left = -_BEHIND if behind.min() < -_BEHIND else 1.1 * min(behind.min(), -1.0)
     for kind, (text, look) in enumerate(looks.items()):
         own = [i for i, k in enumerate(kinds) if k == kind]
@@ -111,7 +111,7 @@ def ranking(diagnosis: Diagnosis) -> Picture:
 
 
 def _best(diagnosis: Diagnosis) -> list[Candidate]:
-    """What is named, in its order, then what predicts best; what fits far worse was not scored."""
+    """Named effects in their order, then those with the best scores; effects that fit far worse have no score."""
     scored = [c for c in diagnosis.ranking if c.score is not None] or diagnosis.ranking
     named = [c for c in diagnosis.ranking if c.effect in diagnosis.effects]
     others = [c for c in scored if c not in named]
@@ -160,17 +160,17 @@ def error_fall(trail: Trail) -> Picture:
 
 
 def _errors_of(step: Step) -> list[str]:
-    """The errors of a step that there are, with the split."""
+    """The known errors of a step, with the split."""
     both = (("train", step.error_train), ("test", step.error_test))
     return [f"{split} {error_cell(error)}" for split, error in both if error is not None and not np.isnan(error)]
 
 
 @style.in_house_style
 def before_after(before: Comparison, after: Comparison, campaign: Campaign) -> Picture | None:
-    """What the added effects changed, where they changed most.
+    """The change by the added effects, in the experiment where it is largest.
 
-    Of histories: the experiment whose error fell most, of the test split where there is one; its hysteresis loop before and
-    after, and its histories.  Of quantities: predicted against measured, all experiments.
+    For histories, this is the experiment whose error fell most, of the test split if there is one: its hysteresis loop before
+    and after, and its histories.  For quantities: predicted against measured, all experiments.
 
     Arguments:
         before, after: the model as it was and the improved one against the same measurements.

@@ -1,4 +1,4 @@
-"""A finished run in brief: its verdict in a sentence, the figures that matter, and what to know before believing them."""
+"""A finished run in brief: its verdict in a sentence, the key figures, and the warnings to read first."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -14,18 +14,20 @@ _QUOTED = 5  # doubts of the data
 
 
 def verdict(run: FinishedRun) -> str:
-    """What the specimen does and what the run found, a sentence each; before them, what estimates lean on."""
+    """The behaviour of the specimen and the result of the run, a sentence each, after a warning on bounds that estimates lean
+    on.
+    """
     does = run.summary.get("diagnosis", {}).get("behaviour_sentence", "")
     return " ".join([*_cautions(run), *([sentence(does)] if does else []), _found(run)])
 
 
 def behaviour(run: FinishedRun) -> list[str]:
-    """What the specimen does with the named effects, a sentence each."""
+    """The behaviour of the specimen with the named effects, a sentence each."""
     return [sentence(one["sentence"]) for one in run.summary.get("diagnosis", {}).get("behaviour", [])]
 
 
 def _cautions(run: FinishedRun) -> Iterator[str]:
-    """What to know before any estimate is believed, of the model as it was and of the improved one."""
+    """The warnings to read before using the estimates, of the first model and of the improved one."""
     for model, part in (("", "calibration"), ("of the improved model, ", "improvement")):
         if caution := run.summary.get(part, {}).get("caution"):
             yield sentence(f"{model}{caution}")
@@ -34,7 +36,7 @@ def _cautions(run: FinishedRun) -> Iterator[str]:
 def _found(run: FinishedRun) -> str:
     summary = run.summary
     if improved := _improved(summary):
-        # What is ambiguous stays so, however far the error fell.
+        # An ambiguous result stays ambiguous for any fall of the error.
         unsure = summary.get("diagnosis", {}).get("verdict", "missing_effects") != "missing_effects"
         return f"{improved} {diagnosed(run)}" if unsure else improved
     if "diagnosis" in summary:
@@ -56,12 +58,12 @@ def _found(run: FinishedRun) -> str:
 
 
 def diagnosed(run: FinishedRun) -> str:
-    """What the diagnosis found, in one sentence; empty where there was none."""
+    """The result of the diagnosis in one sentence; empty without a diagnosis."""
     return sentence(run.summary["diagnosis"]["sentence"]) if "diagnosis" in run.summary else ""
 
 
 def _improved(summary: Mapping[str, Any]) -> str:
-    """How far the error fell, and whether noise is what is left; empty where no effect was added."""
+    """The fall of the error, and whether the rest is noise; empty if no effect was added."""
     improvement = summary.get("improvement", {})
     first, *rest = improvement.get("steps", [{}])
     if not rest:
@@ -104,7 +106,7 @@ def by_channel(comparisons: Mapping[str, Mapping[str, Any]]) -> list[dict[str, A
 
 
 def key_figures(run: FinishedRun) -> list[dict[str, Any]]:
-    """The numbers that matter: a label, the number as it is, and as it is shown."""
+    """The key figures: a label, the number, and the number as it is shown."""
     summary, found = run.summary, []
 
     def add(key: str, label: str, value: float | None, form: str = "{:.3f}") -> None:
@@ -139,7 +141,7 @@ def key_figures(run: FinishedRun) -> list[dict[str, Any]]:
 
 
 def warnings(run: FinishedRun) -> Iterator[str]:
-    """What a reader must know before believing the rest."""
+    """The warnings that a reader must know first."""
     if run.summary["status"] != "complete":
         yield f"The run is not complete ({run.summary['status']}); the report shows the results until it stopped."
     yield from (f"{words}: {text}." for words, texts in diverged(run).items() for text in texts)
@@ -162,14 +164,14 @@ def warnings(run: FinishedRun) -> Iterator[str]:
 
 
 def diverged(run: FinishedRun) -> dict[str, list[str]]:
-    """What is to be said of simulations that diverged, by model."""
+    """The message on diverged simulations, by model."""
     words = {"before": "The model as it was", "after": "The improved model"}
     found = {words[model]: comparison.get("warnings", []) for model, comparison in run.comparisons.items()}
     return {model: texts for model, texts in found.items() if texts}
 
 
 def error_text(entry: Mapping[str, Any], key: str = "error", look: str = ".3f") -> str:
-    """An error of the summary, in which one that is not finite is absent."""
+    """An error of the summary; an error that is not finite is absent there."""
     return error_cell(entry.get(key, math.inf), look)
 
 

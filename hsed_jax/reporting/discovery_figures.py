@@ -1,4 +1,4 @@
-"""The figure of a discovery: the learned function over what it depends on, with its band and its formula."""
+"""The figure of a discovery: the learned function over its variables, with its band and its formula."""
 
 import numpy as np
 
@@ -16,7 +16,7 @@ _COLOURS = (style.RED, style.BLACK, style.BLUE)
 
 @style.in_house_style
 def learned(discovery: Discovery, campaign: Campaign) -> Picture:
-    """The function that was learned: its curve with the 90 % band, and the formula that it was found to be.
+    """The learned function: its curve with the 90 % band, and its formula.
 
     Arguments:
         discovery: one that found something.

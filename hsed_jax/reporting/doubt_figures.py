@@ -1,4 +1,4 @@
-"""Pictures of what a check doubts: the loop and the history of a record, the samples that are meant marked.
+"""Pictures of the doubts of a check: the loop and the history of a record, with the doubted samples marked.
 
 As in `hsed_jax.reporting.loops`, nothing here needs the house style, which loads JAX.
 """
@@ -19,7 +19,7 @@ from hsed_jax.physics.names import named, own_name, owner_of
 
 _RC = {"font.size": 8, "axes.grid": True, "grid.color": "#e4e4e4", "axes.spines.top": False, "axes.spines.right": False}
 _LINE = {"color": "#808080", "linewidth": 0.7, "zorder": 1}
-# Marks differ in form and size as well as in colour, for a print in black and white, and where they lie on one another.
+# Marks differ in form, size and colour, for a print in black and white and for marks that overlap.
 _Look = tuple[str, str, float]  # colour, form, size
 _MARKS: tuple[_Look, ...] = (
     ("#d03a10", "o", 3.0),
@@ -35,7 +35,7 @@ _WIDEST = 125  # letters of a line
 
 
 def write_pictures(campaign: Campaign, findings: Sequence[Finding], folder: Path) -> Iterator[tuple[str, Path]]:
-    """Draw every record that is doubted, and write it into a folder as `doubts_<experiment>.png`.
+    """Draw every doubted record, and write it into a folder as `doubts_<experiment>.png`.
 
     Arguments:
         campaign: the measurements.
@@ -140,7 +140,7 @@ def _label(campaign: Campaign, channel: str) -> str:
 
 
 def _mark(panel: Any, x: np.ndarray, y: np.ndarray, finding: Finding, look: _Look) -> None:
-    """Mark the samples of a doubt: each where they are few, evenly spread ones where they are many."""
+    """Mark the samples of a doubt: each sample if they are few, evenly spread ones if they are many."""
     rows = np.concatenate([np.arange(a, b) for a, b in finding.spans]) if finding.spans else np.empty(0, dtype=int)
     rows = rows[rows < x.size]
     if rows.size:

@@ -1,4 +1,4 @@
-"""What drives experiments that no ground motion does: forces on masses, imposed elongations."""
+"""Excitations other than ground motions: forces on masses, imposed elongations."""
 
 import numpy as np
 from jaxtyping import Float

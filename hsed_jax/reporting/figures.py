@@ -1,7 +1,7 @@
 """The figures of a study, numbered as in Abbiati & Marelli.
 
-Each function takes plain arrays in SI units and returns a `Picture`: the figure, its caption, and what it shows in a
-sentence for who cannot see it.  Nothing here reads a file or touches matplotlib's global state.
+Each function takes plain arrays in SI units and returns a `Picture`: the figure, its caption, and its content in a sentence for
+readers who cannot see it.  Nothing here reads a file or changes matplotlib's global state.
 """
 
 from collections.abc import Mapping, Sequence
@@ -112,7 +112,7 @@ def estimate_maps(
     units: Sequence[str],
     input_labels: Mapping[str, str],
 ) -> Picture:
-    """Fig. 4bis: what each parameter would be estimated as from one experiment alone, over two inputs.
+    """Fig. 4bis: the estimate of each parameter from one experiment alone, over two inputs.
 
     Arguments:
         grid_inputs: values of the two inputs, shapes (a,) and (b,), each increasing.
@@ -130,7 +130,7 @@ def estimate_maps(
         shown = np.ma.masked_invalid(estimate / divisor)
         _filled_contours(figure, panel, x, y, shown, style.label(name, unit))
         panel.set(xlabel=style.label(x_name, x_unit), ylabel=style.label(y_name, y_unit))
-        # The extremes of nothing are `masked`, which is no number.
+        # The extremes of an empty array are `masked`, which is no number.
         low, high = (style.amount(float(np.ma.filled(v, np.nan)), unit) for v in (shown.min(), shown.max()))
         said.append(f"{name} between {low} and {high}")
     style.panel_titles(panels)
@@ -336,7 +336,7 @@ def _order_over_a_plane(inputs: np.ndarray, initial: int, bounds: np.ndarray, ax
     x, y = (np.linspace(low, high, 121) for low, high in bounds)
     filled = panel.contourf(x, y, _smooth_order(inputs, bounds, x, y), np.linspace(0, 1, 11), cmap=style.COLOUR_MAP)
     for index, (u, v) in enumerate(inputs):
-        # Each number belongs to its marker: where two overlap, the later one is whole.
+        # Each number belongs to its marker: if two overlap, the later one is complete.
         marker, layer = "s" if index < initial else "o", 3 + index / len(inputs)
         panel.plot(u, v, marker, ms=9, mfc="white", mec=style.BLACK, mew=0.7, zorder=layer, clip_on=False)
         panel.annotate(str(index + 1), (u, v), ha="center", va="center_baseline", fontsize=6, zorder=layer)
@@ -367,7 +367,7 @@ def _order_over_pairs(inputs: np.ndarray, initial: int, bounds: np.ndarray, axes
 
 
 def _order_legend(figure: Figure, panel: Axes, mappable: ScalarMappable | None) -> None:
-    """What squares, circles and colours mean."""
+    """The meaning of squares, circles and colours."""
     for marker, text in (("s", "initial design"), ("o", "chosen one after another")):
         panel.plot([], [], marker, ms=6, mfc="white", mec=style.BLACK, mew=0.7, label=text)
     if mappable is not None:

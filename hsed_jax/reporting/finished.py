@@ -1,4 +1,4 @@
-"""A finished run, as its folder holds it: all that its report is made of."""
+"""A finished run as its folder holds it: the content of its report."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ SPLITS = ("train", "test")
 
 @dataclass(frozen=True, repr=False)
 class FinishedRun(Tabular):
-    """What a run folder holds.
+    """The content of a run folder.
 
     Attributes:
         folder: of the run.
@@ -63,7 +63,7 @@ class FinishedRun(Tabular):
 
     @cached_property
     def findings(self) -> list[Finding]:
-        """What the check of the data found."""
+        """The findings of the check of the data."""
         return check_campaign(self.campaign)
 
     @property

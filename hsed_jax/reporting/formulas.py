@@ -1,4 +1,4 @@
-"""Formulas as text: LaTeX of descriptions and forms as one reads it in a terminal."""
+"""Formulas as text: LaTeX of descriptions and forms, readable in a terminal."""
 
 import re
 
@@ -34,7 +34,7 @@ def in_text(latex: str) -> str:
 
 
 def _term(group: str) -> str:
-    """What is divided: in parentheses where it is a sum."""
+    """A dividend: in parentheses if it is a sum."""
     inner = re.sub(r"\([^()]*\)", "", group)
     return f"({group.strip()})" if re.search(r"[-+−]", inner) else group.strip()
 

@@ -1,6 +1,6 @@
-"""A figure's SVG as part of a page: in the page's colours, its identifiers its own, its caption and alternative text known.
+"""A figure's SVG as part of a page: with the page's colours, unique identifiers, its caption and alternative text.
 
-A run folder may be somebody else's.  So nothing stands in the page but what matplotlib writes: listed elements, attributes and
+A run folder may come from somebody else.  So the page accepts only what matplotlib writes: listed elements, attributes and
 properties, whose values name nothing outside the drawing.
 """
 
@@ -74,7 +74,7 @@ def inline(name: str, text: str) -> InlineFigure:
     for about in ("metadata", "title"):
         for element in root.findall(f"{_SVG}{about}"):
             root.remove(element)
-    # A name of a file may hold anything, quotes of an attribute, say.
+    # The name of a file may hold any character, such as a quote.
     mark = re.sub(r"[^A-Za-z0-9_]", lambda match: f"-{ord(match[0]):x}-", name)
     for element in root.iter():
         _make_own(element, name, mark)
@@ -85,7 +85,7 @@ def inline(name: str, text: str) -> InlineFigure:
 
 
 def _make_own(element: ElementTree.Element, name: str, mark: str) -> None:
-    """Look at an element, and give it the page's colours and identifiers of its own.
+    """Check an element, and give it the page's colours and unique identifiers.
 
     Raises:
         UserError: it is none that matplotlib writes.
@@ -104,7 +104,7 @@ def _make_own(element: ElementTree.Element, name: str, mark: str) -> None:
 
 
 def _looked_at(key: str, value: str, name: str, mark: str) -> str:
-    """The value of an attribute, as it stands in the page."""
+    """The checked value of an attribute."""
     if key == "style":
         declared = (one.partition(":") for one in value.split(";") if one.strip())
         return "; ".join(
@@ -124,7 +124,7 @@ def _looked_at(key: str, value: str, name: str, mark: str) -> str:
 
 
 def _set(about: str, value: str, name: str, mark: str) -> str:
-    """The value of a property, as it stands in the page."""
+    """The checked value of a property."""
     if about not in _PROPERTIES:
         raise _refused(name, about)
     if own := _OWN.fullmatch(value):

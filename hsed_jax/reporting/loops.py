@@ -1,6 +1,6 @@
-"""The measured loops alone, before anything is fitted: a small picture, and a sketch for a terminal.
+"""The measured loops alone, before any fit: a small picture, and a sketch for a terminal.
 
-The house style knows every effect, which loads JAX; that takes longer than all that is done with a file before it is fitted.
+The house style knows every effect, which loads JAX.  That takes longer than all other work on a file before it is fitted.
 """
 
 import io
@@ -24,7 +24,7 @@ class _Loop(NamedTuple):
 
 
 def loops_picture(campaign: Campaign) -> bytes | None:
-    """A PNG of all measured loops in one panel, what is held out in another colour; None without forces or elongations."""
+    """A PNG of all measured loops in one panel, held-out parts in another colour; None without forces or elongations."""
     loops = _loops(campaign)
     if not loops:
         return None

@@ -38,7 +38,7 @@ _COLUMNS: dict[str, tuple[str, float, str]] = {
 def misfit_drawings(
     comparison: Comparison, location: Location | None, errors_over_inputs: xr.Dataset | None, campaign: Campaign
 ) -> Iterator[Drawing]:
-    """Every figure of the misfit that there is material for.
+    """Every figure of the misfit for which there are data.
 
     Arguments:
         comparison: a calibrated model against its measurements.
@@ -143,7 +143,7 @@ def hysteresis_loops(prediction: Prediction, row: int, campaign: Campaign) -> di
 
 
 def words_of_loop(owner: str) -> str:
-    """What the loop of a specimen is called in a caption."""
+    """The name of a specimen's loop in a caption."""
     return f"hysteresis loop of {style.words(owner)}" if owner else "hysteresis loop"
 
 

@@ -1,4 +1,4 @@
-"""Where the misfit lies: over the coordinates of the samples, and over the inputs of the experiments."""
+"""The place of the misfit: over the coordinates of the samples, and over the inputs of the experiments."""
 
 import numpy as np
 import xarray as xr
@@ -79,7 +79,7 @@ def residual_coordinates(location: Location, campaign: Campaign) -> Picture | No
 
 
 def _coordinate(place: Place) -> str:
-    """The name that its samples have it under."""
+    """The name of a coordinate in its samples."""
     return "time" if place.coordinate == "row" else place.coordinate
 
 
@@ -119,7 +119,7 @@ def _tenths(panel: Axes, values: np.ndarray, share: np.ndarray, place: Place | N
     bins = np.arange(error.size)
     inside = np.zeros(bins.size, dtype=bool)
     if place is not None and place.limit is not None:
-        # The axis counts samples in a unit of its own: the limit stands where as many of them lie before it.
+        # The axis counts samples, so the limit stands at the number of samples below it.
         before = 100 * (1 - place.sample_share if place.part == "above" else place.sample_share)
         at = float(np.interp(before, np.append(0.0, np.cumsum(size)), np.arange(bins.size + 1)))
         inside = (bins + 0.5 > at) if place.part == "above" else (bins + 0.5 < at)
@@ -128,7 +128,7 @@ def _tenths(panel: Axes, values: np.ndarray, share: np.ndarray, place: Place | N
     panel.stairs(size, np.arange(bins.size + 1), color=style.BLACK, linewidth=1.2, baseline=None, zorder=3)
     labelled = min(5, (edges.size + 1) // 2) if edges.size > 4 else edges.size
     ticks = np.round(np.linspace(0, edges.size - 1, labelled)).astype(int)
-    # What is small beside the largest is zero to a reader.
+    # A value far below the largest reads as zero.
     decimals = 3 - int(np.floor(np.log10(np.abs(edges).max())))
     shown = np.round(edges[ticks], decimals) + 0.0
     panel.set_xticks(ticks + 0.5 * few, [f"{x:.3g}" if abs(x) < 1000 else f"{x:.0f}" for x in shown])
@@ -161,7 +161,7 @@ def _bars_by_word(panel: Axes, words: np.ndarray, share: np.ndarray, place: Plac
 
 @style.in_house_style
 def error_map(found: xr.Dataset) -> Picture:
-    """Squared error of each experiment over the inputs, and what Kriging makes of it in between.
+    """Squared error of each experiment over the inputs, and its Kriging in between.
 
     Arguments:
         found: as `hsed_jax.criticism.error_map` gives it, of one or two inputs.

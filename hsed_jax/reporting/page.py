@@ -1,4 +1,4 @@
-"""A page that needs nothing else: a template with its styles, its script, its data and the library that draws."""
+"""A page that needs no other file: a template with its styles, its script, its data and the drawing library."""
 
 import json
 import os
@@ -45,7 +45,7 @@ def render(template: str, **content: Any) -> str:
 
 
 def _policy(*scripts: str) -> str:
-    """The Content-Security-Policy of a page: only these scripts run, and nothing is fetched, whatever else stands in the page.
+    """The Content-Security-Policy of a page: only these scripts run, and nothing is fetched, for any other content of the page.
 
     Vega compiles the expressions of its charts, which the policy calls `unsafe-eval`.
     """

@@ -1,4 +1,4 @@
-"""The numbers behind the charts of a report: plain columns, thinned to what a screen can show."""
+"""The numbers behind the charts of a report: plain columns, thinned to the resolution of a screen."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -30,7 +30,7 @@ Table = dict[str, list]
 
 
 class Axis(NamedTuple):
-    """An output as it is drawn: its name in words, what SI numbers are divided by, and the unit that gives."""
+    """How an output is drawn: its name in words, the divisor of its SI numbers, and the resulting unit."""
 
     words: str
     divisor: float
@@ -53,7 +53,7 @@ def unit_words(unit: str) -> str:
 
 def error_of(errors: Mapping[str, Mapping[str, float]]) -> float:
     """Error of one experiment over its outputs, averaged in the square; infinite where its simulation diverged."""
-    # An error that is not in the summary was not finite.
+    # An error that is absent from the summary was not finite.
     values = [entry.get("nrmse", np.inf) for entry in errors.values()]
     error = float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
     return np.inf if has_diverged(error) and values else error
@@ -70,12 +70,12 @@ def experiments_table(run: FinishedRun) -> Table:
 
 
 def outputs_of(run: FinishedRun) -> list[str]:
-    """What was observed and compared."""
+    """The observed and compared outputs."""
     return list(run.comparisons.get("before", {}).get("train", {}).get("per_output", {}))
 
 
 def axes_of(run: FinishedRun) -> dict[str, Axis]:
-    """How each output is drawn; the elongation too, where it was imposed."""
+    """How each output is drawn; the elongation too, if it was imposed."""
     found: dict[str, list[np.ndarray]] = {}
     for split in SPLITS:
         for tree in run.predictions(split).values():
@@ -128,7 +128,7 @@ def samples_table(run: FinishedRun) -> Table:
 
 
 def windows_table(run: FinishedRun) -> Table:
-    """From when to when an experiment is scored, where that is not the whole record."""
+    """Begin and end of the scored part of an experiment, if it is not the whole record."""
     windows = {e.id: e.window for e in run.campaign if e.window is not None}
     return columns([{"experiment": id, "from": begin, "to": end} for id, (begin, end) in windows.items()])
 
@@ -233,7 +233,7 @@ def _declared(run: FinishedRun, id: str) -> dict[str, float]:
 
 
 def _coordinate(run: FinishedRun, name: str, values: np.ndarray) -> tuple[str, float]:
-    """What a coordinate is called, with its unit, and what its numbers are divided by."""
+    """The name of a coordinate with its unit, and the divisor of its numbers."""
     if name in run.campaign.inputs:
         return f"{name} [{unit_words(run.campaign.unit(name).text)}]", 1.0
     if name == "cycle" or (name == "time" and not run.campaign.has_time):

@@ -1,4 +1,4 @@
-"""The figure of a population: what varies between its specimens, theirs and that of one nobody tested."""
+"""The figure of a population: the parameters that vary between specimens, of each specimen and of an untested one."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""The figure of a posterior: every parameter and every pair of them, as drawn."""
+"""The figure of a posterior: the draws of every parameter and of every pair of parameters."""
 
 from collections.abc import Mapping
 
@@ -77,7 +77,7 @@ def _draws(fit: Fit) -> dict[str, np.ndarray]:
 def _marginal(panel: Axes, values: np.ndarray, at: float, look: str) -> None:
     colour, marker = _LOOKS[look]
     counts, edges = np.histogram(values, _BINS)
-    # Each to its own height: as densities, a sharp posterior would flatten a broad one beside it.
+    # Each is scaled to its own height: as densities, a sharp posterior would flatten a broad one beside it.
     panel.stairs(counts / max(counts.max(), 1), edges, fill=True, facecolor=colour, alpha=0.45, edgecolor=colour)
     panel.plot([at], [0.0], marker, color=colour, ms=5, mec="white", mew=0.6, zorder=4, clip_on=False)
     panel.set_yticks([])
@@ -100,7 +100,7 @@ def _lines(panel: Axes, x: float | None, y: float | None, alone: bool) -> None:
 
 
 def _entries(panel: Axes, looks: list[str], has_truth: bool) -> None:
-    """What colours and marks mean."""
+    """The meaning of colours and marks."""
     for look in looks:
         colour, marker = _LOOKS[look]
         both = len(looks) == 2

@@ -1,4 +1,4 @@
-"""The loading protocols as text: what `hsed protocols` prints."""
+"""The loading protocols as text, the output of `hsed protocols`."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ def add_command(commands: Any) -> None:
 
 
 def listing() -> str:
-    """The names of the protocols, what they are called and how long they are."""
+    """The names, titles and lengths of the protocols."""
     width = max(len(name) for name in PROTOCOLS)
     lines = [
         f"{name:{width}}  {known.title}: {known.extent()} times the reference" for name, known in PROTOCOLS.items()
@@ -23,7 +23,7 @@ def listing() -> str:
 
 
 def entry(name: str) -> str:
-    """One protocol: title, source, what its amplitudes are relative to, its steps, how it goes on.
+    """One protocol: title, source, the reference of its amplitudes, its steps, and its continuation.
 
     Raises:
         UserError: there is none of this name.

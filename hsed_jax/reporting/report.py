@@ -1,4 +1,4 @@
-"""`report.html`: a run on one page, for who was not there."""
+"""`report.html`: a run on one page, for readers who did not take part."""
 
 import shlex
 from collections.abc import Callable, Iterator, Sequence
@@ -112,7 +112,7 @@ Chart = tuple[dict[str, Any] | None, dict[str, tables.Table]]
 
 
 def _where_chart(run: FinishedRun) -> Chart:
-    """The error of every experiment over what varies."""
+    """The error of every experiment over the varying inputs."""
     from hsed_jax.reporting import charts  # Altair takes seconds to load: only who writes a page waits for it
 
     shown = tables.experiments_table(run)
@@ -138,7 +138,7 @@ def _residual_chart(run: FinishedRun) -> Chart:
 
 
 def _histories_chart(run: FinishedRun) -> Chart:
-    """What was measured and predicted: histories of one experiment, or quantities of all."""
+    """Measured and predicted: histories of one experiment, or quantities of all."""
     from hsed_jax.reporting import charts
 
     if not _has_predictions(run):
@@ -150,7 +150,7 @@ def _histories_chart(run: FinishedRun) -> Chart:
     samples = tables.samples_table(run)
     known = [name.removesuffix("_measured") for name in samples if name.endswith("_measured")]
     prefixes = [named(owner, "") for owner in loops(known) if named(owner, "force") in outputs]
-    # In the language of the charts a dot would lead into a value.
+    # In the language of the charts, a dot selects a part of a value.
     data = {"samples": {_column(name): values for name, values in samples.items()}}
     if windows := tables.windows_table(run):
         data["windows"] = windows
@@ -178,14 +178,14 @@ def _has_predictions(run: FinishedRun) -> bool:
 
 
 def _column(name: str) -> str:
-    """What the column of an output is called in the table behind the charts."""
+    """The name of an output's column in the table behind the charts."""
     return name.replace(".", "·")
 
 
 def _stills(run: FinishedRun, names: Sequence[str], left_out: LeftOut) -> Iterator[InlineFigure]:
     for name in names:
         for key, text in run.figures.items():
-            # Of several specimens there is one for each, with its name behind.
+            # With several specimens there is one for each, with its name at the end.
             if key == name or key.startswith(f"{name}_"):
                 figure = left_out.attempt(f"figure {key}", partial(inline, key, text), None)
                 if figure is not None:
@@ -218,8 +218,8 @@ def _experiments(run: FinishedRun) -> dict[str, Any]:
 
 
 def _read_cycles(make: Callable[[Campaign], Columns], run: FinishedRun) -> dict[str, Any]:
-    """What is read from the cycles of component tests: heads, the first rows, and how many are left out."""
-    # A shaken structure swings in hundreds of small cycles: of these `cycles.csv` tells.
+    """The measures of the cycles of component tests: heads, the first rows, and how many are left out."""
+    # A shaken structure swings in hundreds of small cycles: `cycles.csv` has them.
     columns = make(run.campaign) if run.campaign.protocol == "displacement" else Columns("", [], [])
     words = sum("[" not in head for head in columns.heads)
     return {
@@ -259,7 +259,7 @@ def _ranking(run: FinishedRun) -> dict[str, Any]:
 
 
 def _places(run: FinishedRun) -> dict[str, Any]:
-    """The places where something was looked for that the catalogue does not hold: heads and rows."""
+    """The places where the discovery searched: heads and rows."""
     tried = run.summary.get("discovery", {}).get("ranking", [])
     rows = [
         [
@@ -274,7 +274,7 @@ def _places(run: FinishedRun) -> dict[str, Any]:
 
 
 def _falls(run: FinishedRun) -> list[tuple[str, str, str]]:
-    """The model as it was and after each added effect, with its errors."""
+    """The first model and the model after each added effect, with their errors."""
     steps, has_test = run.summary.get("improvement", {}).get("steps", []), "test" in run.comparisons.get("before", {})
     return [
         (
@@ -289,7 +289,7 @@ def _falls(run: FinishedRun) -> list[tuple[str, str, str]]:
 
 
 def _channels(run: FinishedRun) -> dict[str, Any]:
-    """The error of each output, before and after: heads and rows; none of a single output, whose error is that of all."""
+    """The error of each output, before and after: heads and rows; empty for a single output, whose error is that of all."""
     found, models = by_channel(run.comparisons), list(run.comparisons)
     heads = ["split", "output", *(tables.SERIES[model] for model in models), "share of the squared error left"]
     rows = [

@@ -1,4 +1,4 @@
-"""Figure of a request: what is expected of an experiment that has not been measured yet, or was a moment ago."""
+"""Figure of a request: the expected response of an experiment that is not measured yet, or was measured just now."""
 
 from collections.abc import Mapping
 
@@ -15,7 +15,7 @@ from hsed_jax.reporting.style import Picture
 def expected_response(
     title: str, time: np.ndarray, channels: Mapping[str, np.ndarray], measured: Record | None, pair: Pair
 ) -> Picture:
-    """Every channel over time with its band, and what was measured.
+    """Every channel over time with its band, and the measurement.
 
     Arguments:
         title: which experiment.

@@ -1,1 +1,1 @@
-"""Running a study: its folder and journal, its design as it is conducted, its steps in order."""
+"""The run of a study: its folder and journal, the conduct of its design, its steps in order."""

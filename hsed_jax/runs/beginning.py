@@ -240,7 +240,7 @@ def _write(path: Path, content: str | bytes) -> None:
 
 
 def _frame(options: Any) -> Any:
-    """What was said of a frame."""
+    """The user's statements on a frame."""
     from hsed_jax.drafting.initial import Frame
 
     masses = getattr(options, "masses", None)
@@ -261,7 +261,7 @@ def _model(options: Any, campaign: "Campaign") -> list[str]:
 
 
 def _said(options: Any) -> "Said":
-    """What the flags say of the files."""
+    """The statements of the flags on the files."""
     from hsed_jax.intake.beginning import Said
     from hsed_jax.intake.choice import HELD_OUT
 

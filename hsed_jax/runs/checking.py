@@ -1,4 +1,4 @@
-"""What `hsed check` says of a study and its data; nothing is run."""
+"""The output of `hsed check` on a study and its data; nothing is run."""
 
 import sys
 from collections.abc import Sequence, Set
@@ -28,7 +28,7 @@ def check_study(study: Study, path: Path) -> None:
     _ = built.mechanics.catalogue  # effects of its own, which may be wrong, come before the data
     measured = built.experiments.measured
     accepted = study.measurements.accepted(measured)
-    # Before anything is computed from the data: steps of a time that is no number are none.
+    # Before any computation from the data, because a time that is no number has no steps.
     findings = [] if measured is None else check_campaign(measured)
     _tell(findings, accepted)
     if any(finding.level == "error" for finding in findings):

@@ -1,4 +1,4 @@
-"""Conducting a design: what is asked, what is told, and the journal that holds both.
+"""The conduct of a design: questions, answers, and the journal that holds both.
 
 The run's loop, `hsed ask` and `hsed tell` are three callers of one object.  Every event is on the disk before anything relies on
 it, and replaying the journal gives the same state to the last bit, in one process or in many.
@@ -279,7 +279,7 @@ class Conduct:
         self.campaign = self.campaign.add(experiment) if is_new else self.campaign.update(experiment)
         outputs = np.full(self.built.inference.observation.groups.size, np.nan)
         if experiment.status == "completed":
-            # As the campaign holds it: what is read back from its files is the same to the last bit.
+            # As the campaign holds it: its files give the same numbers back, to the last bit.
             outputs = self.built.inference.observation.measured(self.campaign[experiment.id])
             if not np.isfinite(outputs).any():
                 raise UserError(f"experiment {experiment.id}: nothing that the study observes was measured")
@@ -297,7 +297,7 @@ class Conduct:
             raise self.store.damaged("it is empty or gone, and the experiments of the run would be performed again")
         performed = {event.get("experiment") for event in events if event["event"] == "performed"}
         records = read_campaign(self.store.campaign) if is_kept and performed else None
-        # A kill loses the line of one experiment at most; it is performed once more.
+        # A killed process loses the line of one experiment at most, which is then performed again.
         lost = [] if records is None else [e.id for e in records if e.status == "completed" and e.id not in performed]
         if len(lost) > 1:
             raise self.store.damaged(f"it does not know {', '.join(lost)}, which would be performed again")

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-# What a run leaves, and so what another may replace; everything else in its folder is the user's.
+# The files of a run, which another run may replace; all other files in its folder are the user's.
 _OF_A_RUN = (
     "journal.jsonl",
     "provenance.json",
@@ -64,7 +64,8 @@ class RunFolder:
         self.path = Path(path)
         try:
             occupied = self.path.exists() and (not self.path.is_dir() or any(map(_is_content, self.path.iterdir())))
-            # A study alone is no sign of a run, as `hsed init` writes one beside the measurements, nor a lock, as sweeps have.
+            # A study alone is no sign of a run, because `hsed init` writes one beside the measurements.  Nor is a lock, because
+            # sweeps have one.
             begun = (self.path / "study.yaml").exists() and (self.path / ".lock").exists()
             if occupied and not (begun or self._journal.exists() or self._provenance.exists()):
                 raise UserError(f"{self.path} exists and is no run folder; choose another --output")
@@ -90,7 +91,7 @@ class RunFolder:
             if not is_begun:
                 write_whole(written, dump_yaml(dict(study)))
         except BaseException:
-            # An exception that a notebook keeps would keep the lock, too.
+            # A notebook may keep an exception, which would keep the lock, too.
             self.close()
             raise
 

@@ -1,4 +1,4 @@
-"""What a run computes for its figures alone, by group of `results.nc`: its figures are drawn from these and from its results."""
+"""Computations for the figures of a run alone, by group of `results.nc`; the figures use these and the results."""
 
 from collections.abc import Callable, Iterator
 
@@ -45,7 +45,7 @@ def _computations(outcome: Outcome) -> Iterator[tuple[str, Callable[[], xr.Datas
     if laboratory is not None and model.excitation is not None and space.names:
         yield EXCITATION, lambda: excitations(model, space, pair)
         yield from _responses(outcome, laboratory)
-    # Calibrations by the thousand: of a program each would be a day's work.
+    # Thousands of calibrations: with a program, each simulation would be a process, and they would take a day.
     is_quick = isinstance(model, Simulator) and len(space.names) == 2
     if is_quick and (design := outcome.design) is not None and laboratory is not None and not laboratory.channels:
         yield ESTIMATES_ALONE, lambda: estimates_alone(design, laboratory, outcome.units)

@@ -1,4 +1,4 @@
-"""What a run has come to: everything its summary, results and figures are made from."""
+"""The outcome of a run, from which its summary, results and figures are made."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -152,7 +152,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             "map": dict(zip(outcome.posterior.names, estimates, strict=False)),
             "stop_reason": outcome.stop_reason,
         } | _drift(outcome)
-    # A report is drawn from what is written: it cannot ask law and effects, which may be somebody else's code.
+    # A report is drawn from the written files: it must not execute law and effects, which may be somebody else's code.
     content["references"] = _references(outcome)
     return content
 

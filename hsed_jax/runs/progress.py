@@ -1,4 +1,4 @@
-"""The progress of a step on the terminal, and what it keeps in the run folder."""
+"""The progress of a step on the terminal, and its saved state in the run folder."""
 
 import sys
 import threading
@@ -38,7 +38,7 @@ class Progress(Watch):
         self._bar = tqdm(desc=step, bar_format=_PLAIN, disable=not show, mininterval=0.1 if is_seen else 10.0)
         self._ended = threading.Event()
         if show and is_seen:
-            # A clock that runs while one compiled call does.
+            # A clock that also runs during a single compiled call.
             threading.Thread(target=self._tick, daemon=True).start()
 
     def __enter__(self) -> "Progress":

@@ -1,4 +1,4 @@
-"""`provenance.json`: with what, where and when a run was made."""
+"""`provenance.json`: versions, machine and times of a run."""
 
 import os
 import platform
@@ -24,7 +24,7 @@ class Git(BaseModel):
 
 
 class Machine(BaseModel):
-    """Where a run was made."""
+    """The machine of a run."""
 
     platform: str
     processor: str
@@ -83,7 +83,7 @@ def end_session(path: Path) -> None:
 
 
 def read_provenance(path: Path) -> Provenance:
-    """What the file says.
+    """The content of the file.
 
     Raises:
         UserError: it is missing or damaged.

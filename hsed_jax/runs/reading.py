@@ -1,4 +1,4 @@
-"""A run folder read back, be it whole, damaged, or somebody else's."""
+"""A run folder read back, whether complete, damaged, or somebody else's."""
 
 import json
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from hsed_jax.reporting.finished import FinishedRun
 
-# A run packs nothing; a file that declares many times its size is damaged, or was made to fill the memory.
+# A run compresses nothing; a file that declares many times its size is damaged, or was made to fill the memory.
 _LEAST_BYTES, _MOST_UNPACKED = 2**24, 8
 
 
@@ -77,7 +77,7 @@ def holding(path: str | Path) -> Iterator[None]:
 
 
 def _tree(results: Path) -> "xr.DataTree":
-    """What `results.nc` holds."""
+    """The content of `results.nc`."""
     import h5py
     import xarray as xr
 

@@ -1,4 +1,4 @@
-"""Requests on the disk: what is asked of people or a controller is written, what they measured is read.
+"""Requests on the disk: requests for people or a controller are written, and their measurements are read.
 
 The folder of a request is `laboratory/E07-1` for the first attempt at E07; where it is missing it is made again.
 """
@@ -34,7 +34,7 @@ Columns = Mapping[str, Any] | pd.DataFrame
 
 
 class Expected(NamedTuple):
-    """What the calibrated model expects of an experiment: quantiles `BAND`, over the parameters alone.
+    """The response that the calibrated model expects of an experiment: quantiles `BAND`, over the parameters alone.
 
     Attributes:
         time: [s], shape (n,).

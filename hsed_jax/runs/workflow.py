@@ -1,4 +1,4 @@
-"""Running a study: its steps in order, with files, progress and resume around the pure pieces."""
+"""The run of a study: its steps in order, with files, progress and resume around the pure parts."""
 
 from collections.abc import Callable
 from importlib import import_module
@@ -179,7 +179,7 @@ class Run:
             try:
                 tables = illustrations(outcome, left_out, watch.report)
             finally:
-                # Before anything is drawn: what was found is on the disk whatever becomes of the figures.
+                # Before the figures are drawn, so that the results are on the disk if a figure fails.
                 self.store.write_results(results := results_tree(outcome, tables))
             draw(outcome, tables, self.store.figures, left_out, watch.report)
         if left_out.reasons:
@@ -207,7 +207,7 @@ class Run:
 
     @property
     def _leading(self) -> dict[str, Any]:
-        """What leads in a diagnosis that has not ended."""
+        """The leading result of a diagnosis that has not ended."""
         return {} if self.diagnosis is not None or self._followed is None else self._followed.leading
 
     def _watch(self, step: str) -> Progress:

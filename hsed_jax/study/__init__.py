@@ -1,1 +1,1 @@
-"""A study, built: the objects that compute, from what a user said."""
+"""A study, built: the objects that compute, made from the user's file."""

@@ -1,4 +1,4 @@
-"""What is said of a study before it is run: whether its priors fit the measured motion, and what a run will cost."""
+"""Advice on a study before it runs: whether its priors allow the measured motion, and the cost of a run."""
 
 import math
 
@@ -12,12 +12,12 @@ from hsed_jax.physics.structures import Structure
 from hsed_jax.study.inference import Inference
 from hsed_jax.study.mechanics import AbstractMechanics
 
-# Central share of the priors that should hold what is measured: 95 %.
+# Central share of the priors that should contain the measured value: 95 %.
 _LOW, _HIGH = 0.025, 0.975
-# A specimen that yields moves at this share of its virgin frequency, or more, and never faster; records tell a frequency to 5 %.
+# A yielding specimen moves at this share of its virgin frequency or more, and never faster; records show a frequency to 5 %.
 _YIELDED, _OFF = 0.7, 1.05
-# Seconds for each step of each experiment on one core, by step of a study, as measured on the project's campaigns; and of
-# compiling.  What a search needs depends on the data by a factor of three.
+# Seconds for each step of each experiment on one core, by step of a study, measured on the project's campaigns; and seconds of
+# compiling.  The cost of a search depends on the data, by a factor of three.
 _SECONDS = {"calibrate": 3e-4, "compare": 2e-5, "diagnose": 2e-2, "discover": 3e-3, "improve": 1.2e-3}
 _COMPILING = 15.0
 # Experiments that a diagnosis searches, at most.
@@ -28,9 +28,9 @@ _PROGRAM, _TILE, _CHUNK, _SEARCH, _BATCH = 0.7e9, 64 * 32, 256 * 24, 1500 * 8, 0
 
 
 def frequency_doubts(mechanics: AbstractMechanics, campaign: Campaign) -> list[str]:
-    """At most one sentence: the first frequency of the structure, within the priors, is not the one that the sensors show.
+    """At most one sentence: the priors exclude the first frequency of the structure that the sensors show.
 
-    Where the noise is inferred, nothing else tells: a prior that excludes the stiffness leaves a larger noise.
+    If the noise is inferred, no other check finds this: a prior that excludes the stiffness causes a larger noise.
     """
     structure = mechanics.structure
     if isinstance(mechanics.study.model, CalledEntry) or structure is None:
@@ -76,7 +76,7 @@ def _is_stiffness(mechanics: AbstractMechanics, name: str) -> bool:
 
 
 def _remedy(mechanics: AbstractMechanics, priors: list[str], factor: float) -> str:
-    """What to write, where the prior is of the kind that `hsed init` writes."""
+    """The prior to write instead, if the present one is of the kind that `hsed init` writes."""
     free, _ = mechanics.parameters
     said: list[str] = []
     for name in priors:

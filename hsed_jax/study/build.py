@@ -1,4 +1,4 @@
-"""From what a user said to the objects that compute: no `None` reaches the numerics."""
+"""From the user's study to the objects that compute: the numerics get no `None`."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -62,26 +62,26 @@ class Built:
     open_forms: tuple[str, ...] = ()
 
     def __post_init__(self):
-        # In a notebook nothing checks types before.
+        # In a notebook no earlier code checks the type.
         if not isinstance(self.study, Study):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise UserError(f"study: {self.study!r} is no study; hx.load_study('study.yaml') reads one from its file")
         prepare()
 
     @cached_property
     def experiments(self) -> Experiments:
-        """What is measured or planned."""
+        """The experiments, measured or planned."""
         return Experiments(self.study, self.campaign)
 
     @cached_property
     def mechanics(self) -> AbstractMechanics:
-        """What the model is made of."""
+        """The parts of the model."""
         if (called := _CALLED.get(type(self.study.model))) is not None:
             return called.mechanics(self.study, self.experiments)
         return SpringMechanics(self.study, self.experiments, self.open_forms)
 
     @cached_property
     def observed(self) -> Observed:
-        """What of it is observed, and with which errors."""
+        """The observed outputs and their errors."""
         return Observed(self.study, self.experiments, self.mechanics)
 
     @cached_property
@@ -93,24 +93,24 @@ class Built:
 
     @cached_property
     def inference(self) -> Inference:
-        """What is inferred from them."""
+        """The inference from the experiments."""
         return Inference(self.study, self.experiments, self.mechanics, self.observed, self.simulation)
 
     @cached_property
     def design(self) -> Design:
-        """Which experiments are asked for."""
+        """The design of further experiments."""
         return Design(self.study, self.inference)
 
     @cached_property
     def site(self) -> Site:
-        """Where they are performed."""
+        """The place where experiments are performed."""
         products = self.study, self.experiments, self.mechanics, self.observed, self.simulation
         return Site(*products, self.workspace, self.function)
 
     def check(self, *, performs: bool = True) -> None:
-        """Build everything that can be wrong, and compute nothing; a `UserError` says what is.
+        """Build everything that can be wrong, and compute nothing; a `UserError` names the fault.
 
-        `performs` tells whether the laboratory is to perform experiments; else it is left alone, as it may be code.
+        `performs` tells whether the laboratory will perform experiments; otherwise it is not built, because it may be code.
         """
         try:
             check_plan(self.study, self.experiments.space)
@@ -123,7 +123,10 @@ class Built:
             raise parts.in_study(self.study.file, error) from None
 
     def _needed(self, performs: bool) -> list[tuple[Any, str]]:
-        """What a check builds: of spring laws no simulator, nor a specimen that is one, whose scales may take a simulation."""
+        """The parts that a check builds.
+
+        A check of spring laws builds no simulator, and no virtual specimen, whose scales may need a simulation.
+        """
         study, mechanics = self.study, self.mechanics
         needed = [
             (mechanics, "pair"),

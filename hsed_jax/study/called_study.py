@@ -1,4 +1,4 @@
-"""A study whose model is called and is no spring law: what its mechanics and its simulation share, whatever is called."""
+"""A study whose model is called and is no spring law: the mechanics and the simulation that all such models share."""
 
 # A cached property stands for an abstract property here.
 # pyright: reportIncompatibleMethodOverride=false, reportIncompatibleVariableOverride=false
@@ -44,7 +44,7 @@ class CalledMechanics(AbstractMechanics):
 
     @cached_property
     def naming(self) -> Naming:
-        """There is none: its names are the function's own.
+        """None: the names are the function's own.
 
         Raises:
             UserError: always; what asks for it cannot be had.
@@ -64,7 +64,7 @@ class CalledMechanics(AbstractMechanics):
 
     @cached_property
     def elements(self) -> tuple[Element, ...]:
-        """The specimens that are measured; of virtual ones `virtual` has the laws, and of others nothing asks for one."""
+        """The measured specimens; virtual ones have their laws in `virtual`, and others need none."""
         virtual = self.study.experiments.specimen
         if virtual is not None and virtual.spring is None:
             raise UserError("experiments.virtual.spring: this key is required, as the model has no spring law")
@@ -72,7 +72,7 @@ class CalledMechanics(AbstractMechanics):
 
     @cached_property
     def laws(self) -> tuple[AbstractSpringLaw, ...]:
-        """The laws of the virtual specimens, whose scales and steps are asked for here; none where there are none."""
+        """The laws of the virtual specimens, for their scales and steps; none without virtual specimens."""
         if self.study.experiments.specimen is None:
             return ()
         elements, parameters = self.virtual
@@ -86,11 +86,11 @@ class CalledMechanics(AbstractMechanics):
 
     @property
     def has_specimens(self) -> bool:
-        """Whether specimens in a structure are measured; else what the function gives is told by its first call."""
+        """Whether specimens in a structure are measured; otherwise the first call of the function shows its outputs."""
         return self.structure is not None or bool(self.laws)
 
     def refuse_other_parts(self) -> None:
-        """Refuse priors of a structure, and models of specimens: what is called has its own.
+        """Refuse priors of a structure, and models of specimens: a called model has its own.
 
         Raises:
             UserError: names the key.
@@ -131,7 +131,7 @@ class CalledSimulation(AbstractSimulation):
 
     @cached_property
     def longest_step(self) -> float:
-        """That of the integration of virtual specimens, else the interval of the record or a share of the duration [s]."""
+        """The step of the integration of virtual specimens, or the interval of the record, or a share of the duration [s]."""
         if self.mechanics.laws:
             return super().longest_step
         excitation = self.experiments.excitation
@@ -148,23 +148,23 @@ class CalledSimulation(AbstractSimulation):
 
     @cached_property
     def planned(self) -> Timeline:
-        """The times of an experiment without a record: all that there are, as a function sees the motion at no others."""
+        """All times of an experiment without a record, because a function sees the motion at no other times."""
         return super().planned._replace(every=1)
 
     @cached_property
     def timeline(self) -> Timeline | None:
-        """The times of an experiment; None where there are none, and a function is told the inputs alone."""
+        """The times of an experiment; None if there are none, and the function gets only the inputs."""
         quantities = self.study.observe == "quantities"
         return None if quantities and self.grid is None and self.experiments.excitation is None else super().timeline
 
     @property
     def planned_simulator(self) -> AbstractModel:
-        """The function for experiments to come; where nothing is planned, as it is."""
+        """The function for experiments to come; the function itself if nothing is planned."""
         return self.simulator if self.experiments.excitation is None else super().planned_simulator
 
     @property
     def first(self) -> Conditions:
-        """The first experiment that was measured, or else one in the middle of the inputs."""
+        """The first measured experiment, or else one in the middle of the inputs."""
         measured = self.experiments.measured
         if measured is not None:
             experiment = self.experiments.taken(measured.completed.experiments[:1])[0]

@@ -1,4 +1,4 @@
-"""The design of a study's experiments: the sequential design, its sample sizes, and the limits that it keeps."""
+"""The design of a study's experiments: the sequential design, its sample sizes, and its limits."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from hsed_jax.physics.simulator import AbstractModel, Conditions
 from hsed_jax.study.inference import Inference
 
 if TYPE_CHECKING:
-    # A check of a study samples nothing, and need not wait for what does.
+    # A check of a study samples nothing, so it does not import the samplers.
     from hsed_jax.design.sequential import SequentialDesign
 
 
@@ -60,7 +60,7 @@ class Design:
 
     @cached_property
     def limits(self) -> Limits | None:
-        """What specimen and actuator can bear; None where the study sets no limit."""
+        """The limits of specimen and actuator; None if the study sets no limit."""
         if (entry := self.study.design.limits) is None:
             return None
         free, _ = self.inference.mechanics.parameters
@@ -70,7 +70,7 @@ class Design:
 
 
 def limits_of(entry: LimitsEntry, model: AbstractModel, names: tuple[str, ...], space: InputSpace) -> Limits:
-    """What specimen and actuator can bear.
+    """The limits of specimen and actuator.
 
     Arguments:
         entry: what the user said.

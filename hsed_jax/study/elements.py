@@ -1,4 +1,4 @@
-"""The specimens that a study has, and the effects that may be named: of all of them, of each, and of linear springs."""
+"""The specimens of a study, and the effects that it may name: of all specimens, of each one, and of linear springs."""
 
 from collections.abc import Sequence
 

@@ -25,7 +25,7 @@ LOWEST = 1e-9
 
 
 def protocol_of(study: Study, measured: Campaign | None) -> Protocol:
-    """What drives the experiments of a study: as they were measured, else as they are planned.
+    """The excitation of the experiments of a study: measured, or else planned.
 
     Raises:
         UserError: elongations are planned of a specimen in a structure, or beside measurements of a structure.
@@ -47,7 +47,7 @@ def protocol_of(study: Study, measured: Campaign | None) -> Protocol:
 
 
 def excitation_of(study: Study) -> Parametrised[AbstractExcitation] | None:
-    """From inputs to what drives an experiment; None where every experiment brings its record.
+    """From inputs to the excitation of an experiment; None if every experiment brings its record.
 
     Raises:
         UserError: a setting is impossible, refers to what is no input or one of another dimension, or a file cannot be read.
@@ -108,7 +108,7 @@ def _check(where: str, known: Setting, value: float | str, inputs: Mapping[str, 
 
 
 def sentence_of(study: Study) -> str:
-    """What drives the planned experiments of a study, without a full stop."""
+    """The excitation of the planned experiments of a study in words, without a full stop."""
     entry = study.excitation
     assert entry is not None and entry.excitation is not None
     return entry.excitation.sentence(entry.settings, entry.duration)

@@ -1,4 +1,4 @@
-"""The experiments of a study, measured or planned: what drives them, over which inputs, and what was measured."""
+"""The experiments of a study, measured or planned: their excitation, their inputs and their measurements."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ class Experiments:
 
     @cached_property
     def protocol(self) -> Protocol:
-        """What drives the experiments: the ground or a force, or the elongation of the specimen alone."""
+        """The excitation of the experiments: ground motion, a force, or an elongation imposed on the specimen alone."""
         return protocol_of(self.study, self.measured)
 
     @property
@@ -84,14 +84,14 @@ class Experiments:
         return tuple(thinned(e, samples) for e in experiments) if self.component_test else tuple(experiments)
 
     def thinning_notes(self, campaign: Campaign) -> list[str]:
-        """What the records of a campaign lost by thinning, in a sentence each; nothing of those that are as they were."""
+        """How thinning shortened the records of a campaign, in a sentence each; unchanged records have none."""
         full = campaign.completed.experiments
         pairs = [(a.id, a.scored, b.scored) for a, b in zip(full, self.taken(full), strict=True) if a is not b]
         return [f"{id} is {loss(a, b)}" for id, a, b in pairs if a is not None and b is not None]
 
     @cached_property
     def records(self) -> list[Record]:
-        """Records of the measured experiments, as they are taken; none where nothing was measured.
+        """Records of the measured experiments, after thinning; none without measurements.
 
         Raises:
             UserError: there is a campaign, and no experiment of it is completed.

@@ -43,7 +43,7 @@ class FunctionMechanics(CalledMechanics):
         return "a function"
 
     def known(self, name: str) -> Parameter | None:
-        """Nothing: its parameters are the user's own."""
+        """None: the parameters are the user's own."""
         return None
 
     @cached_property

@@ -34,20 +34,20 @@ from hsed_jax.study.observed import Observed
 from hsed_jax.study.simulation import AbstractSimulation
 
 if TYPE_CHECKING:
-    # A check of a study samples nothing, and need not wait for what does.
+    # A check of a study samples nothing, so it does not import the samplers.
     from hsed_jax.inference.discrepancy.inputs import Support
     from hsed_jax.inference.nuts import Settings
 
 # Inputs that represent their distribution: a simulation each.
 _SPREAD = 128
-# Of fewer shaken experiments nobody knows how far the best parameters of another one are from theirs: with one, bands held 60 %
-# of new records instead of 90 %; with two, 43 % in the worst of 20 campaigns, and intervals one value in two.
+# Fewer shaken experiments do not show how far the best parameters of another one are from theirs.  With one, bands held 60 % of
+# new records instead of 90 %; with two, 43 % in the worst of 20 campaigns, and the intervals held one value in two.
 _LEAST_SHAKEN = 3
 
 
 @dataclass(frozen=True)
 class Inference:
-    """What is inferred from the experiments of a study.
+    """The inference from the experiments of a study.
 
     Attributes:
         study: what the user said.
@@ -65,7 +65,7 @@ class Inference:
 
     @cached_property
     def observation(self) -> Observation:
-        """What is compared with the model."""
+        """The outputs that are compared with the model."""
         outputs, grid, excitation = self.observed.outputs, self.simulation.grid, self.experiments.excitation
         if self.study.observe == "quantities":
             return Quantities(outputs, grid, excitation, structures.masses_of(self.mechanics.structure))
@@ -87,7 +87,7 @@ class Inference:
 
     @cached_property
     def levels(self) -> tuple[Level, ...]:
-        """What varies between specimens."""
+        """The parameters that vary between specimens."""
         free, _ = self.mechanics.parameters
         return levels_of(self.study.model.levels, self.experiments.measured, free, lambda: self.possible)
 
@@ -114,12 +114,12 @@ class Inference:
 
     @property
     def search(self) -> int:
-        """Simulations of a search without derivatives before the descents; none where the response has derivatives."""
+        """Simulations of a search without derivatives before the descents; none if the response has derivatives."""
         return self.study.model.search if isinstance(self.study.model, OpenSeesEntry) else 0
 
     @property
     def possible(self) -> dict[str, Range]:
-        """Lowest and highest value of each free parameter that physics allows, SI; nothing is known of those of a function."""
+        """Lowest and highest physical value of each free parameter, SI; unknown for the parameters of a function."""
         if isinstance(self.study.model, FunctionEntry):
             return {}
         free, _ = self.mechanics.parameters
@@ -138,7 +138,7 @@ class Inference:
         return low, high
 
     def check_told(self, experiments: int | None = None) -> None:
-        """Refuse a discrepancy of histories that too few shaken experiments tell; a component test imposes the motion.
+        """Refuse a discrepancy of histories from too few shaken experiments; a component test imposes the motion.
 
         Arguments:
             experiments: how many there are to calibrate on; by default those measured, or planned.
@@ -160,11 +160,11 @@ class Inference:
 
     @property
     def support(self) -> "Support | None":
-        """What a discrepancy of quantities is a function of: the inputs, in the unit cube of their distributions.
+        """The variables of a discrepancy of quantities: the inputs, in the unit cube of their distributions.
 
-        Its orthogonality is taken over the distribution of the inputs where the model can be simulated at any of them, else over
-        the experiments: where each brings its record, and where every prediction is a program's.  None where no discrepancy is
-        asked for, and of histories, whose discrepancy is one over the cycles of the response.
+        If the model can be simulated at any inputs, the orthogonality is taken over their distribution.  Otherwise it is taken
+        over the experiments: if each brings its record, and if a program makes every prediction.  None without such a
+        discrepancy, and for histories, whose discrepancy depends on the cycles of the response.
 
         Raises:
             UserError: the experiments do not say one of them.

@@ -1,4 +1,4 @@
-"""What drives the experiments of a study, and what its laboratory measures."""
+"""The excitation of the experiments of a study, and the sensors of its laboratory."""
 
 from collections.abc import Iterable
 
@@ -12,17 +12,17 @@ from hsed_jax.study import structures
 
 
 def responses(channels: Iterable[str], *, component_test: bool) -> tuple[str, ...]:
-    """The channels that are a response to what drove the experiments."""
+    """The channels that are a response to the excitation."""
     return tuple(name for name in channels if not (is_driver(name) or (component_test and name == "elongation")))
 
 
 def driver_of(study: Study) -> str:
-    """The channel that measures what drives the planned experiments of a study."""
+    """The channel that measures the excitation of the planned experiments of a study."""
     return "ground_acceleration" if study.excitation is None else study.excitation.channel
 
 
 def sensors_of(study: Study, outputs: tuple[str, ...], structure: Structure | None) -> Sensors:
-    """What the laboratory of a study measures.
+    """The sensors of the laboratory of a study.
 
     Arguments:
         study: the study.

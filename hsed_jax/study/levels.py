@@ -1,4 +1,4 @@
-"""Levels of a study: which columns of the experiments parameters vary with, and who is a member of what."""
+"""Levels of a study: the columns of the experiments with which parameters vary, and their members."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any

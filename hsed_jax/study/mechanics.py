@@ -45,7 +45,7 @@ class Virtual(NamedTuple):
 
 @dataclass(frozen=True)
 class AbstractMechanics(ABC):
-    """What a model is made of; each kind of model has its own.
+    """The parts of a model; each kind of model has its own.
 
     Attributes:
         study: what the user said.
@@ -63,7 +63,7 @@ class AbstractMechanics(ABC):
     @property
     @abstractmethod
     def naming(self) -> Naming:
-        """What the names of parameters and effects stand for.
+        """The meaning of the names of parameters and effects.
 
         Raises:
             UserError: the model is a function, and has names of its own.
@@ -87,42 +87,42 @@ class AbstractMechanics(ABC):
     @property
     @abstractmethod
     def laws(self) -> tuple[AbstractSpringLaw, ...]:
-        """The laws in the middle of their priors; none of a model that has no law."""
+        """The laws in the middle of their priors; none for a model without a law."""
 
     @property
     @abstractmethod
     def steepest(self) -> tuple[AbstractSpringLaw, ...]:
-        """The laws where their priors make them stiffest and let them yield soonest."""
+        """The laws at the parameters where they are stiffest and yield first, within the priors."""
 
     @property
     @abstractmethod
     def has_specimens(self) -> bool:
-        """Whether structure and specimens tell what the model gives; a function tells it when it is called."""
+        """Whether structure and specimens determine the outputs; a function shows them when it is called."""
 
     @abstractmethod
     def known(self, name: str) -> Parameter | None:
-        """What is known of a parameter of the model; None of one that only the user knows."""
+        """The declaration of a parameter of the model; None if only the user knows the parameter."""
 
     @property
     def is_shared(self) -> bool:
-        """Whether its program takes long to make: it holds all forms of its effects."""
+        """Whether its program takes long to compile, because it holds all forms of its effects."""
         return False
 
     @abstractmethod
     def check(self) -> None:
-        """Refuse effects that cannot be added to the model, and steps that need effects where it can have none."""
+        """Refuse effects that the model cannot have, and steps that need effects if it can have none."""
 
     @cached_property
     def catalogue(self) -> Catalogue:
         """The effects that the study may name; its own files of effects are executed."""
         springs = [] if self.study.structure is None else self.study.structure.springs
-        # What drives the experiments a campaign may have to tell, and a study without springs needs none for its catalogue.
+        # The campaign may be needed to find the excitation, but a study without springs has a catalogue without it.
         count = len(springs) if springs and not self.experiments.component_test else 0
         return placed(catalogue_of(self.study), self.elements, count)
 
     @cached_property
     def pair(self) -> Pair:
-        """What elongation and force of the specimen are: as the campaign or the laboratory declares, else just these.
+        """The kind of elongation and force of the specimen, as the campaign or the laboratory declares it; else just these.
 
         Raises:
             UserError: units that do not belong together; or the specimen is in a structure of masses, and the pair is another.
@@ -153,7 +153,7 @@ class AbstractMechanics(ABC):
 
     @property
     def stiffest(self) -> Structure:
-        """The structure where its priors make its shortest period shortest."""
+        """The structure with its shortest period, within the priors."""
         return structures.stiffest(self.structure, self.structure_priors)
 
     @cached_property
@@ -191,7 +191,7 @@ class SpringMechanics(AbstractMechanics):
 
     @property
     def is_shared(self) -> bool:
-        """Whether any effect is there in all its forms."""
+        """Whether any effect is present in all its forms."""
         return bool(self.open_forms)
 
     @cached_property
@@ -202,7 +202,7 @@ class SpringMechanics(AbstractMechanics):
 
     @cached_property
     def naming(self) -> Naming:
-        """What the names of parameters and effects stand for."""
+        """The meaning of the names of parameters and effects."""
         return Naming(self.elements, self.catalogue)
 
     @cached_property
@@ -228,16 +228,16 @@ class SpringMechanics(AbstractMechanics):
 
     @cached_property
     def steepest(self) -> tuple[AbstractSpringLaw, ...]:
-        """The laws where their priors make them stiffest and let them yield soonest."""
+        """The laws at the parameters where they are stiffest and yield first, within the priors."""
         return self.naming.laws(self.parameters, steepest=True)
 
     def known(self, name: str) -> Parameter | None:
-        """What is known of a parameter of a law, an effect or the structure."""
+        """The declaration of a parameter of a law, an effect or the structure."""
         return self.naming.known(name)
 
     @property
     def has_specimens(self) -> bool:
-        """They tell what the model gives."""
+        """True: the specimens determine the outputs."""
         return True
 
     def check(self) -> None:

@@ -1,4 +1,4 @@
-"""The noise of what is observed: as a study gives it, as a campaign or a laboratory declares it, or to be inferred."""
+"""The noise of the observed outputs: given by the study, declared by a campaign or a laboratory, or inferred."""
 
 from collections.abc import Mapping, Sequence
 
@@ -29,7 +29,7 @@ def errors_of(study: Study, outputs: Sequence[str], declared: Mapping[str, Chann
     for name in outputs:
         entry = given.get(name) or ErrorEntry(inflate=False)
         size = entry if entry.kinds else _declared(declared.get(name))
-        # Of a history the model may miss as much as there is; a quantity off by half is already a poor model.
+        # The error of a history may be as large as the history.  For a quantity, an error of a half is already large.
         unknown = Prior("half_normal", 0.3 if study.observe == "quantities" else 1.0)
         if entry.discrepancy:
             _check_discrepancy(study, name, size)
@@ -75,7 +75,7 @@ def _error(name: str, size: float | Prior, is_relative: bool, entry: ErrorEntry,
 
 
 def _declared(channel: Channel | None) -> NoiseEntry:
-    """The noise that is declared, and where none is, one that is inferred."""
+    """The declared noise, or else an inferred one."""
     if channel is None or channel.noise is None or not (channel.noise.absolute or channel.noise.relative):
         return NoiseEntry(unknown=True)
     return NoiseEntry(absolute=channel.noise.absolute, relative=channel.noise.relative)

@@ -1,4 +1,4 @@
-"""What a study observes: the names of its quantities or channels, as campaign, laboratory and model can give them."""
+"""The observed outputs of a study: quantities or channels that campaign, laboratory and model can give."""
 
 import math
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ from hsed_jax.study.structures import masses_of
 
 @dataclass(frozen=True)
 class Observed:
-    """What a study observes.
+    """The observed outputs of a study.
 
     Attributes:
         study: what the user said.
@@ -67,7 +67,7 @@ class Observed:
 
     @cached_property
     def sensors(self) -> Sensors:
-        """What the laboratory measures."""
+        """The sensors of the laboratory."""
         return sensors_of(self.study, self.outputs, self.mechanics.structure)
 
     @cached_property
@@ -97,7 +97,7 @@ class Observed:
             for name in names:
                 at("channels", _check_channel, name, mechanics.structure, owners)
             return
-        # A record that ends before is passed over.
+        # Shorter records are ignored.
         is_planned = not experiments.records and experiments.excitation is not None
         _check_quantities(names, mechanics.structure, owners, experiments.duration if is_planned else math.inf)
 
@@ -151,7 +151,7 @@ def _check_quantities(
 
 
 def _declared(study: Study) -> tuple[str, ...] | None:
-    """Channels of responses that the laboratory declares; None where it measures what it is asked for."""
+    """Channels of responses that the laboratory declares; None if it measures whatever is requested."""
     entry = study.experiments.laboratory
     if not isinstance(entry, MeasuredEntry) or not entry.channels:
         return None

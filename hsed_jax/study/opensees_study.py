@@ -38,7 +38,7 @@ class OpenSeesMechanics(CalledMechanics):
         return f"the material {self.material.name} of OpenSees"
 
     def known(self, name: str) -> Parameter | None:
-        """What the table says of a parameter."""
+        """The declaration of a parameter in the table."""
         known = self.material.parameters.get(name)
         if known is None:
             return None
@@ -127,13 +127,13 @@ class OpenSeesSimulation(CalledSimulation):
 
 
 def marks_of(campaign: Campaign) -> Marks:
-    """What the training experiments of a campaign tell of the specimen."""
+    """Characteristic points of the specimen, from the training experiments of a campaign."""
     found = characteristics(campaign)
     stiffness = found.stiffness if np.isfinite(found.stiffness) else 2 * found.force / found.elongation
     return Marks(stiffness, found.force, found.elongation, found.energy / found.force)
 
 
 def entry_of(study: Study) -> OpenSeesEntry:
-    """What a study says of a model that is a material of OpenSees."""
+    """The entry of a study for a model that is a material of OpenSees."""
     assert isinstance(study.model, OpenSeesEntry)
     return study.model

@@ -62,7 +62,7 @@ def catalogue_of(study: Study) -> Catalogue:
             module = module_of(study.folder / name)
         except UserError as error:
             raise UserError(f"{where}: {error}") from None
-        # Effects of the package that it imports are not its own.
+        # Effects that the file imports from the package are not its own.
         found = [effect for effect in registered(module) if effect not in EFFECTS.values()]
         if not found:
             raise UserError(

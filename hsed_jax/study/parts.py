@@ -9,14 +9,14 @@ from hsed_jax.physics.parameters import Parameter
 
 
 def check_names(where: str, given: Mapping[str, Any], known: Mapping[str, Any]) -> None:
-    """Refuse a name that is not known, and say which are."""
+    """Refuse an unknown name, and list the known ones."""
     for name in given:
         if name not in known:
             raise UserError(f"{where}.{name}: there is no such parameter; allowed here are {', '.join(known)}")
 
 
 def within(where: str, value: float, known: Parameter) -> float:
-    """A fixed value, if it is possible; of a physical form, bounds other than zero depend on scales that are not known here."""
+    """A fixed value, if it is possible.  For a physical form, bounds other than zero depend on scales that are unknown here."""
     is_physical = known.physical is not None and where.rpartition(".")[2] == known.physical.name != known.name
     low, high = known.lower, known.upper
     if is_physical:
@@ -34,12 +34,12 @@ def possible(known: Parameter) -> str:
 
 
 def prior(where: str, entry: Mapping[str, Any]) -> Prior:
-    """A prior, its faults with the key in front."""
+    """A prior; messages of its faults begin with the key."""
     ((name, arguments),) = entry.items()
     return at(where, Prior, str(name), arguments)
 
 
 def in_study(file: Any, error: UserError) -> UserError:
-    """An error with the file of the study in front, once; of a study without one as it is."""
+    """An error whose message begins with the file of the study, once; without a file, the error as it is."""
     is_said = file is None or str(error).startswith(f"{file}: ")
     return error if is_said else UserError(f"{file}: {error}")

@@ -1,4 +1,4 @@
-"""Whether the steps of a study make a plan: their order, and what each needs."""
+"""Whether the steps of a study can be done: their order, and the needs of each."""
 
 import difflib
 from collections.abc import Sequence
@@ -69,7 +69,7 @@ def _check_sizes(study: Study) -> None:
     test = 0 if laboratory is None else laboratory.further
     asked = design.iterations if "design" in study.steps else 0
     experiments = design.initial + asked + test if laboratory is not None else 1
-    # Of a design the Kriging has a covariance between all experiments, and one between them and every candidate.
+    # The Kriging of a design has a covariance between all experiments, and one between them and every candidate.
     related = experiments if "design" in study.steps else 1
     for key, count, each in (
         ("design.initial", design.initial, _EXPERIMENT + 8 * related),
@@ -78,7 +78,7 @@ def _check_sizes(study: Study) -> None:
         ("design.candidates", design.candidates, 8 * related),
         ("design.kriging.starts", design.kriging.starts, 8 * related**2),
         ("calibration.starts", sizes.starts, 8 * experiments * (1 + len(free))),
-        # Chains of a usual length first: then it is the length of a chain that is too large.
+        # If the number is usual, the length of a chain is too large.
         ("calibration.chains", sizes.chains, 8 * max(min(sizes.draws, usual.draws), experiments) * (1 + len(free))),
         ("calibration.draws", sizes.draws, 8 * sizes.chains * (1 + len(free))),
         ("calibration.step_draws", sizes.step_draws, 8 * sizes.chains * (1 + len(free))),

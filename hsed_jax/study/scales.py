@@ -19,7 +19,7 @@ from hsed_jax.study.experiments import Experiments
 
 
 def told_scales(found: Characteristics | None) -> list[float | None]:
-    """Scales that the characteristic values of a campaign tell; None for each that they do not."""
+    """Scales from the characteristic values of a campaign; None for each that they do not determine."""
     values = [math.nan] * 4 if found is None else found[:4]
     return [value if math.isfinite(value) and value > 0 else None for value in values]
 
@@ -34,7 +34,7 @@ def law_parameters(elements: Sequence[Element], laws: Sequence[AbstractSpringLaw
 
 
 def conditions(experiments: Experiments, grid: Grid | None) -> list[Conditions]:
-    """The training experiments as they were excited, or else one in the middle of the inputs."""
+    """The measured conditions of the training experiments, or else one experiment in the middle of the inputs."""
     measured = experiments.measured
     if measured is not None and len(measured.train):
         train = experiments.taken(measured.train.experiments)
@@ -43,9 +43,9 @@ def conditions(experiments: Experiments, grid: Grid | None) -> list[Conditions]:
 
 
 def simulated_scales(plain: Simulator, middle: Mapping[str, float], experiments: Sequence[Conditions]) -> Scales:
-    """What the model without effects does in the middle of its priors, the median over experiments, to two digits.
+    """The response of the model without effects in the middle of its priors: the median over experiments, to two digits.
 
-    Of several specimens the most.
+    With several specimens, the largest.
 
     Raises:
         UserError: it does nothing, or its simulation diverges.

@@ -61,7 +61,7 @@ class AbstractSimulation(ABC):
 
     @cached_property
     def longest_step(self) -> float:
-        """The longest one of the integration [s]."""
+        """The longest step of the integration [s]."""
         mechanics, experiments = self.mechanics, self.experiments
         return longest_step(mechanics.stiffest, mechanics.steepest, experiments)
 
@@ -81,14 +81,14 @@ class AbstractSimulation(ABC):
 
     @cached_property
     def timeline(self) -> Timeline | None:
-        """The grid of the integration; None where a function is told the inputs alone."""
+        """The grid of the integration; None for a function that gets only the inputs."""
         if self.grid is not None:
             return Timeline(None, self.grid.steps, self.grid.every)
         return self.planned
 
     @cached_property
     def scales(self) -> Scales:
-        """Characteristic values that make amplitudes of effects dimensionless: given, else from the campaign or the plain model.
+        """Characteristic values that make amplitudes of effects dimensionless: given, or from the campaign or the plain model.
 
         Raises:
             UserError: nothing tells them, not even the model.
@@ -112,7 +112,7 @@ class AbstractSimulation(ABC):
 
     @cached_property
     def planned_simulator(self) -> AbstractModel:
-        """The computational simulator of experiments to come, on their timeline: a study of records has another."""
+        """The simulator of experiments to come, on their timeline; a study of records has another one."""
         return dataclasses.replace(self.simulator, timeline=self.planned)
 
     def of_springs(
@@ -150,7 +150,7 @@ class AbstractSimulation(ABC):
 
 @dataclass(frozen=True)
 class SpringSimulation(AbstractSimulation):
-    """The integration of spring laws in a structure, or of one whose elongation is imposed."""
+    """The integration of spring laws in a structure, or of one law under an imposed elongation."""
 
     @cached_property
     def grid(self) -> Grid | None:

@@ -1,4 +1,6 @@
-"""Where the experiments of a study are performed: its laboratory, what that is told, and the campaign that it fills."""
+"""The place where the experiments of a study are performed: its laboratory, the information for it, and the campaign that it
+fills.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -24,7 +26,8 @@ from hsed_jax.study.simulation import AbstractSimulation
 
 @dataclass(frozen=True)
 class Site:
-    """Where experiments are performed, and what a laboratory may ask (`hsed_jax.laboratories.kinds.base.Site`).
+    """The place where experiments are performed, with the information that a laboratory may ask for
+    (`hsed_jax.laboratories.kinds.base.Site`).
 
     Attributes:
         study: what the user said.
@@ -46,19 +49,19 @@ class Site:
 
     @property
     def sensors(self) -> Sensors:
-        """What is measured."""
+        """The sensors."""
         return self.observed.sensors
 
     @property
     def programme(self) -> Programme:
-        """What the experiments have in common."""
+        """The common properties of the experiments."""
         timeline = self.simulation.planned
         assert self.experiments.excitation is not None
         return Programme(self.experiments.space.units, self.experiments.excitation, timeline)
 
     @cached_property
     def laboratory(self) -> Laboratory:
-        """What performs experiments.
+        """The laboratory that performs experiments.
 
         Raises:
             UserError: the study has no laboratory, or the laboratory cannot be made.
@@ -89,7 +92,7 @@ class Site:
 
     @property
     def driver(self) -> str:
-        """The channel that measures what drives the experiments."""
+        """The channel that measures the excitation."""
         return driver_of(self.study)
 
     @property
@@ -132,7 +135,7 @@ class Site:
         )
 
     def perform(self) -> Campaign:
-        """The laboratory's experiments at the initial design, and of a virtual one those for testing."""
+        """The laboratory's experiments at the initial design, and for a virtual laboratory those for testing."""
         entry, train = self.study.experiments.laboratory, self.study.design.initial
         space, campaign = self.experiments.space, self.empty_campaign()
         test = 0 if entry is None else entry.further

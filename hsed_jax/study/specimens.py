@@ -1,8 +1,8 @@
 """The specimens of a study: their laws, and the parameters of the model and of a virtual specimen by their names.
 
-What belongs to one of several specimens has its name in front: `storey2.A`, `storey2.slip.delta`; without it, a parameter is
-shared by all specimens that have no model of their own.  Of linear springs the catalogue has what makes them yield:
-`spring_1.yielding`.
+With several specimens, the name of a specimen stands before its parameters: `storey2.A`, `storey2.slip.delta`.  Without it, a
+parameter is shared by all specimens that have no model of their own.  A linear spring has one effect in the catalogue, which
+makes it yield: `spring_1.yielding`.
 """
 
 import difflib
@@ -33,7 +33,7 @@ from hsed_jax.study.parts import check_names, prior, within
 
 @dataclass(frozen=True)
 class Naming:
-    """What the names in a study stand for.
+    """The meaning of the names in a study.
 
     Attributes:
         elements: the specimens.
@@ -44,14 +44,14 @@ class Naming:
     catalogue: Catalogue
 
     def laws_with(self, effect: str) -> list[type[AbstractSpringLaw]]:
-        """The laws that an effect in a spring would be an effect of."""
+        """The laws that may have an effect in a spring."""
         owner = owner_of(effect)
         if number_of_spring(owner) is not None:
             return [Elastic]
         return [element.law for element in self.elements if element.has(owner)]
 
     def unserved(self, effect: str, form: str | None = None) -> str:
-        """Why an effect cannot be had, in one of its forms or else in its default one, in words; empty where it can."""
+        """Why the specimens cannot have an effect, in one of its forms or in its default one; empty if they can."""
         kind = self.catalogue[effect]
         return next((why for law in self.laws_with(effect) if (why := unserved(kind, law, form))), "")
 
@@ -88,7 +88,7 @@ class Naming:
 
     @property
     def candidates(self) -> list[str]:
-        """Effects that a diagnosis may look for: of specimens with names those of each, and of all none."""
+        """Effects that a diagnosis may look for: those of each named specimen, and those of all specimens."""
         have_names = any(element.name for element in self.elements)
 
         def is_one(name: str) -> bool:
@@ -100,7 +100,7 @@ class Naming:
         return [name for name in self.catalogue if is_one(name)]
 
     def left_out(self) -> list[str]:
-        """What laws keep out of a diagnosis, in a sentence; nothing where they have a place for every effect."""
+        """The effects that a diagnosis leaves out because of the laws, in a sentence; empty if there are none."""
         by_law: dict[str, list[str]] = defaultdict(list)
         for name in self.candidates:
             if self.unserved(name):
@@ -117,7 +117,7 @@ class Naming:
 
     @cached_property
     def of_laws(self) -> dict[str, Parameter]:
-        """The parameters of the laws, by name: what is shared, and what each of several specimens has or may have alone."""
+        """The parameters of the laws, by name: shared ones, and those that each of several specimens has or may have alone."""
         shared = {
             name: known
             for element in self.elements
@@ -133,7 +133,7 @@ class Naming:
         return shared | own
 
     def known(self, name: str) -> Parameter | None:
-        """What is known of a parameter of a law, of an effect under either of its names, or of the structure; else None."""
+        """The declaration of a parameter of a law, of an effect under either of its names, or of the structure; else None."""
         owner, own = owner_of(name), own_name(name)
         if owner == OWNER:
             return parameter_of(own)
@@ -157,7 +157,7 @@ class Naming:
                 physical = {p.physical.name: p.physical.unit for p in known.values() if p.physical is not None}
                 unit = known[own].unit if own in known else physical[own]
             exponent = named(owner, "n") if named(owner, "n") in {**constants, **dict.fromkeys(names)} else "n"
-            # With n = 1 the unit of β and γ is an ordinary one.
+            # With n = 1, β and γ have an ordinary unit.
             is_plain = constants.get(exponent, 1.0) == 1 and exponent not in names
             unit = "1/m" if unit == "N^(1-n)/m" and is_plain else unit
             units[name] = unit if owner == OWNER else pair.unit(unit)
@@ -166,7 +166,7 @@ class Naming:
     def laws(
         self, parameters: tuple[Mapping[str, Prior], Mapping[str, float]], *, steepest: bool = False
     ) -> tuple[AbstractSpringLaw, ...]:
-        """The laws of the specimens in the middle of the priors, or where these make them stiff and let them yield soon.
+        """The laws of the specimens in the middle of the priors, or at the parameters where they are stiff and yield early.
 
         Arguments:
             parameters: free ones of the model with their priors, and fixed ones.
@@ -216,7 +216,7 @@ class Naming:
                 where, entry = "", dict(known.prior)
             if isinstance(entry, dict):
                 free[name] = prior(where, cast("dict[str, Any]", entry))
-                # A prior of the catalogue is right by definition; a lognormal one reaches to a bound of 0.01 with no mass there.
+                # Priors of the catalogue need no check; a lognormal one reaches down to a bound of 0.01, with no mass there.
                 for bound in free[name].bounds if where else ():
                     if bound is not None:
                         within(where, bound, known)
@@ -231,7 +231,7 @@ class Naming:
         return free, fixed
 
     def _given(self, study: Study, pair: Pair, open_forms: Sequence[str]) -> dict[str, tuple[str, Parameter, Any]]:
-        """Everything that the model says or leaves to a default, by name: its place, what is known of it, what is given."""
+        """All entries of the model, given or default, by name: place, declaration, value."""
         said = {name: (f"model.parameters.{name}", entry) for name, entry in study.model.parameters.items()}
         check_names("model.parameters", study.model.parameters, self._sayable)
         for element in self.elements:
@@ -328,14 +328,14 @@ class Naming:
         return form, allowed
 
     def no_such(self, effect: str) -> str:
-        """That there is no such effect, and what there is."""
+        """The message that there is no such effect, with the existing ones."""
         close = difflib.get_close_matches(effect, self.catalogue, n=1)
         hint = f" (did you mean {close[0]}?)" if close else ""
         return f"there is no such effect{hint}; the catalogue has {', '.join(self.catalogue)}"
 
 
 def own_model(study: Study, element: Element) -> tuple[str, Any]:
-    """The key of the model that a specimen follows, and the entry where it has one of its own."""
+    """The key of the model that a specimen follows, and the entry if it has one of its own."""
     if not element.is_apart:
         return "model", None
     assert study.structure is not None

@@ -14,7 +14,7 @@ from hsed_jax.study.parts import possible, prior, within
 
 
 def structure(entry: StructureEntry) -> Structure:
-    """The numerical substructure; what has a prior is at its median."""
+    """The numerical substructure; numbers with a prior are at its median."""
     priors = priors_of(entry)
 
     def number(name: str, given: Any) -> float:
@@ -52,7 +52,7 @@ def structure(entry: StructureEntry) -> Structure:
 
 
 def masses_of(structure: Structure | None) -> int:
-    """How many masses there are; none of a specimen that is alone."""
+    """Number of masses; zero for a specimen alone."""
     return 0 if structure is None else len(structure.masses)
 
 
@@ -64,7 +64,7 @@ def priors_of(entry: StructureEntry) -> dict[str, Prior]:
             continue
         known = parameter_of(name)
         made = priors[f"{OWNER}.{name}"] = prior(where, cast("dict[str, Any]", given))
-        # With a negative mass or stiffness there is no structure; a mass that a billionth of the prior puts there never occurs.
+        # A structure has no negative mass or stiffness; a prior may reach there with a billionth of its mass, which never occurs.
         lowest, highest = (float(made.quantile(share)) for share in (1e-9, 1 - 1e-9))
         if lowest < known.lower or highest > known.upper or (name.startswith("mass_") and not lowest > 0):
             allowed = "positive" if name.startswith("mass_") else possible(known)
@@ -73,7 +73,7 @@ def priors_of(entry: StructureEntry) -> dict[str, Prior]:
 
 
 def stiffest(structure: Structure | None, of_structure: Mapping[str, Prior]) -> Structure:
-    """The structure where its periods are shortest: the stiffest springs, the lightest masses that priors allow."""
+    """The structure with its shortest periods: the stiffest springs and the lightest masses that priors allow."""
     assert structure is not None
     numbers = {
         name: float(prior.quantile(0.001 if name.startswith("mass_") else 0.999))
@@ -84,7 +84,7 @@ def stiffest(structure: Structure | None, of_structure: Mapping[str, Prior]) -> 
 
 
 def _numbers(entry: StructureEntry) -> dict[str, tuple[str, Any]]:
-    """The numbers of a structure by the names of their parameters: where each stands, and what was given."""
+    """The numbers of a structure by the names of their parameters: the place of each, and its value."""
     damping = entry.damping
     found: dict[str, tuple[str, Any]]
     found = {f"mass_{i}": (f"structure.masses[{i}]", given) for i, given in enumerate(entry.masses, 1)}

@@ -25,13 +25,13 @@ from hsed_jax.study.mechanics import AbstractMechanics
 # The integration resolves the shortest period with this many steps; peaks are then good to 1e-4 (tests/test_response.py).
 _STEPS_PER_PERIOD = 24
 _MOST_STEPS = 1_000_000
-# Samples of a planned history; of a cycle that is imposed at least four to a quarter.
+# Samples of a planned history; an imposed cycle has at least four per quarter.
 _SAMPLES = 400
 _SAMPLES_PER_BRANCH = 4
-# Steps of a quarter of a cycle, where the spring needs no more to be stable.
+# Steps of a quarter of a cycle, if the spring needs no more to be stable.
 _MOST_PER_BRANCH = 100
-# A step of a measured elongation is at most this share of the yield elongation, where that takes no more steps per sample than
-# these; and at most the yield elongation, however many it takes.
+# A step of a measured elongation is at most this share of the yield elongation, within the given number of steps per sample; it
+# is at most the yield elongation for any number of steps.
 _STEP_PER_YIELD = 0.2
 _DIVISIONS = 20
 # The smallest size of a compiled program, and the ratio of successive sizes: campaigns of similar length share a program.
@@ -52,7 +52,7 @@ def longest_step(structure: Structure, steepest: Sequence[AbstractSpringLaw], ex
 
 
 def required(experiments: Experiments) -> tuple[ExcitationEntry, Parametrised[AbstractExcitation]]:
-    """What drives the planned experiments.
+    """The excitation of the planned experiments.
 
     Raises:
         UserError: the study does not say.
@@ -93,7 +93,7 @@ def imposed_timeline(
     laws: Sequence[AbstractSpringLaw],
     steepest: Sequence[AbstractSpringLaw],
 ) -> Timeline:
-    """The same number of steps for every branch, at the largest of which the spring that yields soonest, if any, is resolved."""
+    """The same number of steps for every branch; the largest branch resolves the spring that yields first, if any."""
     largest = excitation(experiments.quantile(1 - LOWEST))
     assert isinstance(largest, AbstractImposedElongation)
     wanted, least, stable = TOLD / largest.branches, 0.0, 0.0
@@ -172,7 +172,7 @@ def imposed_grid(
 
 
 def _divisions(longest: float, yields: Sequence[float], steepest: AbstractSpringLaw) -> tuple[float, float, float]:
-    """Into how many steps a path of an imposed elongation is divided: to be exact, at least, and for a stable integration.
+    """Number of steps for a path of an imposed elongation: to be exact, at least, and for a stable integration.
 
     Arguments:
         longest: the path [m].
@@ -190,7 +190,7 @@ def _divided(records: Sequence[Record], needed: float, is_shared: bool) -> Grid:
 
 
 def padded(count: int, is_shared: bool = False) -> int:
-    """The least size of a compiled program for so many samples; `is_shared`: of one that takes long to make."""
+    """The least size of a compiled program for so many samples; `is_shared`: a program that takes long to compile."""
     least, times = (_LEAST_SHARED, _TIMES_SHARED) if is_shared else (_LEAST, _TIMES)
     return least * times ** max(math.ceil(math.log(max(count, 1) / least, times) - 1e-9), 0)
 

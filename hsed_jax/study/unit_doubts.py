@@ -1,4 +1,4 @@
-"""Doubts of units that only a study can tell: a drift by its height, a period by its masses, a motion by its excitation."""
+"""Doubts of units that need a study: a drift needs its height, a period its masses, a motion its excitation."""
 
 # JAX gives its devices no type, so the functions that make arrays have none.
 # pyright: reportUnknownMemberType=false

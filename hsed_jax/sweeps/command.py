@@ -1,4 +1,4 @@
-"""The commands `hsed sweep`, `hsed sensitivity` and `hsed laws`.  Parsing and telling only."""
+"""The commands `hsed sweep`, `hsed sensitivity` and `hsed laws`: parsing and output only."""
 
 import argparse
 import sys
@@ -135,7 +135,7 @@ def _laws(options: Any) -> int:
 
     study = load_study(options.study, options.overrides)
     names = tuple(filter(None, (word.strip() for word in (options.materials or "").split(","))))
-    # A wrong key is told before what calculates is loaded.
+    # A wrong key is reported before the numerical packages are loaded.
     from hsed_jax.sweeps.laws import Law, laws
 
     def tell(law: Law) -> None:
@@ -199,7 +199,7 @@ def _grid(path: str) -> dict[str, Any]:
 
 
 def _merged(part: str, grid: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
-    """What the file and the command line say together."""
+    """The statements of the file and the command line together."""
     said = {str(key): value for key, value in grid.get(part, {}).items()}
     if twice := sorted(said.keys() & given):
         raise UserError(f"{twice[0]}: this key is swept twice")

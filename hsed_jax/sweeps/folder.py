@@ -19,7 +19,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.plain import dump_yaml, parse_yaml
 from hsed_jax.sweeps.plan import Plan
 
-# What a sweep leaves, and so what another may replace; everything else in its folder is the user's.
+# The files of a sweep, which another sweep may replace; all other files in its folder are the user's.
 _OF_A_SWEEP = ("sweep.yaml", "runs", "outcomes", "table.parquet", "results.nc", "failures.txt", "figures")
 
 

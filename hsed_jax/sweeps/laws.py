@@ -1,4 +1,4 @@
-"""Several laws calibrated on the same tests, and ranked by how they predict what was not fitted."""
+"""Several laws calibrated on the same tests, and ranked by their predictions of held-out data."""
 
 import json
 import math

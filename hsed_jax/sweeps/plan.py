@@ -1,4 +1,4 @@
-"""The points of a sweep: which keys of a study take which values, and that every one of the studies can run."""
+"""The points of a sweep: the keys of a study with their values, checked so that every study can run."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ Range = Sequence[float] | Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Plan:
-    """What a sweep runs.
+    """The studies of a sweep.
 
     Attributes:
         study: the study that all points have in common, every default written out.

@@ -1,4 +1,4 @@
-"""What came out of a sweep, as a table, a dataset and a list of failures, made from its folder."""
+"""The results of a sweep, as a table, a dataset and a list of failures, made from its folder."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""A sweep from Python: run many studies, however often it is interrupted, and gather what came out."""
+"""A sweep from Python: run many studies, across interruptions, and gather the results."""
 
 import traceback
 from collections.abc import Mapping, Sequence
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Sweep(Tabular):
-    """What came out of a sweep.
+    """The results of a sweep.
 
     Attributes:
         path: its folder.
@@ -187,7 +187,7 @@ def _run(folder: SweepFolder, pending: list[int], client: "Client", pin: bool, p
             ): number
             for number in pending
         }
-        # A client that is there already is nobody's default one.
+        # An existing client is not the default one, so its loop is passed.
         for future in as_completed(list(futures), loop=client.loop):
             number = futures.pop(future)
             if future.status == "error":
@@ -200,7 +200,7 @@ def _run(folder: SweepFolder, pending: list[int], client: "Client", pin: bool, p
             elif future.status != "finished":
                 raise Interrupted("the Dask scheduler went away")
             failed += future.status == "error" or future.result() == "failed"
-            # What nobody holds is not computed again when its worker dies.
+            # A released result is not computed again when its worker dies.
             future.release()
             bar.set_postfix_str(f"{failed} failed" if failed else "")
             bar.update()

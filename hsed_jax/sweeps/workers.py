@@ -1,4 +1,4 @@
-"""Where the studies of a sweep run: processes of this machine, a Dask cluster that is there, or jobs of Slurm."""
+"""The workers of a sweep: processes of this machine, an existing Dask cluster, or jobs of Slurm."""
 
 import logging
 import os
@@ -109,7 +109,7 @@ def local_client(workers: int | None, tasks: int) -> "Iterator[Client]":
     available = cores()
     settings: dict[str, Any] = {
         "distributed.scheduler.allowed-failures": _DEATHS,
-        # A worker has one study at a time: what dies with it is not counted against others.
+        # A worker has one study at a time, so its death counts against this study only.
         "distributed.scheduler.worker-saturation": 1.0,
         # Compiling holds the interpreter for longer than a heartbeat.
         "distributed.admin.tick.limit": "1h",

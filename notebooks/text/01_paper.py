@@ -14,9 +14,9 @@
 # %% [markdown]
 # # Which experiment next?
 #
-# The campaign of Abbiati & Marelli (17WCEE): a two-mass structure, its middle spring in the laboratory. The specimen loses
-# stiffness, the model does not know it. Every experiment costs a specimen, so each next ground motion is chosen where it tells
-# most about the discrepancy between the two.
+# This is the campaign of Abbiati & Marelli (17WCEE). The structure has two masses, and its middle spring is the specimen in the
+# laboratory. The specimen loses stiffness, and the model does not know this. Every experiment costs a specimen. So each next
+# ground motion is the one that tells most about the discrepancy between specimen and model.
 
 # %%
 import matplotlib.pyplot as plt
@@ -27,20 +27,20 @@ study = hx.load_study("../configs/paper.yaml", ["design.iterations=10"])
 study
 
 # %% [markdown]
-# Two parameters of the Bouc–Wen law are unknown, the stiffness A and the shape parameter β; two inputs of the ground motion can
-# be chosen, the peak velocity and the period of a near-fault pulse.
+# Two parameters of the Bouc–Wen law are unknown: the stiffness A and the shape parameter β. The experimenter chooses two inputs
+# of the ground motion: the peak velocity and the period of a near-fault pulse.
 #
-# ## What can be asked
+# ## The possible experiments
 
 # %%
 axes = hx.plot.ground_motions(study)
 
 # %% [markdown]
-# The period T_P moves the peak of the spectrum, the velocity V_P scales it.
+# The period T_P moves the peak of the spectrum. The velocity V_P scales the spectrum.
 #
-# ## The specimen is not the model
+# ## The specimen differs from the model
 #
-# One experiment at the central inputs, with the same A and β in both:
+# This is one experiment at the central inputs, with the same A and β in both:
 
 # %%
 degradation = "model.effects={stiffness_degradation: {eta: 2.0e-5}}"
@@ -57,9 +57,9 @@ _ = ax.set(xlabel="Elongation [mm]", ylabel="Force [kN]")
 #
 # ## The campaign
 #
-# Three experiments to begin with, then ten that are chosen one after another: calibrate, fit a Kriging surrogate to the
-# discrepancy, perform the experiment with the largest expected improvement. (The paper makes forty; leave out
-# `design.iterations=10` above for the same.)
+# The campaign begins with three experiments and then chooses ten, one after another. Each step calibrates the model, fits a
+# Kriging surrogate to the discrepancy, and performs the experiment with the largest expected improvement. The paper makes forty
+# steps; leave out `design.iterations=10` above to do the same.
 
 # %%
 run = hx.run(study, output="runs/lesson_paper", force=True, progress=False, figures=False)
@@ -69,33 +69,33 @@ run.calibration
 ax = hx.plot.exploration(run)
 
 # %% [markdown]
-# The numbers are the order of the experiments, squares the initial ones. Most of the chosen ones crowd at strong pulses with a
-# period near 0.75 s.
+# The numbers are the order of the experiments, and squares are the initial ones. Most of the chosen experiments have strong
+# pulses with a period near 0.75 s.
 
 # %%
 ax = hx.plot.expected_improvement(run)
 
 # %% [markdown]
-# It falls, with setbacks: each new region may hold a surprise.
+# The expected improvement falls with setbacks, because a new region can show a larger discrepancy.
 #
-# ## What the model learns, and what it cannot
+# ## What the model learns, and what it cannot learn
 
 # %%
 ax = hx.plot.error_map(run.calibration)
 
 # %% [markdown]
-# Where the experiments crowd, the calibrated model errs most: that is what the expected improvement looks for.
+# The calibrated model errs most where the experiments crowd. The expected improvement looks for such places.
 
 # %%
 axes = hx.plot.estimates(run)
 
 # %% [markdown]
-# The bands are narrow and both estimates end below the dashed values of the specimen: more experiments make a wrong model sure,
-# not right.
+# The bands are narrow, and both estimates end below the dashed values of the specimen. More experiments make a wrong model more
+# certain, but not more correct.
 
 # %%
 axes = hx.plot.posterior(run.calibration, truth=parameters)
 
 # %% [markdown]
-# The true pair lies far outside the posterior. What this model lacks, the lesson *A model that lacks something* finds from
-# time histories.
+# The true pair lies far outside the posterior. The notebook *A model with a missing effect* finds the missing effect from time
+# histories.

@@ -17,7 +17,7 @@
 # A laboratory shook one specimen four times and left a folder of spreadsheets in its own units. Is the plain Bouc–Wen law good
 # enough for it?
 #
-# The laboratory is a few lines of NumPy here, so that the lesson runs anywhere; put your own folder in its place.
+# The laboratory is a few lines of NumPy here, so that the notebook runs anywhere. Put your own folder in its place.
 
 # %%
 import tempfile
@@ -49,7 +49,8 @@ def shake(ground, dt, substeps=20):
 # %% [markdown]
 # ## The folder
 #
-# One declaration, one table of experiments, one spreadsheet per experiment ([the format](../docs/measurements.md)).
+# The folder holds one declaration, one table of experiments, and one spreadsheet per experiment ([the
+# format](../docs/measurements.md)).
 
 # %%
 DECLARATION = """
@@ -100,8 +101,8 @@ for finding in hx.check_campaign(campaign):
     print(finding)
 
 # %% [markdown]
-# The check names experiment, channel and time. An error stops a calibration, nothing is repaired silently; the second export is
-# complete:
+# The check names experiment, channel and time. An error stops a calibration, and nothing is repaired silently. The second
+# export is complete:
 
 # %%
 records["E02"].to_csv(folder / "records" / "E02.csv", index=False)
@@ -111,7 +112,8 @@ hx.check_campaign(campaign)
 # %% [markdown]
 # ## A study from the data
 #
-# `initial_study` (in a terminal: `hsed init`) drafts a study. In the file, a comment beside each number says where it comes from.
+# `initial_study` (in a terminal: `hsed init`) drafts a study. In the file, a comment beside each number says where it comes
+# from.
 
 # %%
 study = hx.initial_study(campaign, folder / "study.yaml")
@@ -126,22 +128,23 @@ fit = hx.calibrate(study, campaign)
 fit
 
 # %% [markdown]
-# ## How wrong?
+# ## How wrong is the model?
 
 # %%
 hx.compare(fit)
 
 # %% [markdown]
-# No. Force and acceleration are predicted moderately well, the elongation is not: an error above one is worse than its mean.
+# The model is not good enough. It predicts force and acceleration moderately well, and the elongation badly: a model with an
+# error above one is worse than the mean of the measurement.
 
 # %%
 axes = hx.plot.histories(fit, "E04")
 
 # %% [markdown]
-# This experiment was never fitted. The model follows the force and leaves a residual displacement that the specimen does not
+# This experiment was never fitted. The model follows the force. It leaves a residual displacement that the specimen does not
 # have.
 #
-# ## Where?
+# ## Where does it fail?
 
 # %%
 hx.locate(fit)
@@ -150,12 +153,12 @@ hx.locate(fit)
 axes = hx.plot.where(fit)
 
 # %% [markdown]
-# In the elongation, late, and in the strongest motion: the error accumulates.
+# It fails in the elongation, late in the test, and in the strongest motion: the error accumulates.
 
 # %%
 axes = hx.plot.loops(fit)
 
 # %% [markdown]
-# The measured loops return to the middle, the predicted ones wander off: the specimen has a stiffness beyond yielding that the
-# plain law lacks. `hx.diagnose(fit)` looks for what it is; the lesson *A model that lacks something* goes on from here. In a
-# terminal all of this is `hsed run study.yaml`.
+# The measured loops return to the middle, and the predicted loops drift away. The specimen has a stiffness beyond yielding that
+# the plain law lacks. `hx.diagnose(fit)` looks for the missing effect; the notebook *A model with a missing effect* continues
+# from here. In a terminal, `hsed run study.yaml` does all of this.

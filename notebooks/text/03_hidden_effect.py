@@ -12,10 +12,11 @@
 # ---
 
 # %% [markdown]
-# # A model that lacks something
+# # A model with a missing effect
 #
-# How wrong is the model, where does it fail, what does it lack, and what does adding that do? Here the truth is known, to you
-# and not to the package: a virtual laboratory tests a specimen with an effect that the model does not have.
+# How wrong is the model? Where does it fail? Which effect does it lack? How much does the error fall with that effect? In this
+# notebook you know the truth, and the package does not: a virtual laboratory tests a specimen with an effect that the model
+# does not have.
 #
 # Change the truth and the noise, and run everything again.
 
@@ -26,9 +27,9 @@ TRUTH = {"stiffness_degradation": {"eta": 2.0e-5}}  # 1/J
 NOISE = 0.05  # of the RMS of each sensor
 
 # %% [markdown]
-# Other truths: `{"pinching": {"zeta": 0.8}}`, `{"strength_degradation": {"delta": 1.0}}`, two at a time, or `{}` for a model that
-# lacks nothing. [The catalogue](../docs/effects.md) has all effects with their parameters. One with many parameters takes some
-# minutes longer.
+# Try other truths: `{"pinching": {"zeta": 0.8}}`, `{"strength_degradation": {"delta": 1.0}}`, two at a time, or `{}` for a
+# specimen that the model describes. [The catalogue](../docs/effects.md) has all effects with their parameters. An effect with
+# many parameters takes some minutes longer.
 
 # %%
 study = hx.load_study(
@@ -54,14 +55,14 @@ fit
 hx.compare(fit)
 
 # %% [markdown]
-# The error is five times the noise, on the experiments that were fitted and on those that were not: the model is wrong, and
-# more experiments of the same kind would not mend it.
+# The error is five times the noise, on the fitted experiments and on the held-out ones. The model is wrong, and more
+# experiments of the same kind do not correct it.
 
 # %%
 axes = hx.plot.loops(fit)
 
 # %% [markdown]
-# In the strongest experiments the measured loops lean over; the predicted ones keep their slope.
+# In the strongest experiments the measured loops lean over, and the predicted loops keep their slope.
 #
 # ## Where does it fail?
 
@@ -72,12 +73,12 @@ hx.locate(fit)
 axes = hx.plot.where(fit)
 
 # %% [markdown]
-# In the strongest experiment, where much energy has been absorbed: the specimen has changed on the way.
+# It fails in the strongest experiment, after much energy has been absorbed. So the specimen changes during the test.
 #
-# ## What does it lack?
+# ## Which effect is missing?
 #
-# Every effect of the catalogue is fitted to the training experiments, in the forms that textbooks have of it; the evidence,
-# summed over the forms, ranks them.
+# Every effect of the catalogue is fitted to the training experiments, in all its usual forms. The evidence, summed over the
+# forms, ranks the effects.
 
 # %%
 diagnosis = hx.diagnose(fit)
@@ -87,17 +88,17 @@ diagnosis
 ax = hx.plot.ranking(diagnosis)
 
 # %% [markdown]
-# What is named is in bold. Pinching imitates it almost within the noise; the evidence prefers the one that needs a single
-# parameter. (Where nothing is named, the lesson ends here.)
+# Bold effects are named. Pinching explains the data almost as well as the named effect, within the noise. The evidence prefers
+# the named effect, because it needs a single parameter. (If no effect is named, the notebook ends here.)
 #
-# In brackets stands the form. Of what makes stiffness fall, absorbed energy, path or largest elongation, and of how it falls,
-# these experiments tell as much:
+# The form is in brackets. These experiments cannot distinguish whether the stiffness falls with the absorbed energy, the path
+# or the largest elongation, nor the formula by which it falls:
 
 # %%
 diagnosis.ranking[0].forms
 
 # %% [markdown]
-# ## What does adding it do?
+# ## How much does the error fall?
 
 # %%
 better = hx.improve(fit, diagnosis)
@@ -107,19 +108,19 @@ better
 ax = hx.plot.error_fall(better)
 
 # %% [markdown]
-# On the experiments that were never used, too, the error falls to the noise.
+# The error falls to the noise, also on the experiments that were never used.
 
 # %%
 axes = hx.plot.before_after(better)
 
 # %% [markdown]
-# And the parameters? The specimen's own values are dashed.
+# The next figure shows the parameters. The true values of the specimen are dashed.
 
 # %%
 axes = hx.plot.posterior(better.calibration, before=better.original, truth=study.experiments.virtual.parameters)
 
 # %% [markdown]
-# The model as it was (red) was sure of a wrong stiffness A: it took the softening for a soft specimen. With the effect (blue) the
-# true values of A and β lie among the draws.
+# The first model (red) was certain of a wrong stiffness A, because it took the softening for a soft specimen. With the effect
+# (blue), the true values of A and β lie among the draws.
 #
 # `better.write("improved.yaml")` keeps the improved study, ready to run or to improve again.

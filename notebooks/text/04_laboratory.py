@@ -14,11 +14,11 @@
 # %% [markdown]
 # # Experiments that take days
 #
-# A test is prepared for a day, run by people and a controller, and sometimes fails. How does the design wait for it, and what
-# does it make of a pump that stopped?
+# People and a controller prepare and run a test for a day, and sometimes it fails. How does the design wait for the test, and
+# how does it treat a failed one?
 #
-# The design *asks*, the laboratory *tells*. In between nothing runs: everything is in the run folder, and each of the lines below
-# might be said on another day, by `hsed ask` and `hsed tell` in a terminal as well as here.
+# The design *asks*, and the laboratory *tells*. In between nothing runs, because everything is in the run folder. You can call
+# each of the lines below on another day, here or with `hsed ask` and `hsed tell` in a terminal.
 
 # %%
 import shutil
@@ -32,7 +32,7 @@ RUN = "runs/lesson_laboratory"
 shutil.rmtree(RUN, ignore_errors=True)  # the lesson begins anew each time
 
 # %% [markdown]
-# The study says what the laboratory hands over, by column and unit, and what its actuator can bear:
+# The study names the columns and units of the laboratory's records, and the limits of its actuator:
 
 # %%
 study = hx.load_study(
@@ -53,7 +53,7 @@ study = hx.load_study(
 # %% [markdown]
 # ## Asking
 #
-# Several tests may be out at once; the design believes its own prediction of those until they are told.
+# Several tests may be pending at once. Until their results are told, the design uses its own prediction of them.
 
 # %%
 with hx.AskTell(study, RUN) as design:
@@ -61,8 +61,8 @@ with hx.AskTell(study, RUN) as design:
     print(design.told(first))
 
 # %% [markdown]
-# The folder of the request holds the ground motion for the controller, as a table and as `.AT2`, and the response that the model
-# expects, so that the operator sees what is coming: before any measurement from the prior alone, hence the wide band.
+# The folder of the request holds the ground motion for the controller, as a table and as `.AT2`, and the expected response for
+# the operator. Before any measurement, the expected response follows from the prior alone. So its band is wide.
 
 # %%
 with hx.AskTell(output=RUN) as design:
@@ -71,8 +71,8 @@ with hx.AskTell(output=RUN) as design:
 # %% [markdown]
 # ## Telling
 #
-# The laboratory of this lesson is a simulation with an effect that the model does not know; yours has a hydraulic jack. It
-# returns a table with the columns that the study declares.
+# The laboratory of this notebook is a simulation with an effect that the model does not know; your laboratory has a hydraulic
+# actuator. It returns a table with the columns that the study declares.
 
 # %%
 specimen = hx.load_study(
@@ -90,8 +90,8 @@ def laboratory(inputs):
 
 
 # %% [markdown]
-# The second test is done first; the first one fails half-way, and what was recorded until then is kept beside the reason, and
-# not fitted.
+# The second test is done first. The first test fails half-way. Its partial record is kept with the reason for the failure, and
+# it is not fitted.
 
 # %%
 with hx.AskTell(output=RUN) as design:
@@ -100,8 +100,8 @@ with hx.AskTell(output=RUN) as design:
     print(design)
 
 # %% [markdown]
-# It is asked again. The table ran a little high this time: the design learns from the inputs that were tested, not from those
-# it asked.
+# The design asks for it again. This time the table ran a little too strong. The design learns from the tested inputs, not from
+# the requested ones.
 
 # %%
 with hx.AskTell(output=RUN) as design:
@@ -110,7 +110,8 @@ with hx.AskTell(output=RUN) as design:
     design.tell(first.id, record=laboratory(tested), inputs=tested)
 
 # %% [markdown]
-# From now on it is a loop. After the initial experiments each one is chosen where it is expected to tell most about the misfit.
+# From now on it is a loop. After the initial experiments, each experiment is the one that is expected to tell most about the
+# misfit.
 
 # %%
 with hx.AskTell(output=RUN) as design:
@@ -121,20 +122,19 @@ with hx.AskTell(output=RUN) as design:
     print(design)
 
 # %% [markdown]
-# The last experiment against what was expected of it: the band is narrow by now, and the specimen leaves it. More experiments of
-# the kind would not help.
+# The figure compares the last experiment with its prediction. The band is narrow by now, and the specimen leaves it. More
+# experiments of this kind would not help.
 #
-# ## And then
+# ## Continue the run
 #
-# The run goes on from the experiments it has, as if it had performed them itself:
+# The run continues from the experiments in its folder, as if it had performed them itself:
 
 # %%
 run = hx.run(study, RUN, resume=True, progress=False)
 run.comparison
 
 # %% [markdown]
-# The error is far above the noise: the model lacks something. What that is, is the question of another lesson,
-# `03_hidden_effect`.
+# The error is far above the noise, so the model lacks an effect. The notebook `03_hidden_effect` finds such an effect.
 #
 # The same from a terminal:
 #
@@ -147,5 +147,5 @@ run.comparison
 # hsed run study.yaml --resume
 # ```
 #
-# `hsed tell` reads what lies in the folder of the request, `record.csv` here. [Laboratories](../docs/laboratories.md) has the
-# other ways: a program, a Python function, OpenSees.
+# `hsed tell` reads the record from the folder of the request, `record.csv` here. [Laboratories](../docs/laboratories.md)
+# describes the other kinds: a program, a Python function, OpenSees.

@@ -14,8 +14,8 @@
 # %% [markdown]
 # # Many studies
 #
-# What would change if the sensors were worse, if the noise had fallen otherwise, if the ground had moved differently? Two tools
-# answer: a sweep runs a study many times, and Sobol' indices tell which inputs and parameters the response depends on.
+# How do the results change with worse sensors, another draw of the noise, or another ground motion? Two tools answer this. A
+# sweep runs a study many times. Sobol' indices show which inputs and parameters the response depends on.
 
 # %%
 import hsed_jax as hx
@@ -24,10 +24,10 @@ NOISE = [0.01, 0.1]  # relative to the measured quantity
 SEEDS = [0, 1, 2]
 
 # %% [markdown]
-# ## What do better sensors buy?
+# ## How much do better sensors help?
 #
-# Four experiments on a specimen that the model describes. Every combination of noise and seed is a study of its own, each in a
-# process of its own; a seed is another draw of the noise.
+# The sweep has four experiments on a specimen that the model describes. Every combination of noise and seed is a study of its
+# own, in a process of its own. A seed is another draw of the noise.
 
 # %%
 study = hx.load_study(
@@ -49,22 +49,23 @@ swept
 swept.figure()
 
 # %% [markdown]
-# Bars are 90 % intervals. With ten times the noise they are about ten times as wide, and the estimates scatter as much as the
-# intervals say, around the true values A = 500 kN/m and β = 1.
+# Bars are 90 % intervals. With ten times the noise they are about ten times as wide. The estimates scatter around the true
+# values A = 500 kN/m and β = 1 as much as the intervals say.
 #
-# Everything is in one table, a row for each study, also in `runs/lesson_sweep/table.parquet`:
+# One table holds everything, with a row for each study. The file `runs/lesson_sweep/table.parquet` holds the same table:
 
 # %%
 swept.table.groupby("experiments.virtual.noise.relative")[["map.A", "sd.A", "map.beta", "sd.beta"]].mean()
 
 # %% [markdown]
-# Where a study fails, the others go on; `swept.failures` has what was wrong. After a crash or Ctrl-C, the same call with
-# `resume=True` runs what is missing. `scheduler="tcp://..."` runs it on a Dask cluster ([more](../docs/sweeps.md)).
+# If a study fails, the others continue, and `swept.failures` gives the reason. After a crash or Ctrl-C, the same call with
+# `resume=True` runs the missing studies. `scheduler="tcp://..."` runs the sweep on a Dask cluster ([more](../docs/sweeps.md)).
 #
 # ## Which inputs matter?
 #
-# The paper varies V_P and T_P of the ground motion and fixes the other two numbers of the pulse, the number of oscillations γ = 2
-# and the phase ν = 0.1, since the response hardly depends on them. Does it not? They become inputs, a tenth around their values:
+# The paper varies V_P and T_P of the ground motion. It fixes the other two numbers of the pulse, the number of oscillations γ =
+# 2 and the phase ν = 0.1, because the response hardly depends on them. To check this, both become inputs with a range of a
+# tenth around these values:
 
 
 # %%
@@ -84,10 +85,10 @@ near = hx.sensitivity(pulse(gamma=[1.8, 2.2], nu=[0.0, 0.2]), samples=512)
 near.figure()
 
 # %% [markdown]
-# The total-order index of a variable is the share of the variance that would be left if everything else were known. The period
-# and the velocity of the pulse and the stiffness A decide; γ and ν do not matter, as the paper says.
+# The total-order index of a variable is the share of the variance that remains if everything else is known. The period and the
+# velocity of the pulse and the stiffness A have large indices. γ and ν do not matter, as the paper says.
 #
-# But the paper does not say over which range. Recorded pulses have any phase, and from one and a half to four oscillations:
+# The paper does not give the range. Recorded pulses have any phase, and from one and a half to four oscillations:
 
 # %%
 wide = hx.sensitivity(pulse(gamma=[1.5, 4.0], nu=[0.0, 6.28]), samples=512)
@@ -97,5 +98,5 @@ wide.figure()
 wide
 
 # %% [markdown]
-# The phase does not matter over the whole circle. The number of oscillations does, for the dissipated energy most: a longer
-# pulse makes more cycles. Who plans experiments on the energy would make γ an input, too.
+# The phase does not matter, even over the whole circle. The number of oscillations matters, and most for the dissipated energy:
+# a longer pulse has more cycles. If you plan experiments on the energy, make γ an input, too.

@@ -14,10 +14,10 @@
 # %% [markdown]
 # # An effect of your own
 #
-# The catalogue does not have the effect that you suspect. Write it down as a class, and it takes part in everything: simulation,
-# calibration, diagnosis.
+# Perhaps the catalogue does not have the effect that you suspect. Write it as a class. Then simulation, calibration and
+# diagnosis use it like any other effect.
 #
-# The suspicion here: a bumper on one side of the frame, which the specimen touches when it moves far enough that way.
+# The example is a bumper on one side of the frame. The specimen touches it when it moves far enough to that side.
 
 # %%
 from typing import ClassVar, final
@@ -35,9 +35,8 @@ from hsed_jax.reporting.catalogue import entry
 # %% [markdown]
 # ## The class
 #
-# The first parameter is the amplitude: at zero, its neutral value, the effect is absent. What it contributes goes to a slot
-# of the law, here an addend to the force [N]; `point.scales` holds the characteristic values that make the parameters
-# dimensionless.
+# The first parameter is the amplitude. At zero, its neutral value, the effect is absent. The effect writes to a slot of the
+# law; here it adds a force [N]. `point.scales` holds the characteristic values that make the parameters dimensionless.
 
 
 # %%
@@ -58,15 +57,16 @@ class Bumper(AbstractSpringEffect):
 
 
 # %% [markdown]
-# As the catalogue shows it:
+# The catalogue shows it like this:
 
 # %%
 print(entry("bumper", EFFECTS.joined([Bumper]), curves_of))
 
 # %% [markdown]
-# ## Is it right?
+# ## Is it correct?
 #
-# A study is told of it, and may then name it. Neutral means exactly nothing, to the last digit:
+# Tell a study of the effect; the study may then name it. At the neutral value, the response is equal to the plain one in every
+# digit:
 
 # %%
 CONFIG, inputs = "../configs/hidden_effect.yaml", {"V_P": 2.25, "T_P": 1.0}
@@ -81,7 +81,7 @@ forces = [
 np.array_equal(*forces)
 
 # %% [markdown]
-# The derivative that the calibration will use agrees with a finite difference:
+# The derivative that the calibration uses agrees with a finite difference:
 
 
 # %%
@@ -96,9 +96,9 @@ low, high = peak_force(np.array([0.499, 0.501]))
 print(f"derivative {derivative:.5g} N, finite difference {(high - low) / 0.002:.5g} N")
 
 # %% [markdown]
-# ## Is it found?
+# ## Does the diagnosis find it?
 #
-# A virtual specimen with a bumper, a model without one:
+# The virtual specimen has a bumper, and the model does not:
 
 # %%
 truth = "experiments.virtual.effects={bumper: {delta: 1.0, clearance: 0.4}}"
@@ -107,7 +107,7 @@ fit = hx.calibrate(study)
 axes = hx.plot.loops(fit)
 
 # %% [markdown]
-# The measured force turns up at large positive elongations; the model can only choose a stiffness in between.
+# The measured force turns up at large positive elongations. The model can only choose a stiffness in between.
 
 # %%
 diagnosis = hx.diagnose(fit)
@@ -117,9 +117,9 @@ diagnosis
 ax = hx.plot.ranking(diagnosis)
 
 # %% [markdown]
-# The bumper is named before everything in the catalogue. Second is the quadratic spring, which is as one-sided but has no
+# The bumper is named before every effect of the catalogue. The quadratic spring is second: it is one-sided, too, but has no
 # clearance. (δ is relative to the characteristic force and elongation of these measurements.)
 #
-# For a study of your own, put the class into a file, say `bumper.py`, decorated with
-# `hsed_jax.physics.effects.base.register`, and name it in the study: `model: {own_effects: [bumper.py]}`; then the command line
-# knows it, too ([how](../docs/effects.md)).
+# For a study of your own, put the class into a file such as `bumper.py`, and decorate it with
+# `hsed_jax.physics.effects.base.register`. Name the file in the study: `model: {own_effects: [bumper.py]}`. Then the command
+# line knows the effect, too ([more](../docs/effects.md)).

@@ -14,8 +14,8 @@
 # %% [markdown]
 # # Your structure, your test
 #
-# Two yielding storeys of different materials, a mass that is not known well, forces instead of an earthquake, a component test
-# that is planned: all of it is written in the study, and none of it is programmed.
+# The structure has two yielding storeys of different materials and a mass that is not well known. It is loaded by forces
+# instead of an earthquake. A component test is planned. The study describes all of this, and nothing is programmed.
 
 # %%
 import tempfile
@@ -30,8 +30,8 @@ FOLDER = Path(tempfile.mkdtemp())
 # %% [markdown]
 # ## Two specimens
 #
-# Each storey has a name, and may have a law of its own; what belongs to one has its name in front. The mass of the roof has a
-# prior, so it is calibrated with the laws.
+# Each storey has a name, and may have a law of its own. The name of the storey stands before its parameters and channels. The
+# mass of the roof has a prior, so it is calibrated with the laws.
 
 # %%
 frame = hx.load_study("../configs/two_storeys.yaml")
@@ -45,13 +45,13 @@ fit
 hx.compare(fit)
 
 # %% [markdown]
-# The model does not explain what was measured. In which storey does it fail?
+# The model does not explain the measurements. In which storey does it fail?
 
 # %%
 hx.locate(fit)
 
 # %% [markdown]
-# The diagnosis fits every effect of the catalogue to either storey, and to the sensors of either.
+# The diagnosis fits every effect of the catalogue to each storey, and to the sensors of each storey.
 
 # %%
 diagnosis = hx.diagnose(fit)
@@ -65,13 +65,13 @@ better
 axes = hx.plot.before_after(better)
 
 # %% [markdown]
-# A spring of the structure that was taken for linear is looked at, too: had the links been declared as a linear spring,
-# `spring_1.yielding` would stand in that list.
+# The diagnosis also checks a linear spring of the structure. If the links were declared as a linear spring, `spring_1.yielding`
+# would be in that list.
 #
 # ## A force instead of an earthquake
 #
-# A shaker or a hammer pushes one mass. Its force is read from a file, and may be scaled by an input; `applied_force_1` is the
-# channel that measures it.
+# A shaker or a hammer pushes one mass. Its force is read from a file, and an input may scale it. The channel `applied_force_1`
+# measures it.
 
 # %%
 time = np.arange(0.0, 2.0, 0.005)
@@ -85,21 +85,21 @@ hx.simulate(pushed, {"s": 3.0})
 # %% [markdown]
 # ## A planned component test
 #
-# Without a structure the specimen stands alone, and its elongation is imposed: cycles of growing amplitudes, the largest of which
-# and their speed are inputs, so that a design chooses them.
+# Without a structure the specimen is alone, and its elongation is imposed in cycles of growing amplitudes. The largest
+# amplitude and the rate are inputs, so a design chooses them.
 
 # %%
 test = hx.load_study("../configs/cyclic.yaml", ["steps=[design, calibrate]"])
 hx.simulate(test, {"a": 40.0, "v": 50.0})
 
 # %% [markdown]
-# The design asks for the tests at which the model fails most, as it does with earthquakes; what is asked is told to the
-# laboratory as a file of the elongation to impose.
+# The design asks for the tests in which the model fails most, as with earthquakes. The laboratory gets a file with the
+# elongation to impose.
 
 # %%
 run = hx.run(test, FOLDER / "cyclic", progress=False)
 run.steps
 
 # %% [markdown]
-# What was seen: structures with several specimens, calibrated masses, forces and imposed cycles, from the study alone.
-# [The settings](../docs/settings.md) have all keys.
+# The study alone described structures with several specimens, calibrated masses, forces and imposed cycles. [The
+# settings](../docs/settings.md) list all keys.

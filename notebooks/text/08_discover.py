@@ -12,12 +12,14 @@
 # ---
 
 # %% [markdown]
-# # What no catalogue holds
+# # An effect that the catalogue does not hold
 #
-# A spring was tested alone: cycles of several elongations were imposed, and its force was measured. The guide that it runs in
-# jams: it rubs the more the further the spring is out, whichever way it moves. No effect of the catalogue does that. Is it found?
+# A spring was tested alone: cycles of several elongations were imposed, and its force was measured. The spring runs in a guide
+# that jams: its friction grows with the elongation, in both directions of the motion. No effect of the catalogue describes
+# this. Does the discovery find it?
 #
-# The laboratory is a few lines of NumPy, so the study cannot know. Change the friction of the guide, and run everything again.
+# The laboratory is a few lines of NumPy, so the study cannot know the effect. Change the friction of the guide, and run
+# everything again.
 
 # %%
 import tempfile
@@ -79,19 +81,20 @@ hx.compare(fit)
 axes = hx.plot.loops(fit)
 
 # %% [markdown]
-# What was measured has a loop that is widest at the ends of the stroke. The model has none.
+# The measured loop is widest at the ends of the stroke. The loop of the model is not.
 #
-# ## What does the catalogue say?
+# ## What does the catalogue give?
 
 # %%
 diagnosis = hx.diagnose(fit)
 diagnosis
 
 # %% [markdown]
-# It takes several effects that each stand for a part of it, cannot tell which, and what they leave is still far above the noise.
-# A friction that no formula of the catalogue is has been spread over dampers and frictions that it is not.
+# The diagnosis takes several effects that each explain a part of the misfit. It cannot decide between them, and the remaining
+# misfit is far above the noise. The catalogue has no formula of this friction, so the diagnosis spreads it over other dampers
+# and frictions.
 #
-# ## What is it, then?
+# ## The discovery
 
 # %%
 discovery = hx.discover(fit, diagnosis=diagnosis)
@@ -101,12 +104,13 @@ discovery
 ax = hx.plot.learned(discovery, campaign)
 
 # %% [markdown]
-# A force that depends on elongation and direction: a friction of the position. Beside the law alone it predicts the tests that
-# were held out to the noise, so none of the effects above is needed.
+# The result is a force that depends on elongation and direction: a friction that depends on the position. With the law alone,
+# it predicts the held-out tests down to the noise, so none of the effects above is needed.
 #
-# The thick lines are the curves before anybody thought of a formula, the dashed ones the formula, $u^2$ against the motion: 15 kN
-# at 40 mm, as the guide has it. The bands widen with the elongation for a force in proportion to it might as well belong to
-# the spring; it would move both lines alike, and not the distance between them.
+# The thick lines are the learned curves, before any formula is fitted. The dashed lines are the formula, $u^2$ against the
+# motion: 15 kN at 40 mm, which is the value of the guide. The bands widen with the elongation, because a force in proportion to
+# the elongation may also belong to the spring. Such a force moves both lines alike, and does not change the distance between
+# them.
 
 # %%
 file = folder / discovery.file
@@ -114,10 +118,10 @@ discovery.write(file)
 print(file.read_text())
 
 # %% [markdown]
-# An effect of your own, to be read and changed: a name that says what it is, a prior that knows that friction is not negative. A
-# study names the file in `model: {own_effects: [...]}`.
+# The result is a file with an effect of your own. You can read and change it: give it a name that describes it, and a prior
+# that excludes negative friction. A study names the file in `model: {own_effects: [...]}`.
 #
-# ## What does adding it do?
+# ## How much does the error fall?
 
 # %%
 effects = [*discovery.effects, discovery.effect]
@@ -128,8 +132,8 @@ better
 axes = hx.plot.before_after(better)
 
 # %% [markdown]
-# The error falls to the noise, on the tests that were held out as well. Within what was tested, that is: beyond 40 mm the
-# friction is held at its value there, and only a test can say what it does.
+# The error falls to the noise, also on the held-out tests. This holds within the tested range. Beyond 40 mm the friction keeps
+# its value at 40 mm; only a test can show the true value.
 #
-# In a terminal all of this is `hsed discover study.yaml`; [the page on discovery](../docs/discovery.md) says how a place is
-# chosen, and what cannot be told.
+# In a terminal, `hsed discover study.yaml` does all of this. [The page on discovery](../docs/discovery.md) describes how a
+# place is chosen, and the limits of the method.

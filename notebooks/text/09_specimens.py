@@ -14,10 +14,10 @@
 # %% [markdown]
 # # Many specimens
 #
-# Six dampers of one make were tested in the same two ways. No two of them are equally strong, and one has something that the
-# others do not. Is a difference between two specimens scatter, or physics?
+# Six dampers of one make were tested in the same two ways. Their strengths differ, and one has an effect that the others do not
+# have. Is a difference between two specimens scatter, or physics?
 #
-# The laboratory is a few lines of NumPy here, so that the lesson runs anywhere.
+# The laboratory is a few lines of NumPy here, so that the notebook runs anywhere.
 
 # %%
 import numpy as np
@@ -58,8 +58,9 @@ units = {"time": "s", "elongation": "m", "force": "N"}
 campaign = hx.Campaign.from_frames(pd.DataFrame(rows), records, name="dampers", protocol="displacement", channels=units)
 
 # %% [markdown]
-# The column `specimen` tells them apart. `model.levels` says what varies with it: the stiffness, and with it the strength
-# $A/\beta$; the shape of the loop is the same for all. The fifth damper is held out with all its tests: nobody knows it.
+# The column `specimen` names the damper of each test. `model.levels` says which parameters vary with it: the stiffness, and
+# with it the strength $A/\beta$. The shape of the loop is the same for all. All tests of the fifth damper are held out, so its
+# stiffness is unknown.
 
 # %%
 study = hx.load_study(
@@ -79,21 +80,21 @@ fit = hx.calibrate(study, campaign)
 fit
 
 # %% [markdown]
-# `specimen.A.spread` is how far the logarithms lie apart, and below it is each specimen by itself. In the last one the dashpot
-# has to be stiffness to this model.
+# `specimen.A.spread` is the standard deviation of the logarithms. The rows below it are the single specimens. For the last one,
+# this model explains the dashpot by a larger stiffness.
 
 # %%
 axes = hx.plot.population(fit)
 
 # %% [markdown]
-# The damper that nobody knows is predicted from the population: its band is as wide as the specimens differ.
+# The unknown damper is predicted from the population: the width of its band is the scatter of the specimens.
 
 # %%
 hx.compare(fit)
 
 # %% [markdown]
-# The diagnosis looks for what is missing, and asks of what it names whether the population has it, these specimens only, or none
-# of them.
+# The diagnosis looks for missing effects. For each named effect it decides whether the population has it, only these specimens,
+# or none of them.
 
 # %%
 diagnosis = hx.diagnose(fit, campaign)
@@ -105,4 +106,4 @@ for found in diagnosis.specimens:
     print(pd.DataFrame(found.of).T)
 
 # %% [markdown]
-# The dashpot is that of one damper, and no property of the make: a model for the next one does not have it.
+# One damper has the dashpot. It is no property of the make, and a model for the next damper does not have it.

@@ -1,4 +1,4 @@
-"""What every acquisition is: a utility of each candidate, from the Kriging model of the discrepancy.
+"""The base of every acquisition: a utility of each candidate, from the Kriging model of the discrepancy.
 
 Utilities are logarithms, because the improvement still to be expected falls far below the smallest float before a campaign ends.
 """
@@ -44,7 +44,7 @@ class AbstractAcquisition(eqx.Module):
 
     @staticmethod
     def lesson(value: float, discrepancies: Sequence[float | None]) -> str:
-        """What an experiment is expected to teach, in a clause; empty where it is chosen without regard to that.
+        """The information that an experiment is expected to give, in a clause; empty if the choice ignores it.
 
         Arguments:
             value: the utility of the experiment, no logarithm.

@@ -1,4 +1,4 @@
-"""What a diagnosis expects of each candidate: how well its explanations can be told apart there."""
+"""The diagnosis's expectation of each candidate: how well the experiment separates the explanations."""
 
 from collections.abc import Sequence
 from typing import ClassVar, final

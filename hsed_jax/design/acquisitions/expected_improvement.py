@@ -82,7 +82,7 @@ def log_expected_improvement(
     """
     scale = jnp.maximum(scale, LEAST_SCALE)
     improvement, log_unit = _standard_improvement((mean - best) / scale, degrees)
-    # One logarithm of the product, not two: of all that is done to a candidate here, a logarithm takes longest.
+    # One logarithm of the product, not two: a logarithm is the most expensive operation here.
     return log_unit + jnp.log(scale * improvement)
 
 

@@ -1,1 +1,1 @@
-"""How wrong a model is beyond its noise, learned with its parameters: over the inputs, or over the cycles of the response."""
+"""The discrepancy of a model beyond its noise, learned with its parameters: over the inputs, or over the response cycles."""

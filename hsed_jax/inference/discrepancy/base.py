@@ -1,4 +1,4 @@
-"""What every discrepancy of a model is: how large it is by output, and what makes the residuals of the data independent."""
+"""The interface of a model discrepancy: its size by output, and the transformation that makes the residuals independent."""
 
 from abc import abstractmethod
 from collections.abc import Callable

@@ -1,29 +1,32 @@
-r"""How wrong a model of histories is beyond its noise, learned with its parameters: a process over the cycles of the response.
+r"""The discrepancy of a model of histories beyond its noise, learned with its parameters: a process over the cycles of the
+response.
 
-Of experiment e and channel g, in units of the error, with φ the cycles that the predicted response has gone through and s² in
-proportion to their amplitude,
+For experiment e and channel g, in units of the error, with φ the number of cycles that the predicted response has gone through
+and s² in proportion to their amplitude,
 
 $$\delta_{eg} = a_g\,s_{eg}\,\zeta_{eg}(\varphi_{eg}) + \partial_\theta z_{eg}\,b_e,\qquad
   \zeta \sim GP\big(0, k(\cdot\,; f, Q)\big),\qquad b_e\sim N(0, \operatorname{diag}\beta^2).$$
 
-k is the covariance of a damped oscillator of f swings in a cycle and quality Q (Foreman-Mackey et al. 2017), whose matrices are
-quasiseparable: all that follows costs O(n).  That the variance goes with the amplitude lies between an error that is the same
-throughout and one in proportion to the motion, as errors of phase go on when the motion dies down.  The second part says that
-with a wrong model every experiment has best parameters of its own, and their common ones are told by a few experiments only.
+k is the covariance of a damped oscillator with f swings in a cycle and quality Q (Foreman-Mackey et al. 2017).  Its matrices
+are quasiseparable, so every operation costs O(n).  The variance grows with the amplitude.  This is a compromise between a
+constant error and an error in proportion to the motion, because errors of phase continue after the motion decays.  The second
+term is the difference of the best parameters between experiments: with a wrong model, every experiment has best parameters of
+its own, and a few experiments determine their mean only roughly.
 
-θ are the parameters that predict best over experiments like these, in squares of the error: over these δ has on average no
-part in the sensitivities J of the parameters (Plumlee 2017).  Of the experiments that were made it has one, by chance.  So J
-splits what C₀ = N + K, the covariance of noise and discrepancy, says.  The part along J is what parameters are told by; the part
-across it, which they leave alone, is what the process is told by.  With both of them independent,
+θ are the parameters that predict best over such experiments, in squares of the error.  Over these experiments, δ is on average
+orthogonal to the sensitivities J of the parameters (Plumlee 2017).  In the experiments at hand it is not, by chance.  So J
+splits the information in C₀ = N + K, the covariance of noise and discrepancy.  The part along J determines the parameters.  The
+part across J, which the parameters do not change, determines the process.  With both parts independent,
 
 $$z^\top C^{-1}z = z^\top J\,(J^\top C_0 J)^{-1}J^\top z + z^\top Q_0 z,\qquad
   Q_0 = C_0^{-1} - C_0^{-1}J\,(J^\top C_0^{-1}J)^{-1}J^\top C_0^{-1},$$
 
-the estimate is that of least squares, with the covariance $(J^\top J)^{-1}J^\top C_0J\,(J^\top J)^{-1}$ that correlated errors
-give it.  Generalised least squares, without the split, would put its trust in what changes from sample to sample, and end at
-parameters that do not predict best.  Where predictions bend, so would $Q_0$.  The likelihood of the parameters therefore has in
-its place $\kappa^2$ times the square of the part across J, κ² the least weight that anything along J has: a power likelihood
-with a power of its own in each direction (Chandler & Bate 2007), whose maximum is where squares are least wherever that is.
+the estimate is that of least squares, with its covariance $(J^\top J)^{-1}J^\top C_0J\,(J^\top J)^{-1}$ for correlated errors.
+Generalised least squares, without the split, would rely on the changes from sample to sample, and its parameters would not
+predict best. $Q_0$ has this fault where predictions are nonlinear in the parameters.  Therefore the likelihood of the
+parameters has $\kappa^2$ times the square of the part across J instead of $Q_0$, where κ² is the least weight of any direction
+along J.  This is a power likelihood with a power of its own in each direction (Chandler & Bate 2007).  Its maximum is the point
+of least squares.
 """
 
 import math
@@ -41,13 +44,13 @@ from hsed_jax.inference.discrepancy.base import AbstractDiscrepancy
 from hsed_jax.inference.likelihood import Data, whitened
 from hsed_jax.programs import program
 
-# Directions that the parameters do not have still have to be divided by.
+# Directions without a sensitivity still need a divisor.
 _NONE = 1e-12
 
 
 @final
 class Splitting(eqx.Module):
-    """Residuals of histories made independent, as far as parameters go.
+    """Residuals of histories made independent, as far as the parameters are concerned.
 
     Attributes:
         along: the sensitivities of the outputs with a discrepancy, (nJ, p).
@@ -122,27 +125,30 @@ class OverCycles(AbstractDiscrepancy):
 
     @property
     def settling(self) -> tuple[Array, ...]:
-        """What it is told by as the MAP moves."""
+        """The quantities that change while the MAP moves."""
         return self.amplitudes, self.swings, self.quality, self.spread
 
     @property
     def whitening(self) -> Splitting:
-        """What makes the residuals of the experiments independent, as far as parameters go."""
+        """The transformation that makes the residuals of the experiments independent, for the parameters."""
         return _splitting(self)
 
     def reach(self, names: tuple[str, ...]) -> dict[str, dict[str, float]]:
-        """How long a `swing` takes and how long its `memory` is, in `cycles` of the response."""
+        """Duration of a `swing` and of the `memory` (the correlation length), in `cycles` of the response."""
         swings, quality = float(self.swings), float(self.quality)
         return {"cycles": {"swing": 1 / swings, "memory": quality / (math.pi * swings)}}
 
     def conditional(self, z: Float[Array, "n J"]) -> tuple[Float[Array, "n J"], Float[Array, "n J"]]:
-        """By how much predictions of the same experiments at the MAP fall short, given their residuals z, and the variance of
-        what is then still open: of discrepancy and parameters together, which their measurements do not tell apart."""
+        """Mean error of predictions of the same experiments at the MAP, given their residuals z, and its variance.
+
+        The variance includes the discrepancy and the parameters, which the measurements of these experiments cannot
+        distinguish.
+        """
         return _conditional(self, z)
 
 
 def none_of(data: Data, parameters: int) -> Splitting:
-    """Of a model that is not wrong: the residuals are independent as they are."""
+    """The transformation for a correct model: the residuals are independent as they are."""
     along, one = jnp.zeros((data.values.size, parameters)), jnp.ones(())
     every = jnp.ones(data.values.shape)
     return Splitting(along, jnp.eye(parameters), along, one, every, 0 * every, every, jnp.zeros(()))

@@ -1,20 +1,19 @@
-r"""How wrong a model is beyond its noise, learned with its parameters: a Gaussian process over the inputs.
+r"""The discrepancy of a model beyond its noise, learned with its parameters: a Gaussian process over the inputs.
 
-Kennedy & O'Hagan (2001) observe $y_j(x) = f_j(x,\theta) + \delta_j(x) + \epsilon$.  In units of the error, which is one of the
-logarithm where it is relative,
+Kennedy & O'Hagan (2001) observe $y_j(x) = f_j(x,\theta) + \delta_j(x) + \epsilon$.  In units of the error (of the logarithm,
+for a relative error),
 
 $$\delta_j \sim GP\big(0,\ a_j^2 R(x, x'; \ell)\big),\qquad
   \sum_j\int \delta_j(x)\,\partial_\theta z_j(x)\,\pi(x)\,dx = 0 .$$
 
-Without the second part parameters and discrepancy could stand for one another.  With it (Plumlee 2017) the parameters are those
-of the model that predicts best over the distribution π of the inputs, in squares of the declared error, and the process is what
-that model leaves.  Conditioned on these p linear functionals, with F their weights at a sample of inputs,
+Without the second condition, parameters and discrepancy could replace each other.  With it (Plumlee 2017), the parameters are
+those with which the model predicts best over the distribution π of the inputs, in squares of the declared error, and the
+process is the remaining error.  Conditioned on these p linear functionals, with F their weights at a sample of inputs,
 
 $$K_\perp = K - K F\,(F^\top K F)^{-1} F^\top K .$$
 
-Amplitudes $a_j$ and lengths are where the marginal likelihood (`hsed_jax.inference.marginal`) times their priors is
-highest.  As in Kriging (`hsed_jax.design.kriging`) a variance that is estimated from n experiments is n/(n − 2) times as large in
-what follows.
+Amplitudes $a_j$ and lengths maximise the marginal likelihood (`hsed_jax.inference.marginal`) times their priors.  As in Kriging
+(`hsed_jax.design.kriging`), a variance estimated from n experiments is enlarged by n/(n − 2).
 """
 
 from collections.abc import Callable, Mapping
@@ -44,12 +43,12 @@ from hsed_jax.inference.posterior import Posterior
 from hsed_jax.programs import program
 
 _LENGTHS = (0.02, 20.0)
-# Directions of the parameters along which predictions change this much less than along the first are none.
+# A direction of the parameters is ignored if predictions change this much less along it than along the first one.
 _FLAT = 1e-6
 
 
 class Support(NamedTuple):
-    """What a discrepancy of quantities is a function of.
+    """The variables that a discrepancy of quantities depends on.
 
     Attributes:
         names: of the inputs.

@@ -1,4 +1,4 @@
-"""What every laboratory declares: its section of a study, what it measures, and how the laboratory is made of it."""
+"""The declaration of every laboratory: its section of a study, its sensors, and how the laboratory is made."""
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping
@@ -13,7 +13,7 @@ from hsed_jax.plain import Number
 from hsed_jax.sections import NoisesEntry, Section, per_output
 
 if TYPE_CHECKING:
-    # Reading a study needs no JAX.
+    # Reading a study does not load JAX.
     from hsed_jax.laboratories.base import Laboratory
     from hsed_jax.laboratories.request import Programme
     from hsed_jax.laboratories.sensors import Sensors

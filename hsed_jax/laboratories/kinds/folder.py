@@ -1,4 +1,4 @@
-"""People or a controller: what is asked lies in a folder of the run, and what was measured is left there, days later."""
+"""People or a controller: requests lie in a folder of the run, and the measurements arrive there days later."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

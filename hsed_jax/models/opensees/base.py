@@ -1,4 +1,4 @@
-r"""What every material of OpenSees in the table is: parameters with units and priors, and the arguments in OpenSees' order.
+"""The base of every material of OpenSees in the table: parameters with units and priors, and the arguments in OpenSees' order.
 
 A material has few free parameters and is symmetric unless its parameter `negative` says otherwise.  A parameter that degrades
 something is zero where nothing degrades, and its prior is highest there.
@@ -16,7 +16,7 @@ Arguments = tuple[float | int | str, ...]
 
 
 class Marks(NamedTuple):
-    """What the records of a campaign tell of a specimen, SI of its pair; NaN where they tell nothing.
+    """Characteristic points of a specimen from the records of a campaign, SI of its pair; NaN if unknown.
 
     Attributes:
         stiffness: initial stiffness [N/m].
@@ -70,7 +70,7 @@ class Scaled:
 
 @dataclass(frozen=True)
 class MaterialParameter:
-    """What is known of a parameter of a material.
+    """The declaration of a parameter of a material.
 
     Attributes:
         symbol: LaTeX.

@@ -28,7 +28,7 @@ class SAWS(AbstractMaterial):
         "R1": share("R_1", "stiffness of the asymptote over initial stiffness", 0.002, 0.3),
         "R2": share("R_2", "stiffness of the falling branch over initial stiffness, with a changed sign", 0.001, 0.2),
         "R3": share("R_3", "stiffness of unloading over initial stiffness", 0.5, 2.0, bounds=(0.01, 10.0)),
-        # OpenSees runs for ever where the pinched branch is stiffer than the asymptote.
+        # OpenSees never ends if the pinched branch is stiffer than the asymptote.
         "r_4": share("R_4/R_1", "stiffness of the pinched branch over that of the asymptote", 0.02, 0.98),
         "alpha": share(r"\alpha", "power of the softening of reloading", 0.1, 1.0, bounds=(0.0, 2.0)),
         "beta": share(r"\beta", "elongation that reloading aims at, over the furthest one", 1.0, 1.5, bounds=(1.0, 3.0)),

@@ -53,7 +53,7 @@ class Workers:
             worker = self._idle.pop() if self._idle else None
         worker = worker or _Worker(self._python, self._timeout)
         found = worker.forces(material, arguments, path)
-        # One that failed to answer is gone; one that told an error goes on.
+        # A worker without an answer is replaced; a worker that reported an error continues.
         with self._lock:
             self._idle.append(worker)
         if isinstance(found, str):

@@ -1,4 +1,4 @@
-"""What every physical effect is: parameters with a neutral value, states it needs, contributions to named slots."""
+"""The base of every physical effect: parameters with a neutral value, the states it needs, its contributions to named slots."""
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping

@@ -38,7 +38,7 @@ from hsed_jax.physics.states import (
 
 FREE = "free"
 """The form of several shape parameters at once: the same physics in a formula that nobody wrote down."""
-# So many reversals, five cycles, count like the characteristic value of another driver.
+# The characteristic number of reversals, which corresponds to the characteristic value of another driver: five cycles.
 _REVERSALS = 10.0
 
 

@@ -28,7 +28,7 @@ COUNTS = (18, 8, 8, 8)
 """Polynomials in the first coordinate, beside each of the second."""
 SLOTS = ("force", "a", "nu", "h")
 """Where a free function may be."""
-# No factor leaves e^±3.
+# A factor stays within e^±3.
 _FARTHEST = 3.0
 _NAMES = tuple(COORDINATES)
 

@@ -1,4 +1,4 @@
-"""An effect in its simplest shape, as long as nothing that runs together has another one.
+"""An effect in its simplest shape, while no simulation of the batch has another shape.
 
 The expression of an effect with all its forms costs several times as much as its simplest form, which most models have.
 """
@@ -42,7 +42,7 @@ class Shaped(AbstractSpringEffect):
     ) -> AbstractSpringEffect:
         """The effect with these parameters; as it is, where it has but one shape."""
         shapes = shapes_of(effect)
-        # Every parameter of a shape has a neutral value, which is what an effect has where it is told none.
+        # Every parameter of a shape has a neutral value, which is its default.
         simplest = {name: value for name, value in values.items() if name not in shapes}
         return cls(effect(**values), effect(**simplest), is_shaped) if shapes else effect(**values)
 

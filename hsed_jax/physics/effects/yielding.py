@@ -1,4 +1,4 @@
-"""Plasticity: a spring that was taken for linear yields; a back-stress beside the law."""
+"""Plasticity: a spring that was assumed linear yields; a back-stress beside the law."""
 
 # A property stands for an abstract variable of equinox here.
 # pyright: reportIncompatibleVariableOverride=false

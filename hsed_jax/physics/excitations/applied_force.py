@@ -1,5 +1,8 @@
 """A force on one mass, while the ground rests: a shaker, an actuator, a blast, a release."""
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from typing import ClassVar, final
 
 import equinox as eqx
@@ -7,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hsed_jax.physics.declared import HISTORY_OF_A_FORCE, Declared
-from hsed_jax.physics.excitations.base import AbstractRecord, Applied, Scalar
+from hsed_jax.physics.excitations.base import AbstractRecord, Applied, Scalar, samples_of
 
 # As the integration resolves a period (`hsed_jax.study.timelines`).
 _STEPS_PER_PERIOD = 24
@@ -28,7 +31,7 @@ class AppliedForce(AbstractRecord):
 
     declared: ClassVar[Declared] = HISTORY_OF_A_FORCE
 
-    force: Float[Array, " m"] = eqx.field(converter=jnp.asarray)
+    force: Float[Array, " m"] = eqx.field(converter=samples_of)
     mass: int = eqx.field(static=True)
     scale: Scalar = HISTORY_OF_A_FORCE.default("scale")
 

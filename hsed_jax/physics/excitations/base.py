@@ -7,15 +7,18 @@ The integrator asks for an excitation at the ends and the middle of every step, 
 and an `advance` that moves it by half a step.
 """
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple, final
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from hsed_jax.physics.declared import Declared
 from hsed_jax.physics.timeline import Timeline
@@ -31,9 +34,9 @@ class Imposed(NamedTuple):
 
 
 class Applied(NamedTuple):
-    """Forces [N] on masses (numbered from 0) at one instant, and the acceleration of the ground [m/s²], None where it rests.
+    """Forces [N] on masses (numbered from 0) at one instant, and the acceleration of the ground [m/s²], None if it rests.
 
-    A ground motion alone is its acceleration by itself, a number.
+    A ground motion alone is a plain number, its acceleration.
     """
 
     forces: Mapping[int, Any]
@@ -41,7 +44,7 @@ class Applied(NamedTuple):
 
 
 def driven(sample: Any) -> tuple[Scalar, Mapping[int, Scalar]]:
-    """Acceleration of the ground [m/s²] and the forces on masses [N] of one sample of what drives a structure."""
+    """Acceleration of the ground [m/s²] and the forces on masses [N], from one sample of the excitation of a structure."""
     if isinstance(sample, Applied):
         return 0.0 if sample.ground is None else sample.ground, sample.forces
     return sample, {}
@@ -61,11 +64,11 @@ class AbstractForcing(eqx.Module):
     """An excitation on the half-step grid, k = 0 … 2n."""
 
     @abstractmethod
-    def start(self) -> tuple[PyTree, PyTree]:
+    def start(self) -> tuple[Any, Any]:
         """The carry and the sample at t = 0."""
 
     @abstractmethod
-    def advance(self, carry: PyTree, index: ArrayLike) -> tuple[PyTree, PyTree]:
+    def advance(self, carry: Any, index: ArrayLike) -> tuple[Any, Any]:
         """The carry and the sample at grid point `index`, from the carry at `index - 1`."""
 
 
@@ -73,18 +76,21 @@ class AbstractForcing(eqx.Module):
 class Tabulated(AbstractForcing):
     """Samples in a table; `samples` is a pytree of arrays of shape (2n+1,)."""
 
-    samples: PyTree
+    samples: Any
 
-    def start(self) -> tuple[PyTree, PyTree]:
+    def start(self) -> tuple[Any, Any]:
         """No carry: the table is read by its index."""
         return None, self._at(0)
 
-    def advance(self, carry: PyTree, index: ArrayLike) -> tuple[PyTree, PyTree]:
+    def advance(self, carry: Any, index: ArrayLike) -> tuple[Any, Any]:
         """The sample in row `index`."""
         return None, self._at(index)
 
-    def _at(self, index: ArrayLike) -> PyTree:
-        return jax.tree.map(lambda samples: samples[index], self.samples)
+    def _at(self, index: ArrayLike) -> Any:
+        def row(samples: Any) -> Any:
+            return samples[index]
+
+        return jax.tree.map(row, self.samples)
 
 
 @final
@@ -94,22 +100,22 @@ class Shaken(AbstractForcing):
     forcing: AbstractForcing
     factor: Scalar
 
-    def start(self) -> tuple[PyTree, PyTree]:
+    def start(self) -> tuple[Any, Any]:
         """The carry of the forcing and its first sample, scaled."""
         return self._times(*self.forcing.start())
 
-    def advance(self, carry: PyTree, index: ArrayLike) -> tuple[PyTree, PyTree]:
+    def advance(self, carry: Any, index: ArrayLike) -> tuple[Any, Any]:
         """The carry of the forcing and its sample, scaled."""
         return self._times(*self.forcing.advance(carry, index))
 
-    def _times(self, carry: PyTree, sample: PyTree) -> tuple[PyTree, PyTree]:
+    def _times(self, carry: Any, sample: Any) -> tuple[Any, Any]:
         if not isinstance(sample, Applied):
             return carry, sample * self.factor
         return carry, sample if sample.ground is None else sample._replace(ground=sample.ground * self.factor)
 
 
 class AbstractExcitation(eqx.Module):
-    """What drives an experiment.
+    """The excitation of an experiment.
 
     Attributes:
         declared: what a study says of it; its settings are fields of the same names, whole numbers static ones: they decide how
@@ -120,7 +126,7 @@ class AbstractExcitation(eqx.Module):
 
     @abstractmethod
     def sample(self, time: Scalar) -> Any:
-        """What drives the experiment at one instant [s]: an acceleration of the ground [m/s²], `Applied` or `Imposed`."""
+        """The excitation at one instant [s]: an acceleration of the ground [m/s²], `Applied` or `Imposed`."""
 
     @abstractmethod
     def forcing(self, step: Float[Array, "..."] | float, steps: int) -> AbstractForcing:
@@ -134,7 +140,7 @@ class AbstractExcitation(eqx.Module):
     @property
     @abstractmethod
     def duration(self) -> Scalar:
-        """How long it lasts [s]."""
+        """Duration [s]."""
 
     @property
     def shortest_period(self) -> Scalar:
@@ -142,14 +148,19 @@ class AbstractExcitation(eqx.Module):
         return float("inf")
 
 
+def samples_of(values: ArrayLike | Sequence[float]) -> Array:
+    """The samples of a record as an array."""
+    return jnp.asarray(values)
+
+
 class AbstractRecord(AbstractExcitation):
-    """What was recorded; an excitation of this kind is interpolated between its samples.
+    """A recorded excitation; it is interpolated between its samples.
 
     Attributes:
         time: sample times [s], increasing, shape (m,).
     """
 
-    time: Float[Array, " m"] = eqx.field(converter=jnp.asarray)
+    time: Float[Array, " m"] = eqx.field(converter=samples_of)
 
     @property
     def duration(self) -> Scalar:
@@ -167,7 +178,7 @@ class AbstractImposedElongation(AbstractExcitation):
     @property
     @abstractmethod
     def branches(self) -> int:
-        """Parts with the same number of steps each, whatever the inputs."""
+        """Number of parts with the same number of steps each, for any inputs."""
 
     @property
     @abstractmethod

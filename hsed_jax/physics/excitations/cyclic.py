@@ -9,6 +9,9 @@ the same number of steps at each of them, so that every reversal is the end of a
 The amplitudes are a study's own, or those of a published protocol (`hsed_jax.physics.protocols`).
 """
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from typing import ClassVar, final
 
 import equinox as eqx
@@ -93,13 +96,13 @@ class CyclicElongation(AbstractImposedElongation):
         level = jnp.clip(jnp.searchsorted(starts, time, side="right") - 1, 0, len(starts) - 2)
         amplitude = self._levels[level]
         phase = self.rate / amplitude * (time - starts[level])
-        # A sum of steps that ends with the protocol may do so some rounding later.
+        # The sum of all steps may exceed the end of the protocol by rounding.
         inside = (time >= 0) & (time <= starts[-1] * (1 + 1e-12))
         return Imposed(
             jnp.where(inside, amplitude * jnp.sin(phase), 0.0), jnp.where(inside, self.rate * jnp.cos(phase), 0.0)
         )
 
-    def forcing(self, step: Float[Array, " steps"], steps: int) -> AbstractForcing:
+    def forcing(self, step: Float[Array, "..."] | float, steps: int) -> AbstractForcing:
         """The table of the protocol, exact at its reversals and zeros where `branches` divides `steps`."""
         branch, within = np.divmod(np.arange(2 * steps + 1) * self.branches, 2 * steps)
         turn = np.exp(0.25j * np.pi * within / steps) * np.asarray([1, 1j, -1, -1j])[branch % 4]

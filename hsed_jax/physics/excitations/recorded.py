@@ -1,5 +1,8 @@
 """A ground motion as it was recorded."""
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from typing import ClassVar, final
 
 import equinox as eqx
@@ -7,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hsed_jax.physics.declared import RECORDED_MOTION, Declared
-from hsed_jax.physics.excitations.base import AbstractRecord, Scalar
+from hsed_jax.physics.excitations.base import AbstractRecord, Scalar, samples_of
 
 
 @final
@@ -22,7 +25,7 @@ class RecordedMotion(AbstractRecord):
 
     declared: ClassVar[Declared] = RECORDED_MOTION
 
-    ground_acceleration: Float[Array, " m"] = eqx.field(converter=jnp.asarray)
+    ground_acceleration: Float[Array, " m"] = eqx.field(converter=samples_of)
     scale: Scalar = RECORDED_MOTION.default("scale")
 
     def sample(self, time: Scalar) -> Scalar:

@@ -1,11 +1,12 @@
-r"""What every spring law is: the force of an element from its elongation and its states, and how the states move on.
+r"""The base of every spring law: the force of an element from its elongation and its states, and the evolution of the states.
 
-Two kinds of laws fit.  A law of **rates** integrates its force, $\dot z = g(\Delta u, \Delta\dot u, z)\,\Delta\dot u$ (Bouc–Wen):
-its `force` is a state and its `flow` is g Δu̇.  A law of **paths** (bilinear, Menegotto–Pinto, Takeda) knows its force as a
-continuous function of the elongation, given the states committed at the end of the last step; it has no `flow`, and its
-`settle` commits.  Between two commits the elongation goes one way: where it turns within a step, the commit is at the turn.
+Two kinds of laws fit.  A law of **rates** integrates its force, $\dot z = g(\Delta u, \Delta\dot u, z)\,\Delta\dot u$
+(Bouc–Wen): its `force` is a state and its `flow` is g Δu̇.  A law of **paths** (bilinear, Menegotto–Pinto, Takeda) gives its
+force as a continuous function of the elongation and of the states committed at the end of the last step.  It has no `flow`, and
+its `settle` commits.  Between two commits the elongation has one direction: at a reversal within a step, the commit is at the
+reversal.
 
-What effects add to a law (forces beside it, a slack before it, energy and other states) is not the law's business
+Effects add forces beside a law, a slack before it, energy and other states.  The law does not know them
 (`hsed_jax.physics.specimen`).
 """
 

@@ -1,4 +1,4 @@
-"""The Bouc–Wen law, with slots wherever the literature has put effects."""
+"""The Bouc–Wen law, with slots for the effects of the literature."""
 
 from collections.abc import Callable, Mapping
 from typing import ClassVar, final
@@ -57,7 +57,7 @@ class BoucWen(AbstractSpringLaw):
 
         Where it is elastic on loading, a large number stands for neither, so that derivatives are numbers.
         """
-        # β is as small as a force to the power of −n.
+        # β scales as a force to the power of −n.
         force = self.A / jnp.maximum(jnp.abs(self.beta + self.gamma), 1e-12 * self.beta + 1e-300)
         return force if is_number(self.n, 1) else force ** (1 / self.n)
 
@@ -83,14 +83,14 @@ class BoucWen(AbstractSpringLaw):
         magnitude = jnp.abs(z)
         share = slots("gamma")
         gamma = self.gamma if is_zero(share) else self.gamma + share * self.beta
-        # β sign(Δu̇ z)|z|ⁿ Δu̇ = β |Δu̇| z |z|ⁿ⁻¹: no sign, hence no jump where z passes zero.
+        # β sign(Δu̇ z)|z|ⁿ Δu̇ = β |Δu̇| z |z|ⁿ⁻¹: this form has no sign, and no jump where z passes zero.
         softening = self.beta * jnp.abs(rate) * z * _power(magnitude, self.n, -1)
         if not is_zero(gamma):
             softening = softening + gamma * rate * _power(magnitude, self.n, 0)
         if not is_zero(sharper := slots("n")):
             # (|z|/z_u)^δ leaves the strength z_u, or what stands for it, where it is: sharpness alone changes.
             softening = softening * _power(magnitude / self.yardstick, sharper, 0)
-        # h/η first: rates at one η then share one division.
+        # h/η first, so that rates with the same η share one division.
         flow = slots("h") / slots("eta") * (slots("a") * self.A * rate - slots("nu") * softening)
         if not is_zero(compliance := slots("compliance")):
             moving = jnp.where(rate == 0, 1.0, rate)
@@ -121,5 +121,5 @@ def _power(magnitude: Scalar, n: Scalar, offset: int) -> Scalar:
             return magnitude * magnitude
     else:
         exponent = n + offset
-    # The logarithm of zero would poison the derivative in n; a spring never works at 1e-12 N.
+    # The logarithm of zero would make the derivative in n a NaN; a spring never works at 1e-12 N.
     return jnp.exp(exponent * jnp.log(jnp.maximum(magnitude, 1e-12)))

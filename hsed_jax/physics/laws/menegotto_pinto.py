@@ -11,7 +11,7 @@ from hsed_jax.physics.laws.base import AbstractYieldingLaw, Memory, Scalar, Slot
 from hsed_jax.physics.parameters import parameter
 from hsed_jax.registry import register
 
-# Bounds of the ratio x in powers: below, a logarithm of zero would poison derivatives; above, |x|^R would overflow.
+# Bounds of the ratio x in powers: below, a logarithm of zero would make derivatives NaN; above, |x|^R would overflow.
 _LEAST, _MOST = 1e-12, 1e6
 
 
@@ -97,7 +97,7 @@ class MenegottoPinto(AbstractYieldingLaw):
     def _branch(self, elongation: Scalar, memory: Memory) -> _Branch:
         """The curve: that of the last step, or a new one where the way changes."""
         u, way = memory["elongation"], jnp.sign(memory["side"])
-        # Where nothing moves, the way is the old one; a virgin element looks up.
+        # Without motion the direction stays; that of a virgin element is positive.
         goes_up = jnp.where(elongation == u, way >= 0, elongation > u)
         sign = jnp.where(goes_up, 1.0, -1.0)
         is_new = sign != way
@@ -117,7 +117,7 @@ class MenegottoPinto(AbstractYieldingLaw):
         span = (branch.side * F_y * (1 - self.b) - branch.f_r + self.b * k * branch.u_r) / (k * (1 - self.b))
         xi = jnp.abs(branch.aim - branch.u_r - span) / self.yield_elongation
         R = self.R0 * (1 - self.cR1 * xi / (self.cR2 + xi))
-        # A curve that starts on its own asymptote has no length; it then is that asymptote.
+        # A curve that starts on its own asymptote has no length, and equals that asymptote.
         tiny = 1e-12 * self.yield_elongation
         span = jnp.where(jnp.abs(span) > tiny, span, jnp.copysign(tiny, branch.side))
         x = (elongation - branch.u_r) / span

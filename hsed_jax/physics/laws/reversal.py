@@ -1,4 +1,4 @@
-r"""The kink at a reversal, mended: for laws that integrate their force.
+r"""The correction of the kink at a reversal, for laws that integrate their force.
 
 Along the elongation the force z of such a law has the slope g₊ where the elongation grows and g₋ where it falls, so its rate
 $\dot z = g_\pm v$, v = Δu̇, has a kink where v passes zero, and Runge–Kutta loses its order in the step of length h that holds it.
@@ -29,7 +29,7 @@ import jax.numpy as jnp
 
 from hsed_jax.physics.laws.base import Memory, Scalar, Turn
 
-# At a reversal the rate is zero; this one [m/s] stands for its two sides.
+# At a reversal the rate is zero; this small rate [m/s] represents its two sides.
 _CREEP = 1e-6
 
 

@@ -73,7 +73,7 @@ class Takeda(AbstractYieldingLaw):
         """Force [N], and the elongation at which it passes zero on this way [m]."""
         goes_up = elongation >= memory["elongation"]
         sign = jnp.where(goes_up, 1.0, -1.0)
-        # The way down is the way up in a mirror.
+        # The negative direction is the mirror image of the positive one.
         u, u_c, f_c = sign * elongation, sign * memory["elongation"], sign * memory["hysteretic"]
         ahead = jnp.where(goes_up, memory["highest"], -memory["lowest"])
         behind = jnp.where(goes_up, -memory["lowest"], memory["highest"])
@@ -83,7 +83,7 @@ class Takeda(AbstractYieldingLaw):
             unloads, u_c - f_c / k_behind, sign * jnp.where(goes_up, memory["zero_up"], memory["zero_down"])
         )
         elastic = jnp.where(unloads, k_ahead * (u - zero), f_c + k_ahead * (u - u_c))
-        # The furthest point lies ahead by at least its own unloading; the bound is for states that no path has.
+        # The furthest point is ahead by at least its own unloading; the bound applies only to impossible states.
         reach = jnp.maximum(ahead - zero, 1e-6 * self.yield_elongation)
         strength = 1 / slots("nu")
         line = jnp.where(u < ahead, strength * self._yielded(ahead) * (u - zero) / reach, strength * self._yielded(u))
