@@ -62,8 +62,9 @@ little: a law with more parameters fits better and may predict worse.
 
 `hsed export RUN --opensees` writes the material at the MAP. It runs the script in OpenSees along the first experiment
 (`protocol.csv`) and compares it with the simulation. `check.json` and the head of the scripts have the difference (root mean
-square, over the standard deviation of the force) and the version of OpenSees. Another version may have another meaning of an
-argument: run `python specimen.py protocol.csv` there, and compare with the second column of `protocol.csv`.
+square, over the standard deviation of the force) and the version of OpenSees. `report.html` of the run states both. Another
+version may have another meaning of an argument: run `python specimen.py protocol.csv` there, and compare with the second column
+of `protocol.csv`.
 `tests/test_opensees_laws.py` does this for every material; the test allows 1 %.
 
 ## Materials

@@ -434,5 +434,8 @@ def test_laws_are_ranked_by_what_they_predict(tmp_path, capsys):
     assert main(["export", str(tmp_path / "laws" / "opensees_SelfCentering"), "--opensees", "--table"]) == 0
     made = tmp_path / "laws" / "opensees_SelfCentering" / "export"
     assert json.loads((made / "check.json").read_text(encoding="utf-8"))["difference"] < 0.01
-    assert "semantics of OpenSees" in (made / "specimen.py").read_text(encoding="utf-8")
+    report = (made.parent / "report.html").read_text(encoding="utf-8")
+    assert 'id="export-check"' in report and "semantics of OpenSees" in (made / "specimen.py").read_text(
+        encoding="utf-8"
+    )
     assert r"F_a" in (made / "parameters.md").read_text(encoding="utf-8")

@@ -41,6 +41,18 @@ def page_file(tmp_path_factory):
 # The page itself.
 
 
+def test_the_check_of_an_exported_script_is_on_the_page(folder):
+    assert 'id="export-check"' not in report_page(read_run(folder))
+    (folder / "export").mkdir()
+    (folder / "export" / "check.json").write_text('{"opensees": "3.7.1", "difference": 0.00321}', encoding="utf-8")
+    page = report_page(read_run(folder))
+    assert "was run in OpenSees 3.7.1 along export/protocol.csv" in page
+    assert "differs from the simulation of this package by 0.321 %" in page
+    (folder / "export" / "check.json").write_text("[]", encoding="utf-8")
+    with pytest.raises(UserError, match=r"check\.json"):
+        read_run(folder)
+
+
 def test_the_figures_on_the_page_are_those_of_the_summary(folder):
     page = report_page(read_run(folder))
     shown = dict(re.findall(r'<data value="([^"]+)" data-figure-key="([^"]+)"', page))
