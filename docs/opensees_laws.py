@@ -54,9 +54,9 @@ model:
 ## Which law
 
 `hsed laws STUDY.yaml` calibrates the model of the study and the materials, each in a run folder of its own;
-`--materials Pinching4,SAWS` takes these only. It ranks them by the error on what was not fitted: the end of the record that
-`hsed init` holds out, or the experiments of the split `test`. `laws.json` has the errors. A small error on the fitted part says
-little: a law with more parameters fits better and may predict worse.
+`--materials Pinching4,SAWS` takes these only (in Python: `hx.laws`). It ranks them by the error on what was not fitted: the end
+of the record that `hsed init` holds out, or the experiments of the split `test`. `laws.json` has the errors. A small error on the
+fitted part says little: a law with more parameters fits better and may predict worse.
 
 ## Export
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from builders.springs import BETA, NOISE, A, spring_campaign, spring_study
 
+from hsed_jax.analysis.prior_prediction import DRAWS, prior_reach, prior_sentences
 from hsed_jax.command_line import main
 from hsed_jax.measurements import write_campaign
 from hsed_jax.plain import dump_yaml
 from hsed_jax.study.build import Built
-from hsed_jax.analysis.prior_prediction import DRAWS, prior_reach, prior_sentences
 
 WEAK = {"A": {"uniform": [0.05 * A, 0.15 * A]}, "beta": BETA, "gamma": 0.0, "n": 1.0}
 
