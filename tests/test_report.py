@@ -118,6 +118,12 @@ def test_after_an_improvement_it_is_said_where_the_improved_model_fails(tmp_path
     assert "The misfit of the improved model is not concentrated in any part of the data." in page
 
 
+def test_outputs_that_demand_different_parameters_are_told_first(tmp_path):
+    said = "force demands other parameters than elongation (chi2 191 with 2 degrees of freedom)"
+    page = page_of(tmp_path, lambda found: found["calibration"].update(disagreement={"sentence": said}))
+    assert page.index(f"Of the model as it was: {said}.") < page.index("The question")
+
+
 def test_what_a_reader_must_know_stands_first(folder):
     said = list(warnings(read_run(folder)))
     assert any("3 divergent transitions" in text for text in said)

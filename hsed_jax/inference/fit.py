@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from hsed_jax.inference.correlation import SIGNIFICANT, Judged, correlation_notes, judge, size_p_value
+from hsed_jax.inference.disagreement import Disagreement, disagreement
 from hsed_jax.inference.expansion import centred, expand
 from hsed_jax.inference.leaning import Leaning, Range, caution, leaning
 from hsed_jax.inference.likelihood import Data, Error
@@ -98,6 +99,11 @@ class Fit(Tabular):
         """What to know before any estimate is believed (`hsed_jax.inference.leaning.caution`), or None."""
         own = {name: self.map[name] for name in self.posterior.model_names}
         return caution(self.leaning, self.posterior.priors, own, self.summary(), self.units)
+
+    @cached_property
+    def disagreement(self) -> Disagreement | None:
+        """An output that demands other values of the parameters than the others; None where they agree."""
+        return disagreement(self.posterior, self.data, np.asarray(self.maximum.u), self.units)
 
     @property
     def doubt(self) -> str | None:
@@ -195,6 +201,7 @@ class Fit(Tabular):
                     numbers = (cell(v[key], ".4g") for key in ("mean", "sd", "q05", "q95"))
                     rows.append((f"{name} of {level} {member}", "", *numbers, "", ""))
         notes = [] if self.doubt is None else [self.doubt]
+        notes += [] if self.disagreement is None else [self.disagreement.sentence]
         heads = ("parameter", "MAP", "mean", "sd", "5 %", "95 %", "ESS", "R-hat")
         count = int(self.data.count)
         first = "" if self.caution is None else f"{self.caution};\n"
