@@ -54,16 +54,17 @@ model:
 ## Which law
 
 `hsed laws STUDY.yaml` calibrates the model of the study and the materials, each in a run folder of its own;
-`--materials Pinching4,SAWS` takes these only. It ranks them by the error on what was not fitted: the end of the record that
-`hsed init` holds out, or the experiments of the split `test`. `laws.json` has the errors. A small error on the fitted part says
-little: a law with more parameters fits better and may predict worse.
+`--materials Pinching4,SAWS` takes these only (in Python: `hx.laws`). It ranks them by the error on what was not fitted: the end
+of the record that `hsed init` holds out, or the experiments of the split `test`. `laws.json` has the errors. A small error on the
+fitted part says little: a law with more parameters fits better and may predict worse.
 
 ## Export
 
 `hsed export RUN --opensees` writes the material at the MAP. It runs the script in OpenSees along the first experiment
 (`protocol.csv`) and compares it with the simulation. `check.json` and the head of the scripts have the difference (root mean
-square, over the standard deviation of the force) and the version of OpenSees. Another version may have another meaning of an
-argument: run `python specimen.py protocol.csv` there, and compare with the second column of `protocol.csv`.
+square, over the standard deviation of the force) and the version of OpenSees. `report.html` of the run states both. Another
+version may have another meaning of an argument: run `python specimen.py protocol.csv` there, and compare with the second column
+of `protocol.csv`.
 `tests/test_opensees_laws.py` does this for every material; the test allows 1 %.
 
 ## Materials

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from hsed_jax.runs.ask_tell import AskTell as AskTell
     from hsed_jax.runs.reading import read_run as read_run
     from hsed_jax.runs.workflow import run as run
+    from hsed_jax.sweeps.laws import laws as laws
     from hsed_jax.sweeps.sweep import sweep as sweep
 
 # Public names by the module they live in, imported when first used: `hsed --help` answers before JAX is loaded.
@@ -73,6 +74,7 @@ _HOMES = {
     "analysis.listing": ("effects",),
     "analysis.remedy": ("diagnose", "improve"),
     "analysis.sensitivity": ("sensitivity",),
+    "sweeps.laws": ("laws",),
     "sweeps.sweep": ("sweep",),
     "runs.reading": ("read_run",),
     "runs.workflow": ("run",),

@@ -73,6 +73,11 @@ def command_line() -> argparse.ArgumentParser:
     check.add_argument("--trust", action="store_true", help="execute Python files that the study names, to check them")
     check.add_argument("--force", dest="force_column", metavar="COLUMN", help="of files: the column of the force")
     beginning.add_options(check)
+    check.add_argument(
+        "--predict",
+        action="store_true",
+        help="simulate 64 points of the priors, and say which data the model cannot produce",
+    )
     check.set_defaults(command=_check)
     beginning.add_command(commands)
     for name, text, steps in _PARTS:
@@ -190,7 +195,7 @@ def _check(options: Any) -> int:
     # A wrong key is told before what calculates is loaded.
     from hsed_jax.runs.checking import check_study
 
-    check_study(study, Path(options.study))
+    check_study(study, Path(options.study), predict=getattr(options, "predict", False))
     return 0
 
 

@@ -336,7 +336,10 @@ def test_init_writes_a_study_that_has_the_priors_of_the_table(name):
 @NEEDS_OPENSEES
 @pytest.mark.parametrize(
     ("model", "message"),
-    [("opensees:Pinchign4", "did you mean Pinching4"), ("takeda", "write opensees: and a material")],
+    [
+        ("opensees:Pinchign4", "--model: there is no material 'Pinchign4' (did you mean Pinching4?)"),
+        ("takeda", "write opensees: and a material"),
+    ],
 )
 def test_init_refuses_an_unknown_model(tmp_path, model, message, capsys):
     file = tmp_path / "test.csv"
@@ -382,7 +385,7 @@ def test_a_record_that_begins_loaded_is_followed_from_zero_as_it_is():
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--materials", "SAWS,Stel4"], "--materials Stel4: there is no material 'Stel4' (did you mean Steel4?)"),
+        (["--materials", "SAWS,Stel4"], "--materials: there is no material 'Stel4' (did you mean Steel4?)"),
         ([], "has laws already; say --resume to go on with them, --force to replace them, or choose --output"),
     ],
 )
@@ -429,10 +432,19 @@ def test_laws_are_ranked_by_what_they_predict(tmp_path, capsys):
     told = json.loads((tmp_path / "laws" / "laws.json").read_text(encoding="utf-8"))
     assert [law["name"] for law in told["laws"]] == ["opensees:SelfCentering", "opensees:IMKBilin"]
     assert told["laws"][0]["error_test"] < 0.05 < told["laws"][1]["error_test"]
+    # In Python the same: the runs are there, and are read.
+    again = hx.laws(
+        load_study(tmp_path / "study.yaml", words[:2]), ["SelfCentering", "IMKBilin"], tmp_path / "laws", resume=True
+    )
+    assert again.best is not None and again.best.name == "opensees:SelfCentering"
+    assert [law.error_test for law in again.laws] == [law["error_test"] for law in told["laws"]]
     assert "opensees:SelfCentering predicts best" in capsys.readouterr().out
     # The run of a law is exported as any run is, and the script agrees.
     assert main(["export", str(tmp_path / "laws" / "opensees_SelfCentering"), "--opensees", "--table"]) == 0
     made = tmp_path / "laws" / "opensees_SelfCentering" / "export"
     assert json.loads((made / "check.json").read_text(encoding="utf-8"))["difference"] < 0.01
-    assert "semantics of OpenSees" in (made / "specimen.py").read_text(encoding="utf-8")
+    report = (made.parent / "report.html").read_text(encoding="utf-8")
+    assert 'id="export-check"' in report and "semantics of OpenSees" in (made / "specimen.py").read_text(
+        encoding="utf-8"
+    )
     assert r"F_a" in (made / "parameters.md").read_text(encoding="utf-8")

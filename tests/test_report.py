@@ -41,6 +41,18 @@ def page_file(tmp_path_factory):
 # The page itself.
 
 
+def test_the_check_of_an_exported_script_is_on_the_page(folder):
+    assert 'id="export-check"' not in report_page(read_run(folder))
+    (folder / "export").mkdir()
+    (folder / "export" / "check.json").write_text('{"opensees": "3.7.1", "difference": 0.00321}', encoding="utf-8")
+    page = report_page(read_run(folder))
+    assert "was run in OpenSees 3.7.1 along export/protocol.csv" in page
+    assert "differs from the simulation of this package by 0.321 %" in page
+    (folder / "export" / "check.json").write_text("[]", encoding="utf-8")
+    with pytest.raises(UserError, match=r"check\.json"):
+        read_run(folder)
+
+
 def test_the_figures_on_the_page_are_those_of_the_summary(folder):
     page = report_page(read_run(folder))
     shown = dict(re.findall(r'<data value="([^"]+)" data-figure-key="([^"]+)"', page))
@@ -104,6 +116,12 @@ def test_after_an_improvement_it_is_said_where_the_improved_model_fails(tmp_path
     shutil.rmtree(tmp_path / "run")
     page = page_of(tmp_path, lambda found: found["improvement"]["comparison"].update(where=[]))
     assert "The misfit of the improved model is not concentrated in any part of the data." in page
+
+
+def test_outputs_that_demand_different_parameters_are_told_first(tmp_path):
+    said = "force demands other parameters than elongation (chi2 191 with 2 degrees of freedom)"
+    page = page_of(tmp_path, lambda found: found["calibration"].update(disagreement={"sentence": said}))
+    assert page.index(f"Of the model as it was: {said}.") < page.index("The question")
 
 
 def test_what_a_reader_must_know_stands_first(folder):

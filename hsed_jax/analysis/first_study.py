@@ -27,7 +27,7 @@ def initial_study(
         file: where to write the study, with a comment beside each number that says where it comes from.
         masses: of a shaken frame: masses of its floors from the lowest up [kg].
         height: height of a storey [m]: gravity acts on its drift.
-        model: `opensees:` and a material, such as `opensees:Pinching4`; by default the Bouc-Wen spring.
+        model: `opensees:` and a material, such as `opensees:Pinching4`; by default a spring law that fits the records.
 
     Returns:
         The study. It names the folder that the campaign was read from; of a campaign made in memory, it names the folder of

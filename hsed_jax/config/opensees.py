@@ -7,6 +7,7 @@ from typing import Annotated
 from pydantic import AfterValidator, Field
 
 from hsed_jax.config.functions import CalledEntry
+from hsed_jax.errors import UserError
 from hsed_jax.models.opensees import MATERIALS
 from hsed_jax.plain import Whole, shown
 from hsed_jax.sections import ParameterEntry
@@ -23,6 +24,18 @@ def known_material(name: str) -> str:
         hint = f" (did you mean {close[0]}?)" if close else ""
         raise ValueError(f"there is no material {shown(name)}{hint}; allowed are {', '.join(MATERIALS)}")
     return name
+
+
+def asked_material(name: str, option: str) -> str:
+    """The name of a material that was asked for by an option, not by a study.
+
+    Raises:
+        UserError: there is no such material.
+    """
+    try:
+        return known_material(name)
+    except ValueError as error:
+        raise UserError(f"{option}: {error}") from None
 
 
 class OpenSeesEntry(CalledEntry):

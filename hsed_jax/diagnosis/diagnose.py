@@ -15,6 +15,7 @@ from hsed_jax.diagnosis.descent import Descent
 from hsed_jax.diagnosis.evidence import Sampled, gaussian, sample_posterior
 from hsed_jax.diagnosis.findings import Candidate, Diagnosis, Explained
 from hsed_jax.diagnosis.fits import Model, Set
+from hsed_jax.diagnosis.prior_widths import prior_widths
 from hsed_jax.diagnosis.probing import Probe
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.diagnosis.rivals import difference, joined, look_alikes_of, next_experiment, rivals_of, separation
@@ -88,9 +89,10 @@ def diagnose(
     information = separation(problem, search, [best, *(rivals or [m for m in models if m is not best][:1])])
     look_alikes = look_alikes_of(problem, search, best, models) if best.effects else []
     chosen, worth, average = None, None, None
+    is_adequate = is_explained(none.fit) and not problem.opened
+    plain = "undecided" if p_value is None else "adequate" if is_adequate else "unexplained"
     if not best.effects:
-        is_adequate = is_explained(none.fit) and not problem.opened
-        verdict = "undecided" if p_value is None else "adequate" if is_adequate else "unexplained"
+        verdict = plain
     elif rivals:
         verdict = "ambiguous"
         look_alikes = joined([*look_alikes, *(difference(best.effects, rival.effects) for rival in rivals)])
@@ -127,7 +129,13 @@ def diagnose(
         averaged=average,
         explanations=_explanations(search, models, best, called),
         behaviour=Behaviours() if probe is None else probe.behaviours(none, best, sampled[best.effects]),
+        prior_widths=prior_widths(search, models, best, verdict, plain, partial(_does_the_same, probe, best)),
     )
+
+
+def _does_the_same(probe: Probe | None, best: Model, model: Model) -> bool:
+    """Whether two models differ by their formulas only."""
+    return probe is not None and probe.called(model) == probe.called(best)
 
 
 def _rename(probe: Probe, search: Search) -> None:

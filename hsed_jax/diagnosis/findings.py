@@ -128,6 +128,60 @@ class Explained:
         return content | test | ({"score": dict(self.score)} if self.score else {})
 
 
+@dataclass(frozen=True)
+class PriorWidth:
+    """What the verdict is where the priors of the named effects (without one, of all candidates) have another width.
+
+    Attributes:
+        width: times the width of the priors.
+        verdict: as of a diagnosis.
+        effects: that are named.
+        log_evidence_gain: of each named effect (without one, of the candidate of most evidence), at this width.
+        log_evidence_gain_before: the same with the priors as they are.
+        is_same: whether verdict and effects are those of the diagnosis.
+    """
+
+    width: float
+    verdict: str
+    effects: Sequence[str]
+    log_evidence_gain: Mapping[str, float]
+    log_evidence_gain_before: Mapping[str, float]
+    is_same: bool
+
+    @property
+    def words(self) -> str:
+        """The width in words."""
+        return f"{self.width:g} times wider" if self.width > 1 else f"{1 / self.width:g} times narrower"
+
+    @property
+    def sentence(self) -> str:
+        """What the width does to the verdict."""
+        gains = ", ".join(
+            f"{effect} {self.log_evidence_gain_before[effect]:.1f} to {gain:.1f}"
+            for effect, gain in self.log_evidence_gain.items()
+        )
+        told = f" (log evidence gain: {gains})" if gains else ""
+        if self.is_same:
+            return f"with priors of the effects {self.words} the verdict stays the same{told}"
+        named = " and ".join(self.effects) or "no effect"
+        return (
+            f"caution: the verdict depends on the priors; with priors of the effects {self.words} it is {self.verdict} and names "
+            f"{named}{told}"
+        )
+
+    def summary(self) -> dict[str, Any]:
+        """An entry of `diagnosis.prior_widths` in `summary.json`; a gain that is not finite is absent."""
+        gains = {effect: gain for effect, gain in self.log_evidence_gain.items() if math.isfinite(gain)}
+        return {
+            "width": self.width,
+            "verdict": self.verdict,
+            "effects": list(self.effects),
+            "log_evidence_gain": gains,
+            "is_same": self.is_same,
+            "sentence": self.sentence,
+        }
+
+
 @dataclass(frozen=True, repr=False)
 class Diagnosis(Tabular):
     """What is missing.
@@ -155,6 +209,7 @@ class Diagnosis(Tabular):
             go then, SI.
         explanations: the models that count by what they do, the most probable first.
         behaviour: what the specimens do with the named effects, by numerical experiments.
+        prior_widths: what narrower and wider priors of the effects do to the verdict.
     """
 
     verdict: str
@@ -180,6 +235,7 @@ class Diagnosis(Tabular):
     opened: Mapping[str, float] = field(default_factory=dict)
     explanations: Sequence[Explained] = ()
     behaviour: Behaviours = field(default_factory=Behaviours)
+    prior_widths: Sequence[PriorWidth] = ()
 
     def summary(self) -> dict[str, Any]:
         """The key `diagnosis` of `summary.json`."""
@@ -205,6 +261,7 @@ class Diagnosis(Tabular):
             "averaged": None if self.averaged is None else self.averaged.summary(),
             "specimens": [one.summary() for one in self.specimens] or None,
             "opened": dict(self.opened) or None,
+            "prior_widths": [one.summary() for one in self.prior_widths] or None,
         }
         return content | {key: value for key, value in optional.items() if value is not None}
 
@@ -269,6 +326,7 @@ class Diagnosis(Tabular):
             *([f"what the model with them does: {does}"] if does else []),
             *(one.sentence for one in self.specimens),
             *([self._beyond] if self.opened else []),
+            *(one.sentence for one in self.prior_widths),
             *self.notes,
             *between,
             *(f"{c.called} {self._instead(c)}" for c in self._unnamed[:_SHOWN]),

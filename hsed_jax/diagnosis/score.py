@@ -159,15 +159,25 @@ class HeldOut:
         predicted = self._left_out(target, fits)
         return [math.inf if one is None else self.measured.error(one, scored) for one in predicted]
 
-    def densities(self, target: Target, fits: Sequence[Descent]) -> Float[np.ndarray, "M P"]:
-        """Log density of what is left out by model and piece, in nats, up to a constant; minus infinity where one fails."""
+    def densities(
+        self, target: Target, fits: Sequence[Descent], moved: Sequence[np.ndarray | None] | None = None
+    ) -> Float[np.ndarray, "M P"]:
+        """Log density of what is left out by model and piece, in nats, up to a constant; minus infinity where one fails.
+
+        Arguments:
+            target: what is fitted.
+            fits: of the models.
+            moved: by how much the predictions of each are to be moved, (n, J), or None; by default none is.
+        """
         kept = self._pieces >= 0
         # Of what was not measured there are no pieces.
         pieces, piece = np.unique(self._pieces[kept], return_inverse=True)
         squares = np.full((len(fits), len(pieces)), np.inf)
-        for own, predicted in zip(squares, self._left_out(target, fits), strict=True):
+        changes = moved or [None] * len(fits)
+        for own, predicted, change in zip(squares, self._left_out(target, fits), changes, strict=True):
             if predicted is not None:
-                off = np.where(kept, (predicted - target.values) / target.sigma, 0.0)
+                shifted = predicted if change is None else predicted + change
+                off = np.where(kept, (shifted - target.values) / target.sigma, 0.0)
                 own[:] = np.bincount(piece, whitened(off, target.memory)[kept] ** 2)
         # The part of an experiment that each piece is of.
         _, part = np.unique(pieces // _PIECES, return_inverse=True)

@@ -57,7 +57,7 @@ def text_of_study(
         output: where the study will be; the path to the campaign is written relative to it.
         frame: what is known of a frame that was shaken.
         taken: what the campaign was made of, lines for its head.
-        model: lines of a model that has no effects, in the place of the Bouc-Wen spring.
+        model: lines of a model that has no effects, in the place of a spring law.
 
     Raises:
         UserError: the campaign has no completed training experiment, or nothing that tells stiffness and strength; or it was

@@ -1,5 +1,6 @@
 """`hsed export`: the results of a run, for other programs and for a paper."""
 
+from pathlib import Path
 from typing import Any
 
 from hsed_jax.errors import UserError
@@ -26,6 +27,21 @@ def _export(options: Any) -> int:
     if not kinds:
         raise UserError("choose what to export: --opensees, --table or both")
     for kind in kinds:
-        for path in export(options.run, options.out, kind=kind, before=options.before):
+        written = export(options.run, options.out, kind=kind, before=options.before)
+        for path in written:
             print(f"wrote {path}")
+        if options.out is None and any(path.name == "check.json" for path in written):
+            print(f"wrote {_reported(Path(options.run))}")
     return 0
+
+
+def _reported(run: Path) -> Path:
+    """Write the report of a run again, with the check of its exported script."""
+    from hsed_jax.reporting.report import report_page
+    from hsed_jax.runs.folder import write_page
+    from hsed_jax.runs.reading import holding, read_run
+
+    with holding(run):
+        page = report_page(read_run(run))
+    write_page(page, run / "report.html")
+    return run / "report.html"

@@ -12,11 +12,12 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from hsed_jax.inference.correlation import SIGNIFICANT, Judged, correlation_notes, judge, size_p_value
+from hsed_jax.inference.disagreement import Disagreement, disagreement
 from hsed_jax.inference.expansion import centred, expand
 from hsed_jax.inference.leaning import Leaning, Range, caution, leaning
 from hsed_jax.inference.likelihood import Data, Error
 from hsed_jax.inference.maximum import Maximum, maximise
-from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence
+from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence, statistics_of, summarise
 from hsed_jax.inference.population import Varying
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.samplers import SAMPLERS
@@ -99,6 +100,11 @@ class Fit(Tabular):
         own = {name: self.map[name] for name in self.posterior.model_names}
         return caution(self.leaning, self.posterior.priors, own, self.summary(), self.units)
 
+    @cached_property
+    def disagreement(self) -> Disagreement | None:
+        """An output that demands other values of the parameters than the others; None where they agree."""
+        return disagreement(self.posterior, self.data, np.asarray(self.maximum.u), self.units)
+
     @property
     def doubt(self) -> str | None:
         """The meaning of the intervals if the model does not explain the data, in one sentence; else None."""
@@ -154,12 +160,12 @@ class Fit(Tabular):
         for number, (level, draws) in enumerate(zip(levels, self.of_members, strict=True)):
             found[level.name] = {}
             for varying in level.varying:
-                own = [_statistics(draws[..., m, varying.column].ravel()) for m in range(len(level.members))]
+                own = [statistics_of(draws[..., m, varying.column].ravel()) for m in range(len(level.members))]
                 found[level.name][varying.name] = {
                     "mean": known[varying.name],
                     "spread": known[f"{level.name}.{varying.name}.spread"],
                     "of": dict(zip(level.members, own, strict=True)),
-                    "untested": _statistics(self._untested(varying, number)),
+                    "untested": statistics_of(self._untested(varying, number)),
                 }
         return found
 
@@ -195,6 +201,7 @@ class Fit(Tabular):
                     numbers = (cell(v[key], ".4g") for key in ("mean", "sd", "q05", "q95"))
                     rows.append((f"{name} of {level} {member}", "", *numbers, "", ""))
         notes = [] if self.doubt is None else [self.doubt]
+        notes += [] if self.disagreement is None else [self.disagreement.sentence]
         heads = ("parameter", "MAP", "mean", "sd", "5 %", "95 %", "ESS", "R-hat")
         count = int(self.data.count)
         first = "" if self.caution is None else f"{self.caution};\n"
@@ -371,24 +378,6 @@ def _left_unexplained(
     noises = {g: noise for g, noise in enumerate(judged.noises) if posterior.is_declared[g]}
     p_value = size_p_value(standardised, used, judged.memory, noises, posterior.groups, posterior.fitted)
     return float(np.mean(standardised[used] ** 2)), p_value
-
-
-def summarise(names: tuple[str, ...], chains: Chains, judged: Convergence) -> dict[str, dict[str, float]]:
-    """Mean, sd, quantiles and diagnostics of each parameter's draws."""
-    draws = np.asarray(chains.theta)[..., : len(names)].reshape(-1, len(names))
-    return {
-        name: {
-            **_statistics(draws[:, i]),
-            "ess_bulk": float(judged.ess_bulk[i]),
-            "rhat": float(judged.rhat[i]),
-        }
-        for i, name in enumerate(names)
-    }
-
-
-def _statistics(draws: Float[np.ndarray, " S"]) -> dict[str, float]:
-    q05, q95 = np.quantile(draws, [0.05, 0.95])
-    return {"mean": float(draws.mean()), "sd": float(draws.std(ddof=1)), "q05": float(q05), "q95": float(q95)}
 
 
 @program

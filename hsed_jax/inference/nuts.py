@@ -222,3 +222,22 @@ def convergence(chains: Chains) -> Convergence:
             np.asarray([min(array_stats.ess(d, chain_axis=0, draw_axis=1), chains.worth) for d in draws], dtype=float),
             int(np.sum(np.asarray(chains.diverging))),
         )
+
+
+def summarise(names: tuple[str, ...], chains: Chains, judged: Convergence) -> dict[str, dict[str, float]]:
+    """Mean, sd, quantiles and diagnostics of each parameter's draws."""
+    draws = np.asarray(chains.theta)[..., : len(names)].reshape(-1, len(names))
+    return {
+        name: {
+            **statistics_of(draws[:, i]),
+            "ess_bulk": float(judged.ess_bulk[i]),
+            "rhat": float(judged.rhat[i]),
+        }
+        for i, name in enumerate(names)
+    }
+
+
+def statistics_of(draws: Float[np.ndarray, " S"]) -> dict[str, float]:
+    """Mean, sd, 5 % and 95 % quantile of draws of a number."""
+    q05, q95 = np.quantile(draws, [0.05, 0.95])
+    return {"mean": float(draws.mean()), "sd": float(draws.std(ddof=1)), "q05": float(q05), "q95": float(q95)}

@@ -152,6 +152,8 @@ def warnings(run: FinishedRun) -> Iterator[str]:
             yield f"The draws of the posterior of {model} have not converged: {text}."
         if doubt := found.get("doubt"):
             yield sentence(doubt.replace("the model", model, 1))
+        if apart := found.get("disagreement"):
+            yield f"Of {model}: {apart['sentence']}."
     yield from map(sentence, run.summary.get("left_out", []))
     if said := run.summary.get("design", {}).get("drift"):
         yield sentence(said)

@@ -26,6 +26,7 @@ class FinishedRun(Tabular):
         campaign: the experiments.
         results: `results.nc`; None of a run that was interrupted.
         figures: SVG by name.
+        export_check: what `check.json` of its export holds; None where no script was checked.
     """
 
     folder: Path
@@ -35,6 +36,7 @@ class FinishedRun(Tabular):
     campaign: Campaign
     results: xr.DataTree | None
     figures: dict[str, str]
+    export_check: dict[str, Any] | None = None
 
     @property
     def name(self) -> str:

@@ -80,7 +80,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     text = "of files: unit of a column or channel; one option for each"
     parser.add_argument("--unit", action="append", default=[], metavar="COLUMN=UNIT", help=text)
     parser.add_argument("--sheet", metavar="NAME", help="of a workbook: the sheet to read")
-    text = "the model: opensees: and a material, such as opensees:Pinching4 (default: the Bouc-Wen spring)"
+    text = "the model: opensees: and a material, such as opensees:Pinching4 (default: a spring law that fits)"
     parser.add_argument("--model", metavar="MODEL", help=text)
     text = "share of each record, its end, that is held out and never fitted (default: a third; 0 holds out nothing)"
     parser.add_argument("--split", type=float, metavar="FRACTION", help=text)
@@ -252,7 +252,7 @@ def _frame(options: Any) -> Any:
 
 
 def _model(options: Any, campaign: "Campaign") -> list[str]:
-    """The lines of the model that was asked for; none of the Bouc-Wen spring."""
+    """The lines of the model that was asked for; none of a spring law."""
     if options.model is None:
         return []
     from hsed_jax.study.first_material import material_lines

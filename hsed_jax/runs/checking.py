@@ -1,4 +1,4 @@
-"""The output of `hsed check` on a study and its data; nothing is run."""
+"""The output of `hsed check` on a study and its data; no step of the study is run."""
 
 import sys
 from collections.abc import Sequence, Set
@@ -14,15 +14,16 @@ from hsed_jax.study.excitations import sentence_of
 from hsed_jax.study.unit_doubts import unit_doubts
 
 
-def check_study(study: Study, path: Path) -> None:
+def check_study(study: Study, path: Path, *, predict: bool = False) -> None:
     """Build a study, print what is wrong or doubtful of it and its data, and draw what is doubted.
 
     Arguments:
         study: what the user said.
         path: its file; the pictures go into the folder `figures` beside it.
+        predict: simulate the model all over its priors, and print which data they exclude.
 
     Raises:
-        UserError: the study cannot be run, or the data have errors.
+        UserError: the study cannot be run, the data have errors, or there is nothing measured to compare a prediction with.
     """
     built = Built(study)
     _ = built.mechanics.catalogue  # effects of its own, which may be wrong, come before the data
@@ -45,6 +46,14 @@ def check_study(study: Study, path: Path) -> None:
         stop_at_errors(measured, accepted, study.needs_loops)
     if built.experiments.excitation is not None and built.simulation.grid is None:
         print(f"{sentence_of(study)}; {built.simulation.planned.steps} steps of the integration")
+    if predict:
+        if measured is None:
+            raise UserError("--predict compares predictions with measurements; give experiments.campaign")
+        # A check without it samples nothing, and does not wait for what does.
+        from hsed_jax.analysis.prior_prediction import prior_sentences
+
+        for sentence in prior_sentences(built.inference, measured):
+            print(f"prior prediction: {sentence}")
     if "diagnose" in study.steps:
         for note in built.mechanics.naming.left_out():
             print(f"diagnose: {note}")

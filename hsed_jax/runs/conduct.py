@@ -19,7 +19,7 @@ from hsed_jax.design.sequential import DesignState, Trial
 from hsed_jax.design.space import Point
 from hsed_jax.design.stopping import StopRules, stop_reason
 from hsed_jax.errors import UserError
-from hsed_jax.inference.fit import summarise
+from hsed_jax.inference.nuts import summarise
 from hsed_jax.laboratories.base import Measured, experiment_id
 from hsed_jax.measurements import Campaign, Experiment, Record, read_campaign, write_campaign, write_experiment
 from hsed_jax.runs.folder import RunFolder

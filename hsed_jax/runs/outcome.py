@@ -188,6 +188,7 @@ def _doubts(fit: Fit) -> dict[str, Any]:
         "warning": fit.warning,
         "chi2_per_datum": fit.chi2_per_datum,
         "doubt": fit.doubt,
+        "disagreement": None if fit.disagreement is None else fit.disagreement.summary(),
     }
     return {key: value for key, value in said.items() if value is not None} | (
         {} if fit.discrepancy is None else {"discrepancy": fit.discrepancy_summary()}

@@ -44,7 +44,7 @@ def read_run(path: str | Path, known: "xr.DataTree | None" = None) -> "FinishedR
         raise UserError(
             f"{folder}: the run has no results yet; go on with it: hsed run STUDY.yaml --output {folder} --resume"
         )
-    results = folder / "results.nc"
+    results, check = folder / "results.nc", folder / "export" / "check.json"
     tree = _tree(results) if known is None and results.is_file() else known
     return FinishedRun(
         folder,
@@ -54,6 +54,7 @@ def read_run(path: str | Path, known: "xr.DataTree | None" = None) -> "FinishedR
         read_campaign(folder / "campaign"),
         tree,
         {path.stem: _text(path) for path in sorted((folder / "figures").glob("*.svg"))},
+        mapping(check, "opensees", "difference") if check.is_file() else None,
     )
 
 

@@ -3,7 +3,7 @@
 import math
 from typing import Any, cast
 
-from hsed_jax.config.opensees import known_material
+from hsed_jax.config.opensees import asked_material
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
 from hsed_jax.models.opensees import MATERIALS
@@ -24,10 +24,7 @@ def material_lines(model: str, campaign: Campaign) -> list[str]:
     """
     if not model.startswith(PREFIX):
         raise UserError(f"--model {model}: write {PREFIX} and a material, such as {PREFIX}Pinching4")
-    try:
-        name = known_material(model.removeprefix(PREFIX))
-    except ValueError as error:
-        raise UserError(f"--model {model}: {error}") from None
+    name = asked_material(model.removeprefix(PREFIX), "--model")
     if campaign.protocol != "displacement":
         raise UserError(f"--model {model}: a material of OpenSees needs a test whose elongation was imposed")
     marks, pair = marks_of(campaign), campaign.pair

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hsed_jax.config.load import load_study
-from hsed_jax.config.opensees import known_material
+from hsed_jax.config.opensees import asked_material
 from hsed_jax.config.schema import Study
 from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
@@ -108,14 +108,17 @@ def laws(
 
     Raises:
         UserError: the study has no campaign, a material is unknown, the folder has laws already, or every law failed.
+
+    Example:
+        ```python
+        found = hx.laws(hx.load_study("column/study.yaml"), ["Pinching4", "IMKPinching"])
+        found.best.name  # the law that predicts best what was not fitted
+        ```
     """
     if study.experiments.campaign is None:
         raise UserError("experiments.campaign: laws are compared on measured tests; give a campaign")
     for name in materials:
-        try:
-            known_material(name)
-        except ValueError as error:
-            raise UserError(f"--materials {name}: {error}") from None
+        asked_material(name, "--materials")
     folder = Path(output) if output is not None else Path("runs") / f"{study.study}_laws"
     if (folder / FILE).exists() and not (resume or force):
         raise UserError(

@@ -18,8 +18,8 @@ _LEAST, _MOST = 1e-12, 1e6
 class _Branch(NamedTuple):
     """The curve from the last reversal (u_r, f_r).
 
-    `side` is the strength that it tends to over F_y, with its sign, and zero in a virgin element; `aim` is the furthest elongation
-    that it is rounded for; `highest` and `lowest` are the furthest elongations at which the way has turned.
+    `side` is the strength that the curve tends to, over F_y and with its sign; it is zero in a virgin element.  `aim` is the
+    furthest elongation on the loaded side.  `highest` and `lowest` are the furthest elongations of all reversals.
     """
 
     u_r: Scalar
