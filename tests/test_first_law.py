@@ -1,5 +1,7 @@
 """Which law a first study has: laws beside springs, friction and dashpots, by other programs than those that are fitted."""
 
+import subprocess
+import sys
 from itertools import pairwise
 
 import numpy as np
@@ -91,3 +93,14 @@ def test_a_record_of_missing_samples_is_fitted_where_it_was_measured():
     force[100:160] = np.nan
     found = residuals(campaign(force), K, F_Y)
     assert found is not None and found.is_steel
+
+
+def test_the_command_chooses_the_law_in_a_process_of_its_own(tmp_path):
+    time, elongation = path()
+    table = np.stack([time, 1e3 * elongation, 1e-3 * steel(elongation)], axis=1)
+    np.savetxt(tmp_path / "link.csv", table, delimiter=",", header="time [s],displacement [mm],force [kN]", comments="")
+    subprocess.run(
+        [sys.executable, "-m", "hsed_jax", "init", "link.csv"], cwd=tmp_path, check=True, capture_output=True
+    )
+    text = (tmp_path / "link" / "study.yaml").read_text(encoding="utf-8")
+    assert "spring: menegotto_pinto" in text and "fits of the force leave" in text

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.optimize import least_squares
 
+from hsed_jax.backend import prepare
 from hsed_jax.measurements import Campaign
 from hsed_jax.measurements.thinning import thinned
 from hsed_jax.physics.laws import LAWS
@@ -110,6 +111,7 @@ def residuals(campaign: Campaign, stiffness: float, strength: float) -> Residual
     Returns:
         The normalised residuals; None where no experiment has a history of force and elongation.
     """
+    prepare()
     paths = _paths(campaign, strength)
     return paths and Residuals(*(_residual(name, paths, stiffness, strength) for name in _LAWS))
 
