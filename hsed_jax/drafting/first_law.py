@@ -27,10 +27,10 @@ from hsed_jax.physics.specimen import Specimen
 _EXPERIMENTS, _SAMPLES = 4, 500
 # Parts of the way from one sample to the next, over which a differential equation is integrated.
 _PARTS = 4
-# Elongations between which the elastic force beside a law is linear.
+# Knots of the elastic force beside a law, which is linear between them; a force of the rate has half as many.
 _KNOTS = 11
-# Another law is taken in place of the simplest one if its residual is at most this share of that one's.
-_MUCH_BETTER = 0.5
+# Another law is taken in place of the simplest one if it leaves at most this share of the squared residual of that one.
+_LEFT = 0.3
 # Of a derivative, in units of a guess.
 _STEP = 1e-5
 
@@ -81,7 +81,7 @@ class Residuals(NamedTuple):
     @property
     def is_steel(self) -> bool:
         """Whether the law of Menegotto and Pinto leaves much less than the simplest one, and less than the shaped one."""
-        return self.steel < min(_MUCH_BETTER * self.simplest, self.shaped)
+        return self.steel < min(math.sqrt(_LEFT) * self.simplest, self.shaped)
 
 
 class _Paths(NamedTuple):
@@ -137,11 +137,16 @@ def _paths(campaign: Campaign, strength: float) -> _Paths | None:
 
 
 def _beside(elongation: np.ndarray, way: np.ndarray, rate: np.ndarray) -> Float[np.ndarray, "records samples terms"]:
-    """An elastic force, as hat functions of the elongation; friction and dashpots."""
-    knots = np.linspace(-1, 1, _KNOTS)
+    """Any elastic force, and any force of the rate, each as hat functions; a constant one of the rate is friction."""
     u, v = elongation / (np.max(np.abs(elongation)) or 1.0), rate / (np.max(rate) or 1.0)
-    elastic = np.maximum(0.0, 1 - np.abs(u[..., None] - knots) * (_KNOTS - 1) / 2)
-    return np.concatenate([elastic, np.stack([way, way * np.sqrt(v), way * v], axis=-1)], axis=-1)
+    # Dashpots have powers below one, so the root is the better coordinate.
+    return np.concatenate([_hats(u, -1.0, _KNOTS), way[..., None] * _hats(np.sqrt(v), 0.0, _KNOTS // 2)], axis=-1)
+
+
+def _hats(x: np.ndarray, low: float, count: int) -> Float[np.ndarray, "... count"]:
+    """Functions that are one at one of the knots between `low` and 1, zero at the others and linear between them."""
+    knots = np.linspace(low, 1, count)
+    return np.maximum(0.0, 1 - np.abs(x[..., None] - knots) / (knots[1] - knots[0]))
 
 
 def _residual(name: str, paths: _Paths, stiffness: float, strength: float) -> float:
