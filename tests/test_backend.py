@@ -32,7 +32,7 @@ def state():
 ALL = """
 import pkgutil, importlib, hsed_jax
 for module in pkgutil.walk_packages(hsed_jax.__path__, "hsed_jax."):
-    if module.name != "hsed_jax.laboratories.opensees_model":  # a script
+    if module.name not in ("hsed_jax.laboratories.opensees_model", "hsed_jax.run"):  # a script and a command
         importlib.import_module(module.name)
 from hsed_jax import *
 """

@@ -114,6 +114,13 @@ def laws(
         found = hx.laws(hx.load_study("column/study.yaml"), ["Pinching4", "IMKPinching"])
         found.best.name  # the law that predicts best what was not fitted
         ```
+
+        A mistake is told before anything is calibrated:
+
+        >>> study = hx.initial_study(hx.read_files("wall.csv"), "wall.yaml")
+        >>> hx.laws(study, ["Pinchign4"])  # doctest: +ELLIPSIS
+        Traceback (most recent call last):
+        hsed_jax.errors.UserError: ...did you mean Pinching4?...
     """
     if study.experiments.campaign is None:
         raise UserError("experiments.campaign: laws are compared on measured tests; give a campaign")

@@ -30,7 +30,7 @@ def _sticking() -> Any:
 def _length() -> Any:
     """The parameter that says how long a bristle is."""
     return shape_parameter(
-        "b", "elongation at which it slides, over characteristic elongation", neutral=0.05, lower=0.005,
+        "b", "elongation at which it slides, over characteristic elongation", neutral=0.05, lower=0.0005,
         prior={"lognormal": [-3.0, 0.8]},
     )  # fmt: skip
 
