@@ -58,10 +58,10 @@ def test_they_are_recovered_with_the_law(tmp_path):
 def test_an_improved_model_is_calibrated_from_where_it_fits_best(tmp_path, monkeypatch):
     begun, whole = {}, remedy.calibrate_built
 
-    def begins(built, campaign, start, watch, settings=None):
+    def begins(built, campaign, start, **settings):
         # The model as it was is calibrated again where a better fit of it was found.
         if "viscous_damping.delta" not in built.mechanics.parameters[0]:
-            return whole(built, campaign, start=start, watch=watch, settings=settings)
+            return whole(built, campaign, start=start, **settings)
         begun.update(zip(built.mechanics.parameters[0], np.asarray(start).tolist(), strict=True))
         raise InterruptedError
 
