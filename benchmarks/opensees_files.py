@@ -204,6 +204,11 @@ def markdown(rows: list[dict[str, Any]]) -> str:
         lines.append(
             f"| {row['name']} | {CASES[row['name']].does} | {named} (`{row.get('verdict', 'no end')}`) | {before} | {after} |"
         )
+    firsts = [row["effects"][:1] for row in rows if "effects" in row]
+    known = [set(CASES[row["name"]].right) for row in rows if "effects" in row]
+    first = sum(bool(own) == bool(right) and set(own) <= right for own, right in zip(firsts, known, strict=True))
+    exact = sum(row.get("right", False) for row in rows)
+    lines.append(f"\nAll that is named is right in {exact} of {len(rows)} specimens, what is named first in {first}.")
     return "\n".join(lines)
 
 

@@ -317,6 +317,14 @@ class Diagnosis(Tabular):
         return f"with the bounds open that the calibration leans on, the model as it is goes to {values}"
 
     @property
+    def _of_priors(self) -> list[str]:
+        """What other priors do to the verdict: one sentence where they do nothing."""
+        if self.prior_widths and all(one.is_same for one in self.prior_widths):
+            widths = " and ".join(one.words for one in self.prior_widths)
+            return [f"the verdict stays the same with priors of the effects {widths}"]
+        return [one.sentence for one in self.prior_widths]
+
+    @property
     def _notes(self) -> list[str]:
         """What effects are to the specimens, how the diagnosis was made, what explanations differ in, and why likely effects are
         not named."""
@@ -326,7 +334,7 @@ class Diagnosis(Tabular):
             *([f"what the model with them does: {does}"] if does else []),
             *(one.sentence for one in self.specimens),
             *([self._beyond] if self.opened else []),
-            *(one.sentence for one in self.prior_widths),
+            *self._of_priors,
             *self.notes,
             *between,
             *(f"{c.called} {self._instead(c)}" for c in self._unnamed[:_SHOWN]),
