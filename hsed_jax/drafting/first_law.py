@@ -1,7 +1,7 @@
 """Which spring law a first study has: that of Bouc and Wen, which every effect can join, or the steel of Menegotto and Pinto.
 
 The laws are fitted to the measured forces along the measured elongations, without structure and test rig.  Any elastic force,
-friction and dashpot may stand beside each: what the hysteresis is, does not depend on them.  A specimen that yields sharply at
+friction and dashpot may stand beside each, so the comparison concerns the hysteresis alone.  A specimen that yields sharply at
 first and more roundly later is steel.  Beside the simplest law of Bouc and Wen that difference would be taken for effects that
 the specimen does not have.
 """

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hsed_jax.drafting.first_law import residuals
 from hsed_jax.drafting.floors import floor_count, floors_of
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, characteristics, parse_unit
@@ -116,6 +115,9 @@ def text_of_study(
 
 def _spring(campaign: Campaign, stiffness: _Guess, strength: _Guess, frame: Frame) -> list[str]:
     """The spring law that fits the records, with priors around what they show."""
+    # It loads JAX, for which a study with another model need not wait.
+    from hsed_jax.drafting.first_law import residuals
+
     pair, initial = campaign.pair, stiffness.value + _of_gravity(frame)
     left = residuals(campaign, initial, strength.value)
     of_stiffness = [

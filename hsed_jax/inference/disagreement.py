@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import chdtrc
 
-from hsed_jax.inference.expansion import expand
+from hsed_jax.inference.expansion import expand_each
 from hsed_jax.inference.likelihood import Data, whitened
 from hsed_jax.inference.posterior import Posterior
 
@@ -116,13 +116,13 @@ def disagreement(
         return None
     size = len(posterior.model_names)
     weights = np.asarray(data.weights)
-    # The simulations are those of the search for the MAP; only the weights differ, so no program is compiled.
-    prior, *_ = expand(posterior, data._replace(weights=np.zeros_like(weights)), [u])
+    # The programs are those of the search for the MAP, so nothing is compiled.
+    by_output = {g: weights * (posterior.groups == g) for g in outputs}
+    without = np.zeros_like(weights)
+    prior, *each = expand_each(posterior, [data._replace(weights=own) for own in (without, *by_output.values())], u)
     precision, pull = np.asarray(prior.bend)[:size, :size], -np.asarray(prior.slope)[:size]
     told, shrinks = {}, {}
-    for g in outputs:
-        own = weights * (posterior.groups == g)
-        (around,) = expand(posterior, data._replace(weights=own), [u])
+    for (g, own), around in zip(by_output.items(), each, strict=True):
         plain = _Told(np.asarray(around.information)[:size, :size], -np.asarray(around.slope)[:size] - pull)
         left = _chi2(posterior, data, u, np.asarray(around.predicted), np.asarray(around.ok), own)
         step = _optimum([plain], precision, pull)

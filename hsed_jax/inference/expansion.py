@@ -59,10 +59,23 @@ def expand(posterior: Posterior, data: Data, points: Sequence[np.ndarray] | np.n
     found: list[Expansion] = []
     for at in range(0, len(points), _WIDTH):
         block = np.stack([np.asarray(point) for point in points[at : at + _WIDTH]])
-        simulated = [filled(own, _WIDTH) for own in linearised_at(posterior, data, block, _WIDTH)]
-        leaves = [np.asarray(leaf) for leaf in _expansions(posterior, data, filled(block, _WIDTH), *simulated)]
-        found += [Expansion(*(leaf[i] for leaf in leaves)) for i in range(len(block))]
+        found += _expanded(posterior, data, block, linearised_at(posterior, data, block, _WIDTH))
     return found
+
+
+def expand_each(posterior: Posterior, data: Sequence[Data], point: np.ndarray) -> list[Expansion]:
+    """The posterior around one point with data that differ in their weights only: one simulation serves all."""
+    block = np.asarray(point)[None]
+    simulated = linearised_at(posterior, data[0], block, _WIDTH)
+    return [_expanded(posterior, own, block, simulated)[0] for own in data]
+
+
+def _expanded(
+    posterior: Posterior, data: Data, block: Float[np.ndarray, "k p"], simulated: Sequence[np.ndarray]
+) -> list[Expansion]:
+    known = [filled(own, _WIDTH) for own in simulated]
+    leaves = [np.asarray(leaf) for leaf in _expansions(posterior, data, filled(block, _WIDTH), *known)]
+    return [Expansion(*(leaf[i] for leaf in leaves)) for i in range(len(block))]
 
 
 def centred(posterior: Posterior, data: Data, theta: Float[Array, " p"]) -> Posterior:

@@ -37,7 +37,7 @@ def outputs_at(
 ) -> tuple[Float[np.ndarray, "N n J"], Float[np.ndarray, "N n"]]:
     """Outputs of all experiments at the points of a call, and 1 where their simulations converged, else 0."""
     thetas = np.asarray(_parameters(posterior, data, filled(points, points_of_a_call(data))))
-    return _simulated(posterior, data, thetas[: len(points)])
+    return _called(posterior, data, thetas[: len(points)])
 
 
 def linearised_at(
@@ -55,8 +55,12 @@ def linearised_at(
     theta, steps, along = (np.asarray(values)[: len(points)] for values in stencils)
     offsets = steps[:, :, None, None] * np.eye(steps.shape[1])[:, None, :]
     stencil = np.concatenate([theta[:, None], theta[:, None] + offsets, theta[:, None] - offsets], axis=1)
-    outputs, ok = _simulated(posterior, data, stencil.reshape(-1, *stencil.shape[2:]))
-    outputs, ok = (values.reshape(*stencil.shape[:2], *values.shape[1:]) for values in (outputs, ok))
+    thetas, each = stencil.reshape(-1, *stencil.shape[2:]), points_of_a_call(data)
+    # A call keeps one core busy.
+    with ThreadPoolExecutor(cores()) as threads:
+        calls = threads.map(lambda at: _called(posterior, data, thetas[at : at + each]), range(0, len(thetas), each))
+        simulated = [np.concatenate(values) for values in zip(*calls, strict=True)]
+    outputs, ok = (values.reshape(*stencil.shape[:2], *values.shape[1:]) for values in simulated)
     ahead, behind = np.split(np.arange(1, stencil.shape[1]), 2)
     # If one side diverged, the difference uses the other side and the middle.
     here = outputs[:, :1]
@@ -75,22 +79,14 @@ def filled(block: Float[np.ndarray, "k ..."], size: int) -> Float[np.ndarray, "s
     return np.concatenate([block, np.repeat(block[-1:], size - len(block), axis=0)])
 
 
-def _simulated(
+def _called(
     posterior: Posterior, data: Data, thetas: Float[np.ndarray, "N m q"]
 ) -> tuple[Float[np.ndarray, "N n J"], Float[np.ndarray, "N n"]]:
-    """Outputs at parameters of the model, for all experiments or of each its own."""
+    """Outputs at parameters of the model, for all experiments or of each its own: one call of the program."""
     size = points_of_a_call(data)
-
-    def called(at: int) -> tuple[np.ndarray, np.ndarray]:
-        block = thetas[at : at + size]
-        counts = np.where(np.arange(size) < len(block), np.asarray(data.count), 0)
-        outputs, ok = _predictions(posterior.predict, filled(block, size), data.conditions, counts)
-        return np.asarray(outputs)[: len(block)], np.asarray(ok)[: len(block)]
-
-    # A call keeps one core busy.
-    with ThreadPoolExecutor(cores()) as threads:
-        outputs, ok = zip(*threads.map(called, range(0, len(thetas), size)), strict=True)
-    return np.concatenate(outputs), np.concatenate(ok)
+    counts = np.where(np.arange(size) < len(thetas), np.asarray(data.count), 0)
+    outputs, ok = _predictions(posterior.predict, filled(thetas, size), data.conditions, counts)
+    return np.asarray(outputs)[: len(thetas)], np.asarray(ok)[: len(thetas)]
 
 
 @program
