@@ -51,7 +51,7 @@ def _sides(*values: float) -> tuple[float, ...]:
     return (*values, *(-value for value in values))
 
 
-_CUBIC = np.linspace(-60 * MM, 60 * MM, 61)
+_CUBIC = np.linspace(-60 * MM, 60 * MM, 61).tolist()
 SERIES = ("Steel02", 80 * KN, 2 * K, 0.01, 15, 0.925, 0.15)
 STOPS = (("ElasticPPGap", K, 400 * KN, 20 * MM, 0.0), ("ElasticPPGap", K, -400 * KN, -20 * MM, 0.0))
 PINCHED = (
@@ -106,7 +106,7 @@ CASES = {
     ),
     "cubic + damaged": Case(
         (("Hysteretic", *_sides(70 * KN, 7 * MM, 72 * KN, 30 * MM, 75 * KN, 80 * MM), 1.0, 1.0, 0.0, 0.02, 0.3),
-         ("ElasticMultiLinear", 0.0, "-strain", *_CUBIC, "-stress", *(3e8 * _CUBIC**3)), ("Parallel", 1, 2)),
+         ("ElasticMultiLinear", 0.0, "-strain", *_CUBIC, "-stress", *(3e8 * u**3 for u in _CUBIC)), ("Parallel", 1, 2)),
         "a cubic spring; reloading aims at the largest former point", ("cubic_stiffness", "peak_oriented", *FALLS),
     ),
     "Bouc-Wen, weaker": Case(
@@ -130,7 +130,7 @@ def forces(case: Case, elongation: np.ndarray) -> np.ndarray:
     ops.wipe()
     ops.model("basic", "-ndm", 1, "-ndf", 1)
     for tag, (name, *arguments) in enumerate(case.materials, start=1):
-        ops.uniaxialMaterial(name, tag, *map(_plain, arguments))
+        ops.uniaxialMaterial(name, tag, *arguments)
     ops.testUniaxialMaterial(len(case.materials))
     found = [0.0]
     for start, end in pairwise(elongation):
@@ -139,10 +139,6 @@ def forces(case: Case, elongation: np.ndarray) -> np.ndarray:
         found.append(ops.getStress())
     beside = case.dashpot(np.gradient(elongation, STEP)) if case.dashpot else 0.0
     return np.asarray(found) + beside
-
-
-def _plain(value: Any) -> Any:
-    return float(value) if isinstance(value, np.floating) else value
 
 
 def written(name: str, folder: Path) -> Path:

@@ -7,8 +7,7 @@ the specimen does not have.
 """
 
 import math
-from collections.abc import Callable, Sequence
-from functools import cache
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -22,9 +21,12 @@ from hsed_jax.measurements import Campaign
 from hsed_jax.measurements.thinning import thinned
 from hsed_jax.physics.laws import LAWS
 from hsed_jax.physics.specimen import Specimen
+from hsed_jax.programs import program
 
 # So many experiments, those of the largest elongation, of about so many samples each.
 _EXPERIMENTS, _SAMPLES = 4, 500
+# Records are filled up to a multiple of so many samples.
+_BLOCK = 256
 # Parts of the way from one sample to the next, over which a differential equation is integrated.
 _PARTS = 4
 # Knots of the elastic force beside a law, which is linear between them; a force of the rate has half as many.
@@ -128,9 +130,10 @@ def _paths(campaign: Campaign, strength: float) -> _Paths | None:
     records = sorted((r for r in records if r.shape[1] > _KNOTS), key=lambda r: -float(np.ptp(r[0])))[:_EXPERIMENTS]
     if not records:
         return None
-    length = max(r.shape[1] for r in records)
-    padded = [np.pad(r, ((0, 0), (0, length - r.shape[1])), mode="edge") for r in records]
-    elongation, force, rate = np.stack(padded, axis=1)
+    # A few lengths, so that a program that was made serves other records.
+    length = _BLOCK * math.ceil(max(r.shape[1] for r in records) / _BLOCK)
+    filled = [np.pad(r, ((0, 0), (0, length - r.shape[1])), mode="edge") for r in records]
+    elongation, force, rate = np.stack(filled, axis=1)
     is_measured = np.arange(length) < np.asarray([[r.shape[1]] for r in records])
     way = np.diff(elongation, prepend=0.0)
     return _Paths(elongation, force / strength, _beside(elongation, np.sign(way), rate), is_measured)
@@ -155,9 +158,9 @@ def _residual(name: str, paths: _Paths, stiffness: float, strength: float) -> fl
     beside, force = paths.beside[used], paths.force[used]
 
     def left(points: Float[np.ndarray, "lanes p"]) -> Float[np.ndarray, "n lanes"]:
-        found = (
-            np.asarray(_forces(name)(points, np.asarray([stiffness, strength]), paths.elongation))[:, used].T / strength
-        )
+        given = law.parameters(list(points.T), stiffness, strength)
+        parameters = {key: np.broadcast_to(np.asarray(value, dtype=float), len(points)) for key, value in given.items()}
+        found = np.asarray(_forces(law.name, parameters, paths.elongation))[:, used].T / strength
         # A simulation that diverges is far off.
         rest = force[:, None] - np.where(np.abs(found) < 1e3, found, 1e3)
         return rest - beside @ np.linalg.lstsq(beside, rest, rcond=1e-8)[0]
@@ -178,13 +181,12 @@ def _residual(name: str, paths: _Paths, stiffness: float, strength: float) -> fl
     return math.sqrt(2 * fit.cost / float(force @ force))
 
 
-@cache
-def _forces(name: str) -> Callable[..., Array]:
-    """The program that gives forces [N] of a law with several parameters along several paths, (lanes, records, samples)."""
-    law = _LAWS[name]
+@program
+def _forces(name: str, parameters: Mapping[str, Any], elongation: Any) -> Array:
+    """Forces [N] of a law with several parameters along several paths, (lanes, records, samples)."""
 
-    def along(x: Array, guesses: Array, elongation: Array) -> Array:
-        specimen = Specimen(LAWS[law.name](**law.parameters(list(x), guesses[0], guesses[1])))
+    def along(own: Mapping[str, Any], path: Array) -> Any:
+        specimen = Specimen(LAWS[name](**own))
 
         def step(carry: tuple[Any, Any], to: Array) -> tuple[tuple[Any, Any], Any]:
             at, memory = carry
@@ -198,6 +200,6 @@ def _forces(name: str) -> Callable[..., Array]:
             force = specimen.force(to, way, memory)
             return (to, specimen.settle(to, way, memory, jnp.asarray(False))), force
 
-        return jax.lax.scan(step, (jnp.zeros(()), specimen.start()), elongation)[1]
+        return jax.lax.scan(step, (jnp.zeros(()), specimen.start()), path)[1]
 
-    return jax.jit(jax.vmap(jax.vmap(along, (None, None, 0)), (0, None, None)))
+    return jax.vmap(jax.vmap(along, (None, 0)), (0, None))(parameters, elongation)
