@@ -2,7 +2,7 @@
 
 import csv
 import re
-from collections.abc import Iterable, Iterator, Mapping, Set
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -71,7 +71,7 @@ class Table:
             raise UserError(
                 f"{self.path}: the header names column {column!r} {count} times; a column has a name of its own"
             )
-        found = ", ".join(shown(c) for c in self.columns if c)
+        found = _named(self.columns)
         note = "" if self.has_header else " (the file has no header: say the column's position)"
         if self.has_header and column.isdecimal():
             note = " (the file has a header: say the column's name)"
@@ -177,6 +177,10 @@ class Table:
         return f"{said} is not a number; write digits, a decimal point and no unit"
 
 
+# Columns that a message names; a damaged file may have thousands.
+_NAMED = 25
+
+
 def can_head_record(name: str) -> bool:
     """Return whether a text as a column's name is told from numbers, comments and separators."""
     return any(c.isalnum() for c in name) and not is_number(name) and not name.startswith(("#", "%", "//", "sep="))
@@ -196,7 +200,7 @@ def read_experiment_table(path: Path) -> Table:
     text, skipped = _without_preamble(path, read_text(path))[:2]
     candidates = [_split(path, text, delimiter, skipped) for delimiter in ",;\t" if "id" in _header(text, delimiter)]
     if not candidates:
-        found = ", ".join(shown(c) for c in max((_header(text, d) for d in ",;\t"), key=len))
+        found = _named(max((_header(text, d) for d in ",;\t"), key=len))
         raise UserError(f"{path}, row {skipped + 1}: column 'id' is missing; the columns are {found}")
     delimiter, rows, numbers = max(candidates, key=lambda c: len(c[1][0]))
     columns = _trimmed([cell.strip() for cell in rows[0]])
@@ -270,7 +274,13 @@ def _ask_of_names(path: Path, columns: list[str], wanted: Set[str]) -> None:
     laid = table_in(sheet_of(path))
     names = columns if laid is None or not laid.is_named else laid.names
     missing = next(column for column in sorted(wanted) if not column.isdecimal())
-    raise UserError(f"{path}: column {missing!r} is missing; the columns are {', '.join(shown(c) for c in names if c)}")
+    raise UserError(f"{path}: column {missing!r} is missing; the columns are {_named(names)}")
+
+
+def _named(columns: Sequence[str]) -> str:
+    """The names of columns in a message."""
+    there = [shown(column) for column in columns if column]
+    return ", ".join(there[:_NAMED]) + (f" and {len(there) - _NAMED} more" if len(there) > _NAMED else "")
 
 
 def _without_preamble(path: Path, text: str) -> tuple[str, int, str]:
