@@ -56,6 +56,11 @@ class Specimen(eqx.Module):
     scales: Scales = Scales()
     acting: tuple[Bool[Array, ""], ...] | None = None
 
+    @property
+    def is_gated(self) -> bool:
+        """Whether it may be of any of several sets of effects."""
+        return self.acting is not None
+
     def start(self) -> Memory:
         """The states of a virgin spring: those of the law, absorbed energy e [J], and those that effects need or have."""
         names = ["energy", *(state.name for state in self._shared), *(s for e in self.effects for s in e.states)]
@@ -105,7 +110,7 @@ class Specimen(eqx.Module):
             before, after: states at its ends, as integrated.
             flow: rates at its start.
         """
-        turns = None if self.acting is None else in_any_lane(turn.happens)
+        turns = in_any_lane(turn.happens) if self.is_gated else None
         mended = partial(self.law.mended, turn, before, flow, after, self.rates)
         at_turn, at_end = gated(turns, mended, lambda: (after, after))
         rate = jnp.where(turn.happens, 0.0, turn.after)
