@@ -128,8 +128,7 @@ class Search:
                 break
             self.path.append(self.best)
         if self.held_out.test is not None:
-            # Only now: beside the plain law one effect may predict worse, and with a second one better.
-            self.best = self.path[int(np.argmin(self.unseen(self.path)))]
+            self.best = self._smallest_that_predicts()
         if self.best != before:
             self._judge()
         self._score(is_over=True)
@@ -190,6 +189,16 @@ class Search:
             if not unseen <= before:
                 return "the model predicts the experiments that were not used better without it"
         return self._unsupported(larger, here)
+
+    def _smallest_that_predicts(self) -> Set:
+        """The smallest set on the way that predicts the experiments that were not used as well as any, but for what is not
+        material.  Only the end tells: beside the plain law one effect may predict worse, and with a second one better."""
+        unseen = self.unseen(self.path)
+        before, least = unseen[0], min(unseen)
+        alike = [
+            s for s, now in zip(self.path, unseen, strict=True) if now**2 - least**2 <= self._material(before, now)
+        ]
+        return min(alike, key=len)
 
     def _unsupported(self, larger: Set, here: Set) -> str | None:
         """Why the measurements that are fitted do not support a set with more effects than another one; None where they do."""

@@ -144,6 +144,8 @@ def _spring(campaign: Campaign, stiffness: _Guess, strength: _Guess, frame: Fram
             "    cR2: 0.15                               # the value of most studies",
             *_effects(frame),
         ]
+    # Quantities of whole experiments hardly show how sharply a specimen yields.
+    is_seen = left is not None
     return [
         "model:",
         "  spring: bouc_wen",
@@ -155,7 +157,7 @@ def _spring(campaign: Campaign, stiffness: _Guess, strength: _Guess, frame: Fram
         f"    beta: {{lognormal: [{math.log(initial / strength.value):.3f}, 0.7]}}",
         "    gamma: 0.0                              # symmetric loading and unloading: the usual first assumption",
         "    n: 1.0                                  # the smoothest yielding: the usual first assumption",
-        *_effects(frame),
+        *_effects(frame, is_seen),
     ]
 
 
@@ -194,14 +196,22 @@ def _of_gravity(frame: Frame) -> float:
     return sum(frame.masses) * _GRAVITY / frame.height if frame.masses and frame.height else 0.0
 
 
-def _effects(frame: Frame) -> list[str]:
-    if not frame.masses or not frame.height:
+def _effects(frame: Frame, has_sharpness: bool = False) -> list[str]:
+    sharpness = [
+        "    yield_sharpness: {}                     # how sharply it yields is calibrated: the exponent is n plus this"
+    ]
+    gravity = [
+        f"    # P-Delta: the weight of all floors, {_round(sum(frame.masses) * _GRAVITY)} N, over the height of the storey, "
+        f"{frame.height:g} m, as a",
+        "    # stiffness that is known and not calibrated; where masses change, it changes with them",
+        f"    hardening: {{k: {-_of_gravity(frame):.4g}}}",
+    ]
+    lines = [*(sharpness if has_sharpness else []), *(gravity if frame.masses and frame.height else [])]
+    if not lines:
         return ["  effects: {}                               # none assumed; `hsed effects` lists the catalogue"]
     return [
-        f"  # P-Delta: the weight of all floors, {_round(sum(frame.masses) * _GRAVITY)} N, over the height of the storey, "
-        f"{frame.height:g} m, as a",
-        "  # stiffness that is known and not calibrated; where masses change, it changes with them",
-        f"  effects: {{hardening: {{k: {-_of_gravity(frame):.4g}}}}}",
+        "  effects:                                  # none assumed beside these; `hsed effects` lists the catalogue",
+        *lines,
     ]
 
 
