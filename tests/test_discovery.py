@@ -361,7 +361,7 @@ def test_what_was_held_out_is_the_judge_and_else_what_is_left_out_in_turn(held_o
     found = judged(problem, search.target, now, before)
 
     def residuals(fit):
-        return values[N:] - np.einsum("k,knj->nj", problem.models.theta(fit.x, fit.member), functions[:, N:])
+        return values[N:] - np.einsum("k,knj->nj", problem.models.theta(fit.x, fit.submodel), functions[:, N:])
 
     if held_out:
         tested = values[N : N + held_out]

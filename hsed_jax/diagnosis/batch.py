@@ -24,7 +24,7 @@ from jaxtyping import Array, Bool, Float, Int
 from hsed_jax.backend import cores
 from hsed_jax.inference.observation import Histories, Observation, Outputs
 from hsed_jax.physics.batch import tiled_map
-from hsed_jax.physics.gates import LANES, Acts
+from hsed_jax.physics.gates import BATCH_AXIS, Acts
 from hsed_jax.physics.simulator import AbstractModel, Conditions, Simulator
 from hsed_jax.programs import program
 
@@ -311,11 +311,11 @@ def _steps_to(
 
 @program
 def _outputs(respond, conditions, present, thetas, experiments, count, stops):
-    def tile(lanes):
-        thetas, experiments, stops = lanes
+    def tile(batch):
+        thetas, experiments, stops = batch
         if stops is None and conditions.stop is not None:
             stops = conditions.stop[experiments]
-        # One number for all, or the loop would ask every lane at every step.
+        # One number for all, or the loop would ask every simulation at every step.
         stop = None if stops is None else jnp.max(stops)
         acting, records = None if present is None else present.acting(thetas), conditions.until(None)
 
@@ -326,7 +326,7 @@ def _outputs(respond, conditions, present, thetas, experiments, count, stops):
             ok = ok & jnp.all(jnp.abs(outputs) < _FAR)
             return jnp.where(ok, outputs, 0.0), ok
 
-        return jax.vmap(one, axis_name=LANES)(thetas, experiments)
+        return jax.vmap(one, axis_name=BATCH_AXIS)(thetas, experiments)
 
     outputs, ok = tiled_map(tile, (thetas, experiments, stops), count=count, tile=_TILE)
     return outputs, ok.astype(float)

@@ -225,7 +225,7 @@ class Probe(NamedTuple):
         return alone(lean, element, held)
 
     def _fitted(self, model: Model) -> dict[str, float]:
-        return self._named(model, self.problem.models.theta(model.fit.x, model.fit.member))
+        return self._named(model, self.problem.models.theta(model.fit.x, model.fit.submodel))
 
     def _drawn(self, model: Model, sampled: Sampled) -> Drawn:
         """Draws of equal weight."""

@@ -72,7 +72,7 @@ class Problem(NamedTuple):
         law: indices of the parameters that are free without any candidate.
         effects: the forms of each candidate.
         scales: characteristic values.
-        train, test: measured experiments; the first rows of the lanes' conditions, in this order.
+        train, test: measured experiments; the first rows of the conditions of a batch, in this order.
         experiments: the training experiments.
         outputs: names of the outputs.
         candidates: inputs of experiments that could be made, in declared units; the rows after those measured.
