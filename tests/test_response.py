@@ -14,7 +14,8 @@ from scipy.signal import lsim
 
 from hsed_jax.measurements import read_at2
 from hsed_jax.physics.batch import tiled_map
-from hsed_jax.physics.excitations import Imposed, NearFaultPulse, Tabulated
+from hsed_jax.physics.excitations import Imposed, Tabulated
+from hsed_jax.physics.excitations.near_fault_pulse import NearFaultPulse
 from hsed_jax.physics.integrate import integrate
 from hsed_jax.physics.outputs import EQ_18, output
 from hsed_jax.physics.simulator import Conditions, Recorded, Simulator, Timeline

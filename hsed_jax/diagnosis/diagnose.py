@@ -179,7 +179,7 @@ def _leading(problem: Problem, search: Search) -> dict[str, Any]:
     """What leads in a search that goes on: the best set, and the probabilities of the models so far."""
     models, best = search.all(), search.model(search.best)
     before = search.model(())
-    ranking = [
+    ranking: list[dict[str, Any]] = [
         {
             "effect": effect,
             "family": problem.catalogue[effect].family,
@@ -229,7 +229,7 @@ def _ranking(
         shown[effect] = beside, by_set[beside.effects - {effect}]
     tests = search.unseen([model.effects for model, _ in shown.values()])
     gains = _gains(search, [model for model, _ in shown.values()])
-    found = []
+    found: list[Candidate] = []
     for (effect, (model, without)), test in zip(shown.items(), tests, strict=True):
         sample = sampled.get(model.effects)
         score = search.scores[effect]

@@ -7,6 +7,10 @@ amplitude rests on its bound: half of the Gaussian, or its tail, lies beyond.  I
 Source: Tierney & Kadane 1986.
 """
 
+# SciPy comes without types.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+
 from typing import NamedTuple
 
 import numpy as np

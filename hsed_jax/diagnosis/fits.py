@@ -5,6 +5,10 @@ belongs to the default form of each effect and half to the others alike.  So man
 with another whatever formulas the two have.
 """
 
+# SciPy comes without types.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
@@ -151,7 +155,7 @@ class Fits:
     def judge(self, target: Target, sets: Sequence[Set]) -> None:
         """Judge sets with other errors, and fit the choices that lead then again, each from where it was; forms that are far
         below others of their set are left."""
-        kept = []
+        kept: list[Choice] = []
         for effects in sets:
             choices = self.of(effects)
             highest = max(self._worth(choice) for choice in choices)
@@ -173,7 +177,7 @@ class Fits:
     def look_all_over(self, target: Target) -> None:
         """Fit each effect alone, in its simplest shape, from points all over the priors of law and effect: beside another law it
         may be what it cannot be beside the fitted one."""
-        starts = {}
+        starts: dict[Choice, list[np.ndarray]] = {}
         for effect, forms in self.effects.items():
             label, form = next(iter(forms.items()))
             starts[frozenset({(effect, label)})] = self._everywhere(np.concatenate([self.law, form.columns]))
@@ -239,7 +243,8 @@ class Fits:
 
     def _better_start(self, choice: Choice, choices: Sequence[Choice]) -> np.ndarray | None:
         """Where the fit of another choice shows this model to fit better than it does; None where none does."""
-        here, options = self._known[choice], []
+        here = self._known[choice]
+        options: list[tuple[float, np.ndarray]] = []
         for other in choices:
             if len(other ^ choice) != 1:
                 continue

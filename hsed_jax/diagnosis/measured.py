@@ -1,5 +1,8 @@
 """Measured experiments as a search over models sees them: how far predictions are off, and in units of what."""
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from typing import NamedTuple
 
 import jax.numpy as jnp

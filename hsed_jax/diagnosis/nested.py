@@ -37,6 +37,10 @@ _NUMBERS, _KEPT = 2**24, 2**17
 _MENDED, _EXPECTED = 3, 0.3
 
 
+_Request = tuple[np.ndarray, Submodel, np.ndarray, np.ndarray | None]
+"""A point, its model, the experiments, and how many samples of each."""
+
+
 class NestedModels:
     """A large model whose parameters are mostly held.
 
@@ -166,7 +170,7 @@ class NestedModels:
         pending = active
         for _ in range(_MOST_TRIALS):
             trials = [(f, self._step(f)) for f in pending]
-            rest = []
+            rest: list[FitState] = []
             for (one, x), cost, predicted in zip(trials, *self._costs(target, trials), strict=True):
                 gain, was_mended = one.cost - cost, one.mended > 0
                 if gain > 0:
@@ -242,7 +246,8 @@ class NestedModels:
     ) -> tuple[list[float], list[np.ndarray]]:
         """φ and predictions at trial points."""
         outputs, ok = self._run([(x, f.submodel, *_asked(target, f.use)) for f, x in trials])
-        costs, tables = [], []
+        costs: list[float] = []
+        tables: list[np.ndarray] = []
         for (one, x), rows_outputs, rows_ok in zip(trials, outputs, ok, strict=True):
             predicted = np.zeros_like(target.values)
             predicted[target.rows(one.use)] = rows_outputs
@@ -263,7 +268,8 @@ class NestedModels:
 
     def _linearise_batch(self, target: Target, fits: list[FitState]) -> None:
         """Derivatives by forward differences, away from the nearer bound."""
-        requests, sizes = [], []
+        requests: list[_Request] = []
+        sizes: list[np.ndarray] = []
         for one in fits:
             signs = np.where(one.x[one.free] + _DIFFERENCE > self.box.high[one.free], -1.0, 1.0) * _DIFFERENCE
             sizes.append(signs)
@@ -285,8 +291,8 @@ class NestedModels:
             if one.slopes.size > _KEPT:
                 one.slopes = np.zeros((0, 0, 0))
 
-    def _run(self, requests: Sequence[tuple[np.ndarray, Submodel, np.ndarray, np.ndarray | None]]) -> tuple[list, list]:
-        """Outputs (r, J) and flags (r,) of each request: a point, its model, experiments, and how many samples of each."""
+    def _run(self, requests: Sequence[_Request]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Outputs (r, J) and flags (r,) of each request."""
         if not requests:
             return [], []
         thetas = [np.repeat(self.theta(x, submodel)[None], len(rows), axis=0) for x, submodel, rows, _ in requests]

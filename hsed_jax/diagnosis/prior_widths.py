@@ -12,6 +12,10 @@ A wider prior does not extend the bounds: nothing beyond them was simulated.  Th
 the fit leans on a bound.
 """
 
+# SciPy comes without types.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -185,7 +189,7 @@ class _Stretching:
     def _evidence(self, box: Stretched) -> Float[np.ndarray, " M"]:
         """log Z of the models, each in the forms in which it is taken."""
         models = self._search.models.within(box)
-        found = []
+        found: list[float] = []
         for fit in (m.fit for m in self._models):
             if not np.isfinite(fit.cost):
                 found.append(0.0)  # of what cannot be simulated the width changes nothing

@@ -126,7 +126,7 @@ class Problem(NamedTuple):
         return self._replace(
             models=self.models.of_experiments(np.append(rows, others)),
             train=train._replace(values=train.values[rows], used=train.used[rows], gaps=train.gaps[rows]),
-            experiments=tuple(self.experiments[row] for row in rows),
+            experiments=tuple(self.experiments[int(row)] for row in rows),
         )
 
     def sigma(self, errors: Float[np.ndarray, " G"], predicted: Float[np.ndarray, "r J"]) -> Float[np.ndarray, "r J"]:

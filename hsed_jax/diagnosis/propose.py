@@ -36,7 +36,7 @@ def beside(
     predicted_gains = predicted_gains_of(models, target, fit, effects)
     ranked = list(predicted_gains)
     reach, starts, drivers = (_REACH, _STARTS, _DRIVERS) if is_best else (_REACH // 2, 1, 1)
-    chosen = {}
+    chosen: dict[Choice, list[np.ndarray]] = {}
     for effect in ranked[:reach]:
         default, *further = predicted_gains[effect]
         # A poor trial does not rule a driver out, so the default driver is always among the proposals.

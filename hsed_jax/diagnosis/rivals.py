@@ -157,7 +157,7 @@ def look_alikes_of(problem: Problem, search: Search, best: Model, models: Sequen
     """For each named effect, those that could stand in its place: with predictions that differ by less than the noise, and not
     excluded, since many samples tell what no single one does."""
     rows = np.arange(problem.rows + len(problem.candidates))
-    groups = []
+    groups: list[list[str]] = []
     for effect in sorted(best.effects):
         rest = best.effects - {effect}
         others = [m for m in _instead(models, best, _EXCLUDED) if m.effects > rest and len(m.effects - rest) == 1]
@@ -165,7 +165,7 @@ def look_alikes_of(problem: Problem, search: Search, best: Model, models: Sequen
             continue
         outputs, ok = problem.models.predict([(m.fit.x, m.fit.submodel) for m in (best, *others)], rows)
         sigma = problem.sigma(search.errors, outputs[0])
-        alike = []
+        alike: list[str] = []
         for m, predicted, converged in zip(others, outputs[1:], ok[1:], strict=True):
             apart = ((predicted - outputs[0]) / sigma) ** 2
             by_output = np.stack(

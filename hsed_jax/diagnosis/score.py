@@ -16,6 +16,10 @@ $$p_M = \mathrm E_b\,\frac{\pi_M\,e^{\sum_p b_p s_{Mp}}}{\sum_N \pi_N\,e^{\sum_p
   \qquad b\sim P\,\mathrm{Dirichlet}(1).$$
 """
 
+# SciPy comes without types.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+
 import math
 from collections.abc import Sequence
 from typing import NamedTuple

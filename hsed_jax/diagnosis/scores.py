@@ -13,6 +13,10 @@ spreads its power over all samples.  A score test asks in one direction only, an
 With K candidates the smallest of K p-values counts as $1-(1-p)^K$ (Šidák 1967).
 """
 
+# SciPy comes without types.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -92,7 +96,7 @@ class Linearisation:
         places = [self._moved(self._x, k) for k, _ in amplitudes.values()]
         submodels = [self._fit.submodel.beside(np.asarray([k]), held) for k, held in amplitudes.values()]
         differences, own = self.across([(x, m) for (x, _), m in zip(places, submodels, strict=True)])
-        found = {}
+        found: dict[T, float] = {}
         for effect, slope, free in zip(amplitudes, differences, own, strict=True):
             power = float(free @ free)
             is_told = power > 1e-12 * float(slope @ slope) and power > 0
@@ -102,7 +106,7 @@ class Linearisation:
     def predicted_gains(self, trials: Sequence[Trial]) -> list[PredictedGain]:
         """The predicted gain of each trial."""
         _, own = self.across([(trial.x, trial.submodel) for trial in trials])
-        found = []
+        found: list[PredictedGain] = []
         for trial, free in zip(trials, own, strict=True):
             along, power = float(free @ self._residual), float(free @ free)
             size = float(np.clip(along / power, 0.0, 1.0)) if power > 0 else 0.0

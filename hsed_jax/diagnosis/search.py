@@ -175,7 +175,7 @@ class Search:
     def pointed_at(self, chosen: Set) -> Set:
         """The candidates that a score test around a fitted set is sure of, with their number accounted for."""
         fit = self._fits.best(chosen)
-        of_fit, of_target, found = self._pointed.get(chosen, (None, None, frozenset()))
+        of_fit, of_target, found = self._pointed.get(chosen, (None, None, Set()))
         if of_fit is not fit or of_target is not self.target:
             others = {name: amplitude_of(forms) for name, forms in self.effects.items() if name not in chosen}
             scores = Linearisation(self.models, self.target, fit).score_tests(others)
@@ -196,7 +196,7 @@ class Search:
         odds = self.odds(larger, here)
         if odds < ODDS:
             return f"its odds of {odds:.2g} by what it predicts are less than {ODDS:.0f}"
-        fits = [self._fits.best(effects) for effects in (frozenset(), here, larger)]
+        fits = [self._fits.best(effects) for effects in (Set(), here, larger)]
         if self._is_explained(fits[1]) and not larger & self.pointed_at(here):
             return "the noise explains what is left, and no score test is sure of it"
         before, now, after = self.held_out.errors(self.target, fits)
@@ -224,7 +224,7 @@ class Search:
         rest, instead = self._in_forms(self.best - {effect}), self.best - {effect} | {other}
         labels = [label for label, form in self.effects[other].items() if form.form.driver in ("", driver)]
         self._fits.fit(self.target, [rest | {(other, label)} for label in labels])
-        fits = [self._fits.best(effects) for effects in (frozenset(), self.best, instead)]
+        fits = [self._fits.best(effects) for effects in (Set(), self.best, instead)]
         before, now, then = self.held_out.errors(self.target, fits)
         if not before**2 - then**2 >= (1 - _MATERIAL) * (before**2 - now**2):
             return False
@@ -301,7 +301,7 @@ class Search:
         near = [m for m in ranked[: _DEEP if self.best else 3 * _DEEP] if m.log_posterior >= enough]
         for others, several in ((of_other_drivers, 1), (of_other_shapes, _DRIVERS)):
             self._report(f"forms of {_text(near[0].effects)}")
-            choices = []
+            choices: list[Choice] = []
             leading = [choice for m in near for choice in self._fits.leading(m.effects, several)]
             for own, (effect, label) in ((choice, form) for choice in leading for form in sorted(choice)):
                 # Of what the best set has, in that set alone: beside its forms those of another effect are compared.
@@ -327,7 +327,7 @@ class Search:
         search `is_over`, larger sets than the best one were not accepted, and count only if they have its effects.
         """
         self._report("what they predict of what is left out")
-        near = [s for s in (frozenset(), self.best, *_less_one(self.best)) if s in self._fits]
+        near = [s for s in (Set(), self.best, *_less_one(self.best)) if s in self._fits]
         always = [self._fits.top(s) for s in near]
         counted = [s for s in self._around() if not is_over or len(s) <= max(len(self.best), 1) or s > self.best]
         ranked = sorted(map(self.model, counted), key=lambda m: -m.log_posterior)
@@ -362,7 +362,7 @@ class Search:
             return True
         if len(self.best) == MOST_EFFECTS or not self.is_open():
             return False
-        fits = [self._fits.best(effects) for effects in (frozenset(), self.best)]
+        fits = [self._fits.best(effects) for effects in (Set(), self.best)]
         before, now = self.held_out.errors(self.target, fits)
         # The noise that there is may be less than what is expected of it, by so much of its square.
         by_chance = _DEVIATIONS * math.sqrt(2 / self.measured.used.sum())

@@ -11,6 +11,10 @@ Each has the prior probability of a third, μ the prior of the catalogue, c a ha
 has six chances to look odd shares its prior probability among six, which is what accounts for their number.
 """
 
+# SciPy comes without types.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+
 import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -126,7 +130,7 @@ def _log_likelihoods(
     uses: Sequence[int],
 ) -> Float[np.ndarray, "M S"]:  # fmt: skip
     """Log probability of each member's measurements at each size."""
-    tasks = []
+    tasks: list[Task] = []
     for use in uses:
         for size in sizes:
             held = theta.copy()
@@ -258,7 +262,7 @@ def _numbers(
 
     by_number = np.asarray(logsumexp(sums(ratios) + log_weight, axis=1)) - choices
     total = logsumexp(by_number[1:])
-    has = []
+    has: list[float] = []
     for m in range(many):
         others = sums(np.delete(ratios, m, axis=0))
         with_it = logsumexp(others + ratios[m] + log_weight, axis=1) - choices[1:]
