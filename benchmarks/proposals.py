@@ -23,7 +23,7 @@ from hidden_effects import plan
 from hsed_jax.config.load import load_study
 from hsed_jax.diagnosis.candidates import problem_of
 from hsed_jax.diagnosis.diagnose import noise_explains
-from hsed_jax.diagnosis.propose import promises_of
+from hsed_jax.diagnosis.propose import predicted_gains_of
 from hsed_jax.diagnosis.search import Search
 from hsed_jax.errors import UserError
 from hsed_jax.study.build import Built
@@ -72,7 +72,7 @@ def row_of(case: Case) -> dict[str, Any] | None:
         search.start()
         begin = time.process_time()
         fit = search.model(()).fit
-        order = list(promises_of(search.models, search.target, fit, search.effects))
+        order = list(predicted_gains_of(search.models, search.target, fit, search.effects))
     return {
         "hidden": [f"{effect}: {formula}" for effect, formula in case.effects],
         "kind": case.kind,

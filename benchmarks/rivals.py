@@ -30,8 +30,8 @@ from hsed_jax.design.kriging import fit_kriging
 from hsed_jax.diagnosis.batch import Predictions
 from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.candidates import problem_of
-from hsed_jax.diagnosis.descent import Descent, Member, Target, Task
 from hsed_jax.diagnosis.evidence import laplace
+from hsed_jax.diagnosis.fit_state import FitState, Submodel, Target, Task
 from hsed_jax.diagnosis.fits import spread
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.rivals import Predictive, expected_log_bayes_factor, predictive
@@ -104,10 +104,10 @@ class Large(NamedTuple):
     cube: np.ndarray
     noise: float
 
-    def member(self, *effects: str) -> Member:
+    def submodel(self, *effects: str) -> Submodel:
         """The law with these effects."""
         held = {column: value for effect in effects for column, value in self.held[effect].items()}
-        return self.models.member(np.concatenate([self.law, *(self.columns[e] for e in effects)]), held)
+        return self.models.submodel(np.concatenate([self.law, *(self.columns[e] for e in effects)]), held)
 
 
 _MEDIANS: dict[str, dict[str, float]] = {}
@@ -145,14 +145,14 @@ def large(test: str, seed: int) -> Large:
 
 def _median(case: Large, effect: str) -> float:
     """The size at which an effect changes the response by 15 %; at most the largest that is probable at all."""
-    member, plain, column = case.member(effect), case.member(), case.columns[effect][0]
+    submodel, plain, column = case.submodel(effect), case.submodel(), case.columns[effect][0]
     largest = float(case.models.box.priors[case.models.box.names[column]].quantile(0.98))
     sizes = largest * np.geomspace(1e-3, 1.0, _SIZES)
     starts = np.tile(case.models.neutral, (1 + _SIZES, 1))
-    others = np.setdiff1d(member.free, column)
+    others = np.setdiff1d(submodel.free, column)
     starts[:, others] = case.models.box.quantiles(others, np.full((1, len(others)), 0.5))
     starts[1:, column] = [case.models.box.x(np.full(starts.shape[1], size))[column] for size in sizes]
-    points = [(x, member if number else plain) for number, x in enumerate(starts)]
+    points = [(x, submodel if number else plain) for number, x in enumerate(starts)]
     outputs, ok = case.models.predict(points, CANDIDATES + np.arange(_COMPARED))
     change = np.sqrt(np.mean((outputs[1:] / outputs[0] - 1) ** 2, axis=(1, 2)))
     enough = (change > _CHANGE) & (ok[1:] > 0).all(axis=1)
@@ -172,7 +172,7 @@ class Trial:
 
     by: str
     asked: list[int]
-    fits: list[Descent] = field(default_factory=list)
+    fits: list[FitState] = field(default_factory=list)
     probability: float = 0.5
 
     @property
@@ -198,8 +198,8 @@ class State(NamedTuple):
     asked: Sequence[int]
     shares: np.ndarray
     models: NestedModels
-    fits: Sequence[Descent]
-    plain: Descent | None
+    fits: Sequence[FitState]
+    plain: FitState | None
     measured: np.ndarray
     cube: np.ndarray
     noise: float
@@ -225,7 +225,7 @@ def trials_of(test: str, right: str, rival: str, seed: int, criteria: Sequence[s
     """
     case = large(test, seed)
     made = _measured(case, right, seed)
-    pair = [case.member(right), case.member(rival)]
+    pair = [case.submodel(right), case.submodel(rival)]
     first = Trial("", list(range(INITIAL)))
     _fit(case, made, [first], pair, seed)
     trials = [replace(first, by=by, asked=list(first.asked)) for by in criteria]
@@ -239,19 +239,19 @@ def trials_of(test: str, right: str, rival: str, seed: int, criteria: Sequence[s
 def _measured(case: Large, right: str, seed: int) -> np.ndarray:
     """What every candidate measures of a specimen drawn from the priors of the right model, (c, J)."""
     random = np.random.default_rng([seed, *right.encode()])
-    member, rows = case.member(right), np.arange(len(case.cube))
+    submodel, rows = case.submodel(right), np.arange(len(case.cube))
     while True:
         x = np.array(case.models.neutral)
-        shares = random.uniform(0.001, 0.999, size=(1, len(member.free)))
-        x[member.free] = case.models.box.quantiles(member.free, shares)[0]
+        shares = random.uniform(0.001, 0.999, size=(1, len(submodel.free)))
+        x[submodel.free] = case.models.box.quantiles(submodel.free, shares)[0]
         x = np.clip(x, case.models.box.low, case.models.box.high)
-        outputs, ok = case.models.predict([(x, member)], rows)
+        outputs, ok = case.models.predict([(x, submodel)], rows)
         # A specimen that cannot be simulated is none.
         if (ok > 0).all():
             return outputs[0] * (1 + case.noise * random.standard_normal(outputs[0].shape))
 
 
-def _fit(case: Large, made: np.ndarray, trials: Sequence[Trial], pair: Sequence[Member], seed: int) -> None:
+def _fit(case: Large, made: np.ndarray, trials: Sequence[Trial], pair: Sequence[Submodel], seed: int) -> None:
     """Fit both models to what trials have asked, and weigh them."""
     scale = np.abs(made[_slots(trials)])
     for again in (False, True):
@@ -265,13 +265,13 @@ def _fit(case: Large, made: np.ndarray, trials: Sequence[Trial], pair: Sequence[
             scale[k, : len(trial.asked)] = np.abs(better[: len(trial.asked)])
 
 
-def _plain(case: Large, made: np.ndarray, trials: Sequence[Trial], seed: int) -> list[Descent | None]:
+def _plain(case: Large, made: np.ndarray, trials: Sequence[Trial], seed: int) -> list[FitState | None]:
     """The fits of the plain law for trials that choose by its discrepancy."""
     asking = [trial for trial in trials if trial.by in ("expected_improvement", "max_variance")]
     if not asking:
         return [None] * len(trials)
     scale, known = np.abs(made[_slots(asking)]), [[] for _ in asking]
-    ends, _ = _descents(case, made, asking, [case.member()], known, scale, seed, again=False)
+    ends, _ = _descents(case, made, asking, [case.submodel()], known, scale, seed, again=False)
     found = iter(ends)
     return [next(found)[0] if trial in asking else None for trial in trials]
 
@@ -280,13 +280,13 @@ def _descents(
     case: Large,
     made: np.ndarray,
     trials: Sequence[Trial],
-    members: Sequence[Member],
-    known: Sequence[Sequence[Descent]],
+    submodels: Sequence[Submodel],
+    known: Sequence[Sequence[FitState]],
     scale: np.ndarray,
     seed: int,
     again: bool,
-) -> tuple[list[list[Descent]], NestedModels]:
-    """Of each trial the best fits of these members, all made side by side."""
+) -> tuple[list[list[FitState]], NestedModels]:
+    """Of each trial the best fits of these submodels, all made side by side."""
     slots = _slots(trials)
 
     def lanes(thetas: np.ndarray, rows: np.ndarray, samples: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -301,15 +301,15 @@ def _descents(
     target = Target(values, sigma, weights.reshape(len(trials), *values.shape), np.zeros(values.shape))
     tasks = []
     for k, trial in enumerate(trials):
-        for number, member in enumerate(members):
+        for number, submodel in enumerate(submodels):
             last = known[k][number].x if known[k] else None
-            starts = [last] if again else _starts(models, member, last, len(trial.asked) + seed)
-            tasks += [Task(member, start, k, rivals=len(members) * k + number) for start in starts]
-    ends: dict[int, Descent] = {}
+            starts = [last] if again else _starts(models, submodel, last, len(trial.asked) + seed)
+            tasks += [Task(submodel, start, k, rivals=len(submodels) * k + number) for start in starts]
+    ends: dict[int, FitState] = {}
     for task, end in zip(tasks, models.fit(target, tasks), strict=True):
         if task.rivals not in ends or end.cost < ends[task.rivals].cost:
             ends[task.rivals] = end
-    return [[ends[len(members) * k + n] for n in range(len(members))] for k in range(len(trials))], models
+    return [[ends[len(submodels) * k + n] for n in range(len(submodels))] for k in range(len(trials))], models
 
 
 def _slots(trials: Sequence[Trial]) -> np.ndarray:
@@ -317,16 +317,16 @@ def _slots(trials: Sequence[Trial]) -> np.ndarray:
     return np.asarray([trial.asked + [0] * (MOST - len(trial.asked)) for trial in trials], dtype=int).reshape(-1, MOST)
 
 
-def _starts(models: NestedModels, member: Member, known: np.ndarray | None, number: int) -> list[np.ndarray]:
+def _starts(models: NestedModels, submodel: Submodel, known: np.ndarray | None, number: int) -> list[np.ndarray]:
     """Points spread over the priors, other ones each time, and where the last fit ended."""
-    shares = spread(len(member.free))
+    shares = spread(len(submodel.free))
     chosen = shares[(np.arange(_AFRESH) + _AFRESH * number) % len(shares)] if known is not None else shares
     starts = np.tile(models.neutral, (len(chosen), 1))
-    starts[:, member.free] = models.box.quantiles(member.free, chosen)
+    starts[:, submodel.free] = models.box.quantiles(submodel.free, chosen)
     return [*starts, *([] if known is None else [known])]
 
 
-def _next(case: Large, made: np.ndarray, trial: Trial, plain: Descent | None, seed: int) -> int:
+def _next(case: Large, made: np.ndarray, trial: Trial, plain: FitState | None, seed: int) -> int:
     """The candidate that a design asks for next."""
     shares = np.asarray([trial.probability, 1 - trial.probability])
     state = State(trial.asked, shares, case.models, trial.fits, plain, made[trial.asked], case.cube, case.noise, seed)
@@ -367,7 +367,7 @@ def _of_discrepancy(name: str):
 
     def utilities(state: State) -> np.ndarray:
         assert state.plain is not None
-        outputs, ok = state.models.predict([(state.plain.x, state.plain.member)], np.arange(len(state.cube)))
+        outputs, ok = state.models.predict([(state.plain.x, state.plain.submodel)], np.arange(len(state.cube)))
         # Padded: what grew with the experiments would be compiled for every number of them.
         asked = [*state.asked, *[0] * (MOST - len(state.asked))]
         measured = np.pad(state.measured, ((0, MOST - len(state.measured)), (0, 0)))

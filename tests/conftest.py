@@ -18,7 +18,7 @@ from hsed_jax.backend import limit_threads, prepare
 from hsed_jax.errors import UserError
 from hsed_jax.laboratories.opensees import require_openseespy
 from hsed_jax.physics.effects import EFFECTS
-from hsed_jax.physics.excitations import NearFaultPulse
+from hsed_jax.physics.excitations.near_fault_pulse import NearFaultPulse
 from hsed_jax.physics.scales import Scales
 from hsed_jax.physics.simulator import Conditions, Parametrised, Simulator, Timeline
 from hsed_jax.physics.structures import ModalDamping, Spring, Structure

@@ -24,7 +24,7 @@ EFFECTS = ("hardening", "viscous_damping", "stiffness_degradation", "mass_error"
 
 @pytest.fixture(scope="module")
 def case(request):
-    """A large model of a short record, its neutral parameters, and lanes of every kind of set."""
+    """A large model of a short record, its neutral parameters, and simulations of every kind of set."""
     changes = ["observe=quantities", f"model.effects={{{', '.join(f'{name}: {{}}' for name in EFFECTS)}}}"]
     built = Built(load_study(request.config.rootpath / "configs" / "hidden_effect.yaml", changes))
     names = tuple(built.mechanics.parameters[0])
@@ -100,7 +100,7 @@ def test_what_is_absent_of_all_that_run_together_is_not_computed():
             parts = [part(k, value * k) for k in range(8)]
             return gates.gathered(parts, acting, merged, neutral)["force"]
 
-        return jax.vmap(one, axis_name=gates.LANES)(values)
+        return jax.vmap(one, axis_name=gates.BATCH_AXIS)(values)
 
     values = jnp.asarray([1.0, 2.0])
     np.testing.assert_array_equal(forces(values, jnp.arange(8) == 8), [0.0, 0.0])
@@ -163,8 +163,8 @@ def test_a_history_is_simulated_as_far_as_it_is_asked_for(is_short):
     late = np.arange(found.shape[1]) > asked.max() + 40
     assert np.ptp(found[:, late], axis=1).max() == 0 and np.ptp(expected[::2, late], axis=1).min() > 0
     # A program that calls back into Python could not be kept for the next process.
-    model, lanes = Outputs(built.simulation.simulator, built.inference.observation, names), jnp.asarray(experiments)
+    model, batch = Outputs(built.simulation.simulator, built.inference.observation, names), jnp.asarray(experiments)
     lowered = module._outputs.lower(
-        model, data.conditions, None, jnp.asarray(thetas), lanes, jnp.asarray(9), jnp.full(9, 40)
+        model, data.conditions, None, jnp.asarray(thetas), batch, jnp.asarray(9), jnp.full(9, 40)
     )
     assert "callback" not in lowered.as_text()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from hsed_jax.inference.correlation import autocorrelation_time, judge, noise_of, size_p_value, worths
+from hsed_jax.inference.correlation import autocorrelation_time, estimate_noise, noise_of, size_p_value, worths
 from hsed_jax.inference.fit import fit
 from hsed_jax.inference.likelihood import Error, data_of, whitened
 from hsed_jax.inference.nuts import Settings
@@ -126,8 +126,8 @@ def test_size_of_the_residual_is_judged_rightly_whatever_the_shape_and_memory_of
             z = random.standard_t(5, shape) / np.sqrt(5 / 3)
         else:
             z = ar1(random, 0.0 if noise == "white" else float(noise), shape)
-        judged = judge(z, gaps, used, groups, np.ones(1, bool), [None])
-        values.append(size_p_value(z, used, judged.memory, {0: judged.noises[0]}, groups, 0))
+        estimate = estimate_noise(z, gaps, used, groups, np.ones(1, bool), [None])
+        values.append(size_p_value(z, used, estimate.memory, {0: estimate.noises[0]}, groups, 0))
     # 600 of them: 1 % scatters by 0.4 %.
     assert np.mean(np.asarray(values) < 0.01) <= 0.02
     assert 0.06 < np.mean(np.asarray(values) < 0.1) < 0.15
@@ -214,7 +214,7 @@ def test_intervals_under_a_long_memory_that_is_not_told_cover():
         for _ in range(3):
             off, _ = solved(noise, memory, worth)
             residual = np.einsum("p,epm->em", off, slopes) - noise
-            told = judge(residual, gaps, used, np.zeros(m, int), np.array([True]), [None])
+            told = estimate_noise(residual, gaps, used, np.zeros(m, int), np.array([True]), [None])
             memory, worth = told.memory, float(told.worth[0])
         off, sd = solved(noise, memory, worth)
         held.append(np.abs(off) < 1.645 * sd)

@@ -85,7 +85,7 @@ def test_the_effect_that_is_there_is_named():
         model = search.model(search.best)
         assert sum(m.probability for m in search.all()) == pytest.approx(1.0)
         assert sum(m.probability for m in search.all() if f"effect_{number}" in m.effects) > 0.98
-        amplitude = search.models.theta(model.fit.x, model.fit.member)[2 + number]
+        amplitude = search.models.theta(model.fit.x, model.fit.submodel)[2 + number]
         assert amplitude == pytest.approx(0.5, abs=4 * SIGMA / math.sqrt(N * J))
 
 
@@ -140,7 +140,7 @@ def test_a_search_that_was_interrupted_and_goes_on_makes_no_fit_twice(tmp_path, 
     def noted(name, of):
         def fitted(models, target, tasks, *kept):
             ends = of(models, target, tasks, *kept)
-            fits[name].append([(*map(int, task.member.free), task.use) for task in tasks])
+            fits[name].append([(*map(int, task.submodel.free), task.use) for task in tasks])
             return ends
 
         return fitted
@@ -185,7 +185,7 @@ from hsed_jax.diagnosis.nested import NestedModels
 asked, fit = [], NestedModels.fit
 
 def noted(models, target, tasks):
-    asked.append([(*map(int, task.member.free), task.use, task.rivals) for task in tasks])
+    asked.append([(*map(int, task.submodel.free), task.use, task.rivals) for task in tasks])
     return fit(models, target, tasks)
 
 NestedModels.fit = noted
@@ -221,11 +221,11 @@ def test_an_effect_is_found_that_does_nothing_beside_the_law_as_it_was_fitted():
     search = Search(models, measured, LAW, EFFECTS, lambda fit: measured.error(fit.predicted) < 1.1 * measured.noise)
     search.start()
     alone = search.model(())
-    assert models.theta(alone.fit.x, alone.fit.member)[1] < 0
+    assert models.theta(alone.fit.x, alone.fit.submodel)[1] < 0
     search.run()
     assert search.best == {"effect_5"}
     found = search.model(search.best).fit
-    assert models.theta(found.x, found.member)[[1, 7]] == pytest.approx([3.0, 2.0], abs=0.1)
+    assert models.theta(found.x, found.submodel)[[1, 7]] == pytest.approx([3.0, 2.0], abs=0.1)
 
 
 def test_two_effects_are_not_given_up_for_one_with_more_parameters_that_predicts_as_well():
@@ -365,8 +365,8 @@ def test_an_effect_that_raises_the_error_of_what_nothing_is_fitted_to_is_not_nam
     values, unlike = data_of(3, effect_3=0.5), data_of(4)
     functions = np.concatenate([FUNCTIONS, FUNCTIONS], axis=1)
     for fails in (False, True):
-        lanes = Dictionary(functions, fails=fails)
-        models = NestedModels(lanes, BOX, np.zeros(2 + K))
+        batch = Dictionary(functions, fails=fails)
+        models = NestedModels(batch, BOX, np.zeros(2 + K))
         found = Search(models, measured_of(values), LAW, EFFECTS, lambda fit: False, test=measured_of(unlike))
         found.start()
         found.run()
@@ -446,10 +446,10 @@ def test_evidence_gain_of_an_effect_is_the_exact_marginal_likelihoods():
     np.testing.assert_array_equal(search.worth, 1.0)
 
     gain = search.model({"effect_2"}).log_evidence - search.model(()).log_evidence
-    assert gain == pytest.approx(with_one(values, 4, sigma) - height(values, sigma), abs=0.02)
+    assert gain == pytest.approx(with_one(values, 4, sigma) - log_density(values, sigma), abs=0.02)
 
 
-def height(values, sigma, further=0.0):
+def log_density(values, sigma, further=0.0):
     """Log marginal likelihood of the law beside a known contribution, or beside each of many."""
     X = FUNCTIONS[:2].reshape(2, -1).T
     covariance = 9 * X @ X.T + sigma**2 * np.eye(N * J)
@@ -459,9 +459,9 @@ def height(values, sigma, further=0.0):
 def with_one(values, column, sigma):
     """Log marginal likelihood with one function, whose amplitude has the prior of an effect."""
     sizes = np.linspace(-1.0, 2.0, 600)
-    heights = height(values, sigma, sizes[:, None, None] * FUNCTIONS[column]) + stats.norm.logpdf(sizes)
-    top = max(heights)
-    return top + math.log(np.trapezoid(np.exp(heights - top), sizes))
+    log_densities = log_density(values, sigma, sizes[:, None, None] * FUNCTIONS[column]) + stats.norm.logpdf(sizes)
+    top = max(log_densities)
+    return top + math.log(np.trapezoid(np.exp(log_densities - top), sizes))
 
 
 def test_sets_of_one_size_share_their_probability():
@@ -520,9 +520,9 @@ def test_evidence_of_an_effect_is_that_of_its_forms_by_their_shares():
     values = data_of(4, effect_0=0.2, effect_1=0.2)
     search = with_forms(values)
     model, sigma = search.model({"effect_0"}), float(search.errors[0])
-    heights = np.array([with_one(values, 2, sigma), with_one(values, 3, sigma)])
+    log_densities = np.array([with_one(values, 2, sigma), with_one(values, 3, sigma)])
     gain = model.log_evidence - search.model(()).log_evidence
-    assert gain == pytest.approx(np.logaddexp(*heights) - math.log(2) - height(values, sigma), abs=0.05)
+    assert gain == pytest.approx(np.logaddexp(*log_densities) - math.log(2) - log_density(values, sigma), abs=0.05)
 
 
 def by_hand(values, used, free, sigma, weights):
@@ -690,7 +690,7 @@ def rival_case(unlike, more=()):
 def test_what_an_experiment_is_expected_to_tell_is_what_it_tells_on_average():
     problem, search = rival_case(0.15)
     one, other = (search.model({name}) for name in ("effect_0", "effect_2"))
-    promised = separation(problem, search, [one, other])
+    predicted = separation(problem, search, [one, other])
     shares = shares_of([one, other])
     functions, sigma = problem.models.batch.functions, float(search.errors[0])
 
@@ -710,11 +710,11 @@ def test_what_an_experiment_is_expected_to_tell_is_what_it_tells_on_average():
         for true in (0, 1):
             made = predictive[true].rvs(4000, random_state=random)
             told[true, k] = np.mean(predictive[true].logpdf(made) - predictive[1 - true].logpdf(made))
-    np.testing.assert_allclose(promised, shares @ told, rtol=0.1, atol=0.05)
+    np.testing.assert_allclose(predicted, shares @ told, rtol=0.1, atol=0.05)
     # With parameters held fixed it would be far more.
-    outputs, _ = problem.models.predict([(m.fit.x, m.fit.member) for m in (one, other)], N + np.arange(MORE))
+    outputs, _ = problem.models.predict([(m.fit.x, m.fit.submodel) for m in (one, other)], N + np.arange(MORE))
     fixed = 0.5 * np.sum((outputs[0] - outputs[1]) ** 2, axis=1) / sigma**2
-    assert np.all(promised < fixed)
+    assert np.all(predicted < fixed)
 
 
 def test_beside_a_pending_experiment_another_one_tells_what_both_tell_less_what_that_does():
@@ -740,9 +740,9 @@ def test_beside_a_pending_experiment_another_one_tells_what_both_tell_less_what_
         return float(shares @ [divergence(0, 1), divergence(1, 0)])
 
     np.testing.assert_allclose(separation(problem, search, rivals), [told([k]) for k in range(MORE)], rtol=1e-6)
-    promised = separation(problem._replace(pending=2), search, rivals)
+    predicted = separation(problem._replace(pending=2), search, rivals)
     out = [MORE - 2, MORE - 1]
-    np.testing.assert_allclose(promised, [told([k, *out]) - told(out) for k in range(MORE - 2)], rtol=1e-6)
+    np.testing.assert_allclose(predicted, [told([k, *out]) - told(out) for k in range(MORE - 2)], rtol=1e-6)
 
 
 @pytest.mark.parametrize(("unlike", "alike"), [(0.1, True), (0.6, False)])

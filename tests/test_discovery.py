@@ -24,7 +24,7 @@ from hsed_jax.diagnosis.findings import Diagnosis
 from hsed_jax.diagnosis.search import Search
 from hsed_jax.discovery.places import FADES, Motion, Place, Reaches, places, values
 from hsed_jax.discovery.screen import evidence, learned, process
-from hsed_jax.discovery.search import judged
+from hsed_jax.discovery.search import held_out_error
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
 from hsed_jax.physics.effects import EFFECTS, Catalogue
@@ -358,10 +358,10 @@ def test_what_was_held_out_is_the_judge_and_else_what_is_left_out_in_turn(held_o
     if held_out:
         problem = problem._replace(test=measured_of(values[N : N + held_out]))
     now, before = ((problem.models, search.model(effects).fit) for effects in (search.best, ()))
-    found = judged(problem, search.target, now, before)
+    found = held_out_error(problem, search.target, now, before)
 
     def residuals(fit):
-        return values[N:] - np.einsum("k,knj->nj", problem.models.theta(fit.x, fit.member), functions[:, N:])
+        return values[N:] - np.einsum("k,knj->nj", problem.models.theta(fit.x, fit.submodel), functions[:, N:])
 
     if held_out:
         tested = values[N : N + held_out]

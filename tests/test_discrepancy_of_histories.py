@@ -12,7 +12,7 @@ from hsed_jax.criticism.compare import compare
 from hsed_jax.criticism.prediction import learned_misfit, predict
 from hsed_jax.errors import UserError
 from hsed_jax.inference.discrepancy.cycles import OverCycles, Products
-from hsed_jax.inference.discrepancy.learning import course
+from hsed_jax.inference.discrepancy.learning import cycle_history
 from hsed_jax.inference.fit import fit
 from hsed_jax.inference.likelihood import Error, data_of
 from hsed_jax.inference.nuts import Settings
@@ -126,7 +126,7 @@ def test_a_course_counts_cycles_and_has_their_amplitude():
     time = np.linspace(0, 6, 601)
     # Cycles that grow, at a rate that falls: neither counts by itself.
     phase = 2 * np.pi * 4 * np.sqrt(time / 6)
-    found = course(((1 + time) * np.sin(phase))[None])
+    found = cycle_history(((1 + time) * np.sin(phase))[None])
     np.testing.assert_allclose(found.cycles[0, -1], 4.25, atol=0.3)
     assert np.all(np.diff(found.cycles[0]) >= 0)
     middle = slice(150, 450)

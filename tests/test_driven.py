@@ -19,7 +19,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, write_campaign
 from hsed_jax.physics.declared import DECLARED
 from hsed_jax.physics.excitations import EXCITATIONS, Applied, Imposed
-from hsed_jax.physics.excitations.cyclic import CyclicElongation
+from hsed_jax.physics.excitations.imposed import CyclicElongation
 from hsed_jax.physics.timeline import Timeline, times
 from hsed_jax.study.build import Built
 
@@ -333,7 +333,7 @@ def test_every_excitation_has_a_place_in_a_study_and_a_sentence():
         "applied_force": {"file": "p.csv", "mass": 2},
         "imposed": {"amplitudes": ["a", 0.02], "rate": 0.01},
     }
-    assert list(given) == list(EXCITATIONS)
+    assert given.keys() == DECLARED.keys() == set(EXCITATIONS)
     for name, settings in given.items():
         entry = ExcitationEntry.model_validate({name: settings, **({"duration": 3.0} if "V_P" in settings else {})})
         assert entry.excitation is DECLARED[name] is EXCITATIONS[name].declared

@@ -13,7 +13,8 @@ from scipy.integrate import solve_ivp
 from hsed_jax.physics.effects import EFFECTS, AbstractSetupEffect, AbstractSpringEffect, called
 from hsed_jax.physics.effects.base import ADDED, MULTIPLIED, Setup, SpringPoint, combine
 from hsed_jax.physics.effects.forms import default_form, forms_of
-from hsed_jax.physics.excitations import Imposed, NearFaultPulse, Tabulated
+from hsed_jax.physics.excitations import Imposed, Tabulated
+from hsed_jax.physics.excitations.near_fault_pulse import NearFaultPulse
 from hsed_jax.physics.integrate import integrate
 from hsed_jax.physics.laws import BoucWen
 from hsed_jax.physics.parameters import dimensionless, parameters_of

@@ -9,8 +9,8 @@ from scipy.integrate import quad
 
 from hsed_jax.diagnosis.batch import Batch
 from hsed_jax.diagnosis.box import Box
-from hsed_jax.diagnosis.descent import Descent, Target, Task
 from hsed_jax.diagnosis.evidence import laplace, sample_posterior
+from hsed_jax.diagnosis.fit_state import FitState, Target, Task
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.inference.priors import Prior
 
@@ -56,7 +56,7 @@ def fitted(formula, priors, data=DATA, sigma=SIGMA, start=None):
     models = NestedModels(Analytic(formula), Box(priors), np.array([float(p.quantile(0.5)) for p in priors.values()]))
     target = Target(data[None], np.full((1, data.size), sigma), np.ones((1, 1, data.size)), np.zeros((1, data.size)))
     start = models.neutral if start is None else models.box.x(np.asarray(start, dtype=float))
-    (fit,) = models.fit(target, [Task(models.member(np.arange(len(priors))), start)])
+    (fit,) = models.fit(target, [Task(models.submodel(np.arange(len(priors))), start)])
     return models, target, fit
 
 
@@ -124,7 +124,7 @@ def pulled(distance):
 def test_evidence_of_an_amplitude_on_its_bound_is_that_of_quadrature(distance, scale, observed):
     data, sd = pulled(distance)
     models, target, fit = fitted(wave, {"a": Prior("half_normal", scale)}, data)
-    amplitude = models.theta(fit.x, fit.member)[0]
+    amplitude = models.theta(fit.x, fit.submodel)[0]
     if distance != 0:
         assert (amplitude == pytest.approx(0.0, abs=1e-12)) == (distance < 0)
     offset = 0.5 * np.sum(data**2) / SIGMA**2
@@ -154,7 +154,7 @@ def two_amplitudes():
     data = -0.2 * WAVE + 0.1 * np.random.default_rng(2).standard_normal(12)
     priors = {"a": Prior("half_normal", 0.5), "b": Prior("half_normal", 0.5)}
     models, target, fit = fitted(lambda theta: wave(theta) + theta[1][:, None] * other, priors, data, start=(0.3, 0.3))
-    np.testing.assert_allclose(models.theta(fit.x, fit.member), 0.0, atol=1e-12)
+    np.testing.assert_allclose(models.theta(fit.x, fit.submodel), 0.0, atol=1e-12)
     grid = np.linspace(0, 2.0, 801)
     a, b = np.meshgrid(grid, grid, indexing="ij")
     misfit = 0.5 * np.sum((a[..., None] * WAVE + b[..., None] * other - data) ** 2, axis=-1) / SIGMA**2
@@ -279,7 +279,7 @@ def test_evidence_leaves_out_where_the_simulation_diverges():
 
 def test_a_fit_that_diverged_has_no_evidence():
     models, _, fit = fitted(linear([0]), normals([0]))
-    assert laplace(Descent(fit.member, fit.x, 0), models) == -np.inf
+    assert laplace(FitState(fit.submodel, fit.x, 0), models) == -np.inf
 
 
 def test_a_sample_that_diverges_everywhere_has_no_evidence_and_is_survived():

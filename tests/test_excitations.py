@@ -8,7 +8,8 @@ from observations import of_largest
 from scipy.integrate import quad
 
 from hsed_jax.measurements import read_at2
-from hsed_jax.physics.excitations import NearFaultPulse, RecordedMotion
+from hsed_jax.physics.excitations.near_fault_pulse import NearFaultPulse
+from hsed_jax.physics.excitations.recorded import RecordedMotion
 
 PULSES = [
     dict(V_P=2.25, T_P=1.0),

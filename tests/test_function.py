@@ -150,7 +150,7 @@ def test_derivatives_are_asked_for_once_a_lane_and_the_function_not_twice_for_th
         jax.vmap(lambda d: jax.vmap(lambda x: jax.jvp(lambda a: value(a, x), (2.0,), (d,))[1])(x)),
     )(directions)
     np.testing.assert_allclose(slopes, 12.0 * directions[:, None] * x, rtol=1e-5)
-    # The value and one on either side, of two different lanes; whatever the number of directions.
+    # The value and one on either side, of two different simulations; whatever the number of directions.
     assert len(calls) == 6
     # On the bound the difference is one-sided, and within it.
     np.testing.assert_allclose(jax.jacfwd(lambda a: value(a, 1.0))(0.0), 0.0, atol=1e-6)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hsed_jax.inference.predict import Predictor
-from hsed_jax.physics.excitations import NearFaultPulse
+from hsed_jax.physics.excitations.near_fault_pulse import NearFaultPulse
 from hsed_jax.physics.integrate import integrate
 from hsed_jax.physics.laws import BoucWen
 from hsed_jax.physics.simulator import Timeline

@@ -22,7 +22,8 @@ from hsed_jax.errors import UserError
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.effects.forms import default_form, forms_of, slots_of
 from hsed_jax.physics.elements import Element
-from hsed_jax.physics.excitations import Imposed, NearFaultPulse, Tabulated
+from hsed_jax.physics.excitations import Imposed, Tabulated
+from hsed_jax.physics.excitations.near_fault_pulse import NearFaultPulse
 from hsed_jax.physics.laws import LAWS, BoucWen
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.scales import Scales

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from hsed_jax.diagnosis import nested
 from hsed_jax.diagnosis.batch import Batch
 from hsed_jax.diagnosis.box import Box
-from hsed_jax.diagnosis.descent import Target, Task
+from hsed_jax.diagnosis.fit_state import Target, Task
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.inference.priors import Prior
 from hsed_jax.inference.watch import Watch
@@ -201,8 +201,8 @@ def test_a_fit_ends_where_scipys_does(decays):
     target = target_of(decays)
     starts = models.box.quantiles(np.arange(2), np.array([[0.1, 0.1], [0.9, 0.9], [0.05, 0.95], [0.5, 0.5]]))
     best, sd, cost = best_decay(decays, target.weights[0])
-    for fit in models.fit(target, [Task(models.member(np.arange(2)), start) for start in starts]):
-        theta = models.theta(fit.x, fit.member)
+    for fit in models.fit(target, [Task(models.submodel(np.arange(2)), start) for start in starts]):
+        theta = models.theta(fit.x, fit.submodel)
         # It stops where a step gains less than 0.02 nats: √0.04 of a standard deviation.
         assert np.all(np.abs(in_logs(theta) - best) < 0.2 * sd)
         # Two normal priors, each in a coordinate scaled by half its 16-84 % range (0.99446 standard deviations).
@@ -216,7 +216,7 @@ def test_a_fit_ends_where_scipys_does(decays):
 def test_gradient_and_hessian_are_those_of_the_cost(decays):
     models = models_of(decay, DECAY, [1.0, 1.0])
     target = target_of(decays)
-    (fit,) = models.fit(target, [Task(models.member(np.arange(2)), models.neutral)])
+    (fit,) = models.fit(target, [Task(models.submodel(np.arange(2)), models.neutral)])
 
     def residual(x):
         theta = models.box.theta(x)
@@ -243,9 +243,9 @@ def test_weights_choose_experiments_and_count_them(decays):
     target = target_of(values, weights)
     for use in range(4):
         models.batch.asked.clear()
-        (fit,) = models.fit(target, [Task(models.member(np.arange(2)), models.neutral, use)])
+        (fit,) = models.fit(target, [Task(models.submodel(np.arange(2)), models.neutral, use)])
         best, sd, _ = best_decay(values, weights[use])
-        assert np.all(np.abs(in_logs(models.theta(fit.x, fit.member)) - best) < 0.2 * sd)
+        assert np.all(np.abs(in_logs(models.theta(fit.x, fit.submodel)) - best) < 0.2 * sd)
         rows = np.flatnonzero(weights[use].any(axis=1))
         assert set(np.concatenate([e for _, e in models.batch.asked])) == set(rows)
         unused = np.setdiff1d(np.arange(3), rows)
@@ -258,9 +258,9 @@ def test_fits_made_side_by_side_are_those_made_alone(decays):
     weights[1, 1:] = 0.0
     target = target_of(decays, weights)
     tasks = [
-        Task(models.member(np.arange(2)), models.neutral),
-        Task(models.member(np.array([1])), models.neutral, 1),
-        Task(models.member(np.array([0])), models.neutral),
+        Task(models.submodel(np.arange(2)), models.neutral),
+        Task(models.submodel(np.array([1])), models.neutral, 1),
+        Task(models.submodel(np.array([0])), models.neutral),
     ]
     together = models.fit(target, tasks)
     for task, fit in zip(tasks, together, strict=True):
@@ -272,13 +272,13 @@ def test_fits_made_side_by_side_are_those_made_alone(decays):
 def test_a_fit_that_goes_on_with_other_errors_begins_with_what_is_known(decays):
     def ends(is_known):
         models = models_of(decay, DECAY, [1.0, 1.0])
-        member = models.member(np.arange(2))
-        (fit,) = models.fit(target_of(decays), [Task(member, models.neutral)])
+        submodel = models.submodel(np.arange(2))
+        (fit,) = models.fit(target_of(decays), [Task(submodel, models.neutral)])
         models.batch.asked.clear()
         weights = np.ones((2, *decays.shape))
         weights[1, 2] = 0.0
         other = target_of(decays, weights, sigma=3 * SIGMA)
-        tasks = [Task(member, fit.x, use, known=fit if is_known else None) for use in (0, 1)]
+        tasks = [Task(submodel, fit.x, use, known=fit if is_known else None) for use in (0, 1)]
         return models.fit(other, tasks), sum(len(thetas) for thetas, _ in models.batch.asked)
 
     (known, little), (anew, work) = ends(True), ends(False)
@@ -293,16 +293,16 @@ def test_a_fit_that_goes_on_with_other_errors_begins_with_what_is_known(decays):
 
 def test_a_fit_with_nothing_to_gain_asks_for_no_simulation_and_one_that_moves_gets_there(decays):
     models, target = models_of(decay, DECAY, [1.0, 1.0]), target_of(decays)
-    member = models.member(np.arange(2))
-    (fit,) = models.fit(target, [Task(member, models.neutral)])
+    submodel = models.submodel(np.arange(2))
+    (fit,) = models.fit(target, [Task(submodel, models.neutral)])
     models.batch.asked.clear()
-    (again,) = models.fit(target, [Task(member, fit.x, known=fit)])
+    (again,) = models.fit(target, [Task(submodel, fit.x, known=fit)])
     assert not models.batch.asked
     np.testing.assert_array_equal(again.x, fit.x)
     np.testing.assert_allclose([again.cost, *again.gradient], [fit.cost, *fit.gradient], rtol=1e-12)
     # Other measurements move it.
     moved = target_of(0.5 * decays)
-    (known,), (anew,) = (models.fit(moved, [Task(member, fit.x, known=k)]) for k in (fit, None))
+    (known,), (anew,) = (models.fit(moved, [Task(submodel, fit.x, known=k)]) for k in (fit, None))
     assert np.abs(anew.x - fit.x).max() > 0.1
     assert known.cost == pytest.approx(anew.cost, abs=nested._GAIN)
     np.testing.assert_allclose(known.x, anew.x, atol=0.01)
@@ -310,11 +310,11 @@ def test_a_fit_with_nothing_to_gain_asks_for_no_simulation_and_one_that_moves_ge
 
 def test_a_fit_that_is_far_behind_others_and_does_not_catch_up_is_left_where_it_is(decays):
     models, target = models_of(decay, DECAY, [1.0, 1.0]), target_of(decays)
-    member, small = models.member(np.arange(2)), models.member(np.arange(1))
-    best, behind = models.fit(target, [Task(member, models.neutral), Task(small, models.neutral)])
+    submodel, small = models.submodel(np.arange(2)), models.submodel(np.arange(1))
+    best, behind = models.fit(target, [Task(submodel, models.neutral), Task(small, models.neutral)])
     assert behind.cost > best.cost + nested._BEHIND
     other = target_of(0.99 * decays)
-    tasks = [Task(member, best.x, rivals=0, known=best), Task(small, behind.x, rivals=1, known=behind)]
+    tasks = [Task(submodel, best.x, rivals=0, known=best), Task(small, behind.x, rivals=1, known=behind)]
     _, left = models.fit(other, tasks)
     (alone,) = models.fit(other, [Task(small, behind.x, known=behind)])
     assert alone.cost < left.cost
@@ -324,7 +324,7 @@ def test_a_fit_that_is_far_behind_others_and_does_not_catch_up_is_left_where_it_
 
 def test_derivatives_that_are_too_many_are_let_go(decays, monkeypatch):
     models, target = models_of(decay, DECAY, [1.0, 1.0]), target_of(decays)
-    task = Task(models.member(np.arange(2)), models.neutral)
+    task = Task(models.submodel(np.arange(2)), models.neutral)
     (kept,) = models.fit(target, [task])
     monkeypatch.setattr(nested, "_KEPT", 0)
     (without,) = models.fit(target, [task])
@@ -347,9 +347,9 @@ def test_fits_that_were_kept_are_not_made_again_and_are_the_same_to_the_last_bit
         models = models_of(decay, DECAY, [1.0, 1.0])
         models = NestedModels(models.batch, models.box, np.array([1.0, 1.0]), Notebook())
         tasks = [
-            Task(models.member(np.arange(2)), models.neutral + moved, rivals=0),
-            Task(models.member(np.arange(2)), models.neutral + 0.3, rivals=0),
-            *[Task(models.member(np.array([1])), models.neutral)] * more,
+            Task(models.submodel(np.arange(2)), models.neutral + moved, rivals=0),
+            Task(models.submodel(np.arange(2)), models.neutral + 0.3, rivals=0),
+            *[Task(models.submodel(np.array([1])), models.neutral)] * more,
         ]
         return models.fit(target_of(decays), tasks), sum(len(thetas) for thetas, _ in models.batch.asked)
 
@@ -368,11 +368,11 @@ def test_held_parameters_keep_their_neutral_values_to_the_last_bit(decays):
     rate = tried[np.flatnonzero(box.theta(box.x(tried))[:, 1] != tried[:, 1])[0], 1]
     models = models_of(decay, DECAY, [1.3, rate])
     assert models.box.theta(models.neutral)[1] != rate
-    (fit,) = models.fit(target_of(decays), [Task(models.member(np.array([0])), models.neutral)])
+    (fit,) = models.fit(target_of(decays), [Task(models.submodel(np.array([0])), models.neutral)])
     assert np.isfinite(fit.cost)
     for thetas, _ in models.batch.asked:
         assert np.all(thetas[:, 1] == rate)
-    assert models.theta(fit.x, fit.member)[1] == rate
+    assert models.theta(fit.x, fit.submodel)[1] == rate
 
 
 BASIS = np.sin(3 * TIME)
@@ -405,8 +405,8 @@ def test_what_would_leave_its_bounds_rests_on_them(truth, resting, share):
     values = noisy([with_amplitude(truth, 0)])
     models = models_of(with_amplitude, AMPLITUDE, [0.0, 0.0, 0.0])
     start = models.box.quantiles(np.arange(3), np.full((1, 3), share))[0]
-    (fit,) = models.fit(target_of(values), [Task(models.member(np.arange(3)), start)])
-    theta = models.theta(fit.x, fit.member)
+    (fit,) = models.fit(target_of(values), [Task(models.submodel(np.arange(3)), start)])
+    theta = models.theta(fit.x, fit.submodel)
     best, sd = bounded(values)
     assert np.all(np.abs(theta - best) < 0.2 * sd)
     ends = {1: 0.8, 2: 0.0}
@@ -431,11 +431,11 @@ def test_starts_over_the_prior_find_what_has_no_gradient_at_neutral():
     models = models_of(dead_zone, DEAD, [0.0, 0.0])
     target = target_of(values)
     free = np.arange(2)
-    (stuck,) = models.fit(target, [Task(models.member(free), models.neutral)])
-    assert models.theta(stuck.x, stuck.member)[1] == pytest.approx(0.0, abs=1e-12)
+    (stuck,) = models.fit(target, [Task(models.submodel(free), models.neutral)])
+    assert models.theta(stuck.x, stuck.submodel)[1] == pytest.approx(0.0, abs=1e-12)
     starts = np.tile(models.neutral, (4, 1))
     starts[:, 1] = models.box.quantiles(np.array([1]), np.array([[0.1], [0.35], [0.65], [0.9]]))[:, 0]
-    ends = models.fit(target, [Task(models.member(free), start, rivals=0) for start in starts])
+    ends = models.fit(target, [Task(models.submodel(free), start, rivals=0) for start in starts])
     best = min(ends, key=lambda f: f.cost)
 
     def residual(p):
@@ -443,7 +443,7 @@ def test_starts_over_the_prior_find_what_has_no_gradient_at_neutral():
 
     found = least_squares(residual, [0.5, 1.0], bounds=([-np.inf, 0], np.inf))
     sd = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
-    assert np.all(np.abs(models.theta(best.x, best.member) - found.x) < 0.2 * sd)
+    assert np.all(np.abs(models.theta(best.x, best.submodel) - found.x) < 0.2 * sd)
     assert best.cost < stuck.cost - 100
 
 
@@ -456,10 +456,10 @@ def test_rivals_end_in_one_that_is_the_best_of_them():
     # At a = −1.1 and 0.9 the output is zero; the prior likes the second better.
     target = target_of(np.zeros((1, 5)), sigma=0.01)
     starts = models.box.x(np.array([[-2.0], [-1.5], [1.6], [0.4]]))
-    rivals = models.fit(target, [Task(models.member(FIRST), start, rivals=7) for start in starts])
+    rivals = models.fit(target, [Task(models.submodel(FIRST), start, rivals=7) for start in starts])
     assert sum(np.isfinite(fit.cost) for fit in rivals) == 1
-    alone = models.fit(target, [Task(models.member(FIRST), start) for start in starts])
-    ends = np.array([models.theta(f.x, f.member)[0] for f in alone])
+    alone = models.fit(target, [Task(models.submodel(FIRST), start) for start in starts])
+    ends = np.array([models.theta(f.x, f.submodel)[0] for f in alone])
     np.testing.assert_allclose(ends, [-1.105, -1.105, 0.905, 0.905], atol=0.01)
     assert min(f.cost for f in rivals) <= min(f.cost for f in alone) + 0.02
 
@@ -468,8 +468,8 @@ def test_groups_of_rivals_do_not_take_part_in_one_anothers_races(decays):
     models = models_of(decay, DECAY, [1.0, 1.0])
     target = target_of(decays)
     starts = models.box.quantiles(np.arange(2), np.array([[0.1, 0.1], [0.9, 0.9], [0.2, 0.7], [0.7, 0.2]]))
-    tasks = [Task(models.member(np.arange(2)), s, rivals=0) for s in starts] + [
-        Task(models.member(np.array([0])), s, rivals=1) for s in starts
+    tasks = [Task(models.submodel(np.arange(2)), s, rivals=0) for s in starts] + [
+        Task(models.submodel(np.array([0])), s, rivals=1) for s in starts
     ]
     ends = models.fit(target, tasks)
     for group in (ends[:4], ends[4:]):
@@ -483,10 +483,12 @@ def test_a_start_that_diverges_costs_its_own_fit_only(decays):
     models = models_of(decay, DECAY, [1.0, 1.0], diverges=lambda theta: theta[1] > 1.5)
     target = target_of(decays)
     bad, good = (models.box.x(np.array(theta)) for theta in ((1.0, 1.8), (1.0, 1.2)))
-    lost, found = models.fit(target, [Task(models.member(np.arange(2)), bad), Task(models.member(np.arange(2)), good)])
+    lost, found = models.fit(
+        target, [Task(models.submodel(np.arange(2)), bad), Task(models.submodel(np.arange(2)), good)]
+    )
     best, sd, _ = best_decay(decays, target.weights[0])
     assert lost.cost == np.inf
-    assert np.all(np.abs(in_logs(models.theta(found.x, found.member)) - best) < 0.2 * sd)
+    assert np.all(np.abs(in_logs(models.theta(found.x, found.submodel)) - best) < 0.2 * sd)
 
 
 def test_a_step_into_divergence_is_taken_back(decays):
@@ -495,23 +497,23 @@ def test_a_step_into_divergence_is_taken_back(decays):
     target = target_of(decays)
     starts = models.box.x(np.array([[0.2, 3.0], [1.4, 0.56], [0.7, 1.5]]))
     best, sd, _ = best_decay(decays, target.weights[0])
-    for fit in models.fit(target, [Task(models.member(np.arange(2)), start) for start in starts]):
+    for fit in models.fit(target, [Task(models.submodel(np.arange(2)), start) for start in starts]):
         assert np.isfinite(fit.cost)
-        assert np.all(np.abs(in_logs(models.theta(fit.x, fit.member)) - best) < 0.2 * sd)
+        assert np.all(np.abs(in_logs(models.theta(fit.x, fit.submodel)) - best) < 0.2 * sd)
 
 
 def test_an_optimum_beyond_divergence_is_approached_and_never_crossed(decays):
     models = models_of(decay, DECAY, [1.0, 1.0], diverges=lambda theta: theta[1] < 0.7)
     target = target_of(decays)
     start = models.box.x(np.array([1.0, 1.2]))
-    (fit,) = models.fit(target, [Task(models.member(np.arange(2)), start)])
-    theta = models.theta(fit.x, fit.member)
+    (fit,) = models.fit(target, [Task(models.submodel(np.arange(2)), start)])
+    theta = models.theta(fit.x, fit.submodel)
     assert 0.7 <= theta[1] < 0.8 and np.isfinite(fit.cost)
 
 
 def test_a_model_that_always_diverges_is_survived(decays):
     models = models_of(decay, DECAY, [1.0, 1.0], diverges=lambda theta: True)
     target = target_of(decays)
-    fits = models.fit(target, [Task(models.member(np.arange(2)), models.neutral, rivals=0) for _ in range(3)])
+    fits = models.fit(target, [Task(models.submodel(np.arange(2)), models.neutral, rivals=0) for _ in range(3)])
     assert all(fit.cost == np.inf for fit in fits)
     assert models.fit(target, []) == []

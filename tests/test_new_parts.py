@@ -44,9 +44,6 @@ ENTRIES = {
             'REPEATED = Declared("repeated", GROUND_MOTION, {}, lambda settings, duration: "Shaken twice as much", '
             'of_file=("time", "ground_acceleration"))\n',
         ),
-        ("physics/declared.py", "NEAR_FAULT_PULSE, RECORDED_MOTION", "REPEATED, "),
-        ("physics/excitations/__init__.py", "\n_ALL:", "from hsed_jax.physics.excitations.repeated import Repeated\n"),
-        ("physics/excitations/__init__.py", "NearFaultPulse, RecordedMotion", "Repeated, "),
     ],
     "effect": [
         (

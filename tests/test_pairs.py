@@ -14,8 +14,8 @@ import hsed_jax as hx
 from hsed_jax.command_line import main
 from hsed_jax.config.load import load_study
 from hsed_jax.diagnosis import diagnose
-from hsed_jax.diagnosis.descent import Descent, Member
 from hsed_jax.diagnosis.evidence import Sampled
+from hsed_jax.diagnosis.fit_state import FitState, Submodel
 from hsed_jax.diagnosis.fits import Model
 from hsed_jax.diagnosis.problem import FormColumns
 from hsed_jax.measurements import (
@@ -193,7 +193,7 @@ def bare(kind, **fields):
 
 def test_sizes_of_effects_have_the_units_of_the_pair():
     sample = Sampled(0.0, np.inf, np.asarray([[0.1], [0.5]]), np.asarray([0.5, 0.5]))
-    fit = Descent(Member(np.arange(1), np.zeros(1)), np.zeros(1), 0)
+    fit = FitState(Submodel(np.arange(1), np.zeros(1)), np.zeros(1), 0)
     forms = {label: FormColumns(form, np.asarray([0]), {}) for label, form in forms_of(EFFECTS[NAME]).items()}
     about = {"catalogue": EFFECTS, "names": (f"{NAME}.delta",), "scales": Scales(energy=10.0), "effects": {NAME: forms}}
     for pair, unit in ((LENGTH, "1/J"), (ROTATION, "1/J"), (STRAIN, "m^3/J"), (SHEAR, "m/J")):

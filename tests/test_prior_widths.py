@@ -8,8 +8,8 @@ from builders.dictionary import COLUMNS, EFFECTS, FUNCTIONS, LAW, PRIORS, Dictio
 from scipy import stats
 
 from hsed_jax.diagnosis.box import Box
-from hsed_jax.diagnosis.descent import Task
 from hsed_jax.diagnosis.evidence import laplace
+from hsed_jax.diagnosis.fit_state import Task
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.prior_widths import WIDTHS, Stretched, moved_by, prior_widths
 from hsed_jax.diagnosis.score import HeldOut
@@ -47,7 +47,7 @@ def test_the_gain_is_that_of_a_model_with_the_other_prior(strong):
         models = strong.models.within(box)
         worths = []
         for columns in (LAW, np.append(LAW, COLUMNS[NAMED])):
-            (fit,) = models.fit(strong.target, [Task(models.member(columns), models.neutral)])
+            (fit,) = models.fit(strong.target, [Task(models.submodel(columns), models.neutral)])
             worths.append(laplace(fit, models))
         assert one.log_evidence_gain[NAMED] == pytest.approx(worths[1] - worths[0], abs=1e-3)
         assert one.log_evidence_gain[NAMED] != pytest.approx(one.log_evidence_gain_before[NAMED], abs=0.3)
@@ -65,7 +65,7 @@ def test_predictions_of_what_is_left_out_move_as_those_of_fits_with_the_other_pr
     plain, box = (Stretched(BOX, COLUMNS[NAMED], about, w) for w in (1.0, width))
     moved = moved_by(strong, fit, plain, box)
     models = strong.models.within(Box(PRIORS | {NAMED: Prior("normal", [0.0, width])}))
-    (again,) = models.fit(strong.target, [Task(models.member(fit.free), models.neutral)])
+    (again,) = models.fit(strong.target, [Task(models.submodel(fit.free), models.neutral)])
     exact = HeldOut(models, strong.measured, None).densities(strong.target, [again])
     own = strong.held_out.densities(strong.target, [fit])
     found = strong.held_out.densities(strong.target, [fit], [moved])

@@ -14,7 +14,7 @@ import yaml
 import hsed_jax as hx
 from hsed_jax.errors import UserError
 from hsed_jax.measurements.cycles import cycles_of as counted
-from hsed_jax.physics.excitations.cyclic import CyclicElongation
+from hsed_jax.physics.excitations.imposed import CyclicElongation
 from hsed_jax.physics.protocols import PROTOCOLS, protocol, protocol_history
 from hsed_jax.physics.timeline import Timeline, times
 from hsed_jax.reporting.protocols import entry, listing

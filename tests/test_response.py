@@ -14,7 +14,8 @@ from scipy.signal import lsim
 
 from hsed_jax.measurements import read_at2
 from hsed_jax.physics.batch import tiled_map
-from hsed_jax.physics.excitations import Imposed, NearFaultPulse, Tabulated
+from hsed_jax.physics.excitations import Imposed, Tabulated
+from hsed_jax.physics.excitations.near_fault_pulse import NearFaultPulse
 from hsed_jax.physics.integrate import integrate
 from hsed_jax.physics.outputs import EQ_18, output
 from hsed_jax.physics.simulator import Conditions, Recorded, Simulator, Timeline
@@ -306,20 +307,24 @@ def test_results_do_not_depend_on_the_place_in_the_batch(hysteretic):
 
 @pytest.mark.parametrize("size", [1, 63, 64, 65, 200])
 def test_tiled_map_equals_vmap(size):
-    lanes = {"x": np.linspace(0, 1, size), "m": np.arange(3.0 * size).reshape(size, 3)}
+    batch = {"x": np.linspace(0, 1, size), "m": np.arange(3.0 * size).reshape(size, 3)}
 
-    def one(lane):
-        return {"s": jnp.sin(lane["x"]) + lane["m"].sum(), "v": lane["m"] * lane["x"], "flag": lane["x"] > 0.5}
+    def one(simulation):
+        return {
+            "s": jnp.sin(simulation["x"]) + simulation["m"].sum(),
+            "v": simulation["m"] * simulation["x"],
+            "flag": simulation["x"] > 0.5,
+        }
 
     many = jax.vmap(one)
-    expected = jax.jit(many)(lanes)
-    plain = jax.jit(lambda lanes: tiled_map(many, lanes))(lanes)
-    counted = jax.jit(lambda lanes, count: tiled_map(many, lanes, count=count))
+    expected = jax.jit(many)(batch)
+    plain = jax.jit(lambda batch: tiled_map(many, batch))(batch)
+    counted = jax.jit(lambda batch, count: tiled_map(many, batch, count=count))
     for name in expected:
         np.testing.assert_array_equal(plain[name], expected[name])
         for count in {0, 1, size // 2, size - 1, size}:
             matters = (np.arange(size) < count).reshape(-1, *[1] * (expected[name].ndim - 1))
-            np.testing.assert_array_equal(counted(lanes, count)[name], np.where(matters, expected[name], 0))
+            np.testing.assert_array_equal(counted(batch, count)[name], np.where(matters, expected[name], 0))
 
 
 def test_tiled_map_leaves_out_the_tiles_beyond_the_count():

@@ -63,9 +63,9 @@ def test_draws_are_exact_whatever_the_emulator(monkeypatch, factor, is_weighed):
     assert error < 0.1
     assert (np.abs(normal.mean(axis=(0, 1))) < error).all()
     assert (np.abs(normal.std(axis=(0, 1)) - 1) < 2 * error).all()
-    theta, heights = (np.asarray(values)[0, ::500] for values in (chains.theta, chains.log_density))
+    theta, log_densities = (np.asarray(values)[0, ::500] for values in (chains.theta, chains.log_density))
     expected = jax.jit(jax.vmap(lambda t: posterior.log_density(posterior.unconstrain(t), data)))(theta)
-    np.testing.assert_allclose(heights, expected, rtol=1e-6)
+    np.testing.assert_allclose(log_densities, expected, rtol=1e-6)
 
 
 def saturating(theta, conditions):
@@ -101,9 +101,9 @@ def test_chains_that_diverge_are_moved_on_until_their_draws_are_those_of_the_pos
     a, rest = np.moveaxis(straight(chains, 1.0).reshape(-1, 2), -1, 0)
     assert a.std() == pytest.approx(1, abs=0.09) and abs(a.mean()) < 0.12
     assert rest.std() == pytest.approx(0.2, rel=0.09)
-    theta, heights = (np.asarray(values)[0, ::50] for values in (chains.theta, chains.log_density))
+    theta, log_densities = (np.asarray(values)[0, ::50] for values in (chains.theta, chains.log_density))
     expected = jax.vmap(lambda t: posterior.log_density(posterior.unconstrain(t), data))(theta)
-    np.testing.assert_allclose(heights, expected, rtol=1e-6)
+    np.testing.assert_allclose(log_densities, expected, rtol=1e-6)
 
 
 def test_draws_are_settled_where_they_are_right_and_not_where_they_are_not(monkeypatch):
@@ -114,26 +114,26 @@ def test_draws_are_settled_where_they_are_right_and_not_where_they_are_not(monke
     a, rest = 0.1 * random.standard_normal((2, 1000))
     points = np.stack([a, 0.1 * rest - 2 * a**2], axis=1)
 
-    def heights(x):
+    def log_densities(x):
         return -0.5 * x[:, 0] ** 2 - 0.5 * ((x[:, 1] + 2 * x[:, 0] ** 2) / 0.1) ** 2
 
     def emulated(factor):
         def wander(going, standing, key):
             """Many steps by a density whose ridge is so much wider."""
             going = np.asarray(going)
-            at = start = factor * heights(going)
+            at = start = factor * log_densities(going)
             for one in jax.random.split(key, 100):
                 tried = np.asarray(moves.directly(jnp.asarray(going), standing, one)[0])
-                there = factor * heights(tried)
+                there = factor * log_densities(tried)
                 taken = np.log(random.uniform(size=len(going))) < there - at
                 going, at = np.where(taken[:, None], tried, going), np.where(taken, there, at)
             return going, at - start
 
         return wander
 
-    slow = moved(heights, moves.directly, points, heights(points), random, Watch(), "slow")
+    slow = moved(log_densities, moves.directly, points, log_densities(points), random, Watch(), "slow")
     assert not slow.settled and slow.points[:, 0].std() < 0.8
-    quick = moved(heights, emulated(0.9), points, heights(points), random, Watch(), "quick")
+    quick = moved(log_densities, emulated(0.9), points, log_densities(points), random, Watch(), "quick")
     assert quick.settled and quick.points[:, 0].std() == pytest.approx(1, abs=0.1)
 
 
@@ -144,12 +144,12 @@ def test_draws_that_lack_a_tail_grow_one(dimensions):
     points = random.standard_normal((2000, dimensions))
     points[:, 0] = -np.log(random.uniform(0.5, 1, 2000))
 
-    def heights(x):
+    def log_densities(x):
         return np.where(x[:, 0] > 0, -x[:, 0], -np.inf) - 0.5 * np.sum(x[:, 1:] ** 2, axis=1)
 
-    found = moved(heights, moves.directly, points, heights(points), random, Watch(), "moves")
+    found = moved(log_densities, moves.directly, points, log_densities(points), random, Watch(), "moves")
     assert found.settled
-    np.testing.assert_array_equal(found.height, heights(found.points))
+    np.testing.assert_array_equal(found.log_density, log_densities(found.points))
     tail = found.points[:, 0]
     assert np.quantile(tail, [0.5, 0.95]) == pytest.approx([0.693, 3.0], rel=0.12)
     assert tail.std() == pytest.approx(1, abs=0.12)
@@ -260,20 +260,20 @@ def test_the_worth_of_weights_is_what_their_mean_scatters_by():
 
 
 def test_weights_of_chains_that_stand_have_no_tail():
-    heights = np.tile([0.0, -0.006], 20)
-    draws = weighted(np.zeros((40, 2)), heights, heights)
+    log_densities = np.tile([0.0, -0.006], 20)
+    draws = weighted(np.zeros((40, 2)), log_densities, log_densities)
     assert draws.shape == -np.inf and draws.reliable
     # Of chains that stand far apart one alone counts.
-    heights = np.repeat([0.0, *-np.arange(5.0, 24.0)], 20)
-    assert not weighted(np.zeros((400, 2)), heights, heights).reliable
+    log_densities = np.repeat([0.0, *-np.arange(5.0, 24.0)], 20)
+    assert not weighted(np.zeros((400, 2)), log_densities, log_densities).reliable
 
 
 def test_resampling_keeps_every_draw_as_often_as_it_weighs():
     weights = np.asarray([0.5, 0.25, 0.125, 0.125, 0.0])
     weighted = Weighted(np.arange(5.0)[:, None], -np.arange(5.0), weights, 0.0, 0.1)
-    u, height = resampled(weighted, 80, np.random.default_rng(0))
+    u, log_density = resampled(weighted, 80, np.random.default_rng(0))
     np.testing.assert_array_equal(np.bincount(np.asarray(u)[:, 0].astype(int), minlength=5), [40, 20, 10, 10, 0])
-    np.testing.assert_array_equal(height, -np.asarray(u)[:, 0])
+    np.testing.assert_array_equal(log_density, -np.asarray(u)[:, 0])
 
 
 @pytest.mark.verification("inference")

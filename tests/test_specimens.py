@@ -15,7 +15,7 @@ from hsed_jax.measurements import overview, write_campaign
 from hsed_jax.physics.effects import EFFECTS, Catalogue
 from hsed_jax.physics.effects.yielding import Yielding
 from hsed_jax.physics.elements import Element
-from hsed_jax.physics.excitations import NearFaultPulse
+from hsed_jax.physics.excitations.near_fault_pulse import NearFaultPulse
 from hsed_jax.physics.laws import BoucWen, Elastic
 from hsed_jax.physics.outputs import is_quantity, loops, output
 from hsed_jax.physics.scales import Scales

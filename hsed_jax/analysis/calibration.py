@@ -288,18 +288,18 @@ def simulate(
         if missing := [name for name in known if name not in names]:
             raise UserError(f"{what} {missing[0]!r} is missing; the study has {', '.join(known)}")
     factors = built.experiments.space.factors
-    lanes = (
+    values = (
         {name: jnp.asarray(value, dtype=float) for name, value in given.items()},
         {name: jnp.asarray(value, dtype=float) * factors[name] for name, value in inputs.items()},
     )
-    sizes = {leaf.shape for leaf in jax.tree.leaves(lanes)} - {()}
+    sizes = {leaf.shape for leaf in jax.tree.leaves(values)} - {()}
     if len(sizes) > 1 or any(len(shape) != 1 for shape in sizes):
         raise UserError(
             f"inputs and parameters must be numbers or arrays of one common length, but have the shapes {sizes}"
         )
 
     # The study may have records, but this simulation has none.
-    parameters, inputs = lanes
+    parameters, inputs = values
     model, more = built.simulation.planned_simulator, further(tuple(study.quantities))
     if channels is None:
         channels = tuple(name for name in of_each(model.owners, _CHANNELS) if model.gives(name))
@@ -310,7 +310,7 @@ def simulate(
     ((size,),) = sizes
     if size == 0:
         raise UserError("there is nothing to simulate: inputs and parameters are arrays of length 0")
-    batch = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (size,)), lanes)
+    batch = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (size,)), values)
 
     def chunk(begin: int) -> Response:
         count = min(_CHUNK, size - begin)
@@ -326,11 +326,11 @@ def simulate(
 
 @program
 def _simulated(
-    model: AbstractModel, channels: tuple[str, ...], quantities: tuple[str, ...], lanes: Any, count: Array
+    model: AbstractModel, channels: tuple[str, ...], quantities: tuple[str, ...], values: Any, count: Array
 ) -> Response:
-    def one(lane):
-        parameters, inputs = lane
+    def one(simulation):
+        parameters, inputs = simulation
         return model.respond(parameters, Conditions(inputs), channels, quantities)
 
-    found = tiled_map(jax.vmap(one), lanes, count=count)
+    found = tiled_map(jax.vmap(one), values, count=count)
     return found._replace(ok=found.ok.astype(bool))

@@ -20,7 +20,7 @@ from hsed_jax.discovery.findings import EFFECT, Curve, Discovery, Tried
 from hsed_jax.discovery.fitted_formulas import FormulaFits
 from hsed_jax.discovery.formulas import formulas, in_text
 from hsed_jax.discovery.places import Motion, Reaches, places
-from hsed_jax.discovery.search import Fitted, Judged, PlaceSearch
+from hsed_jax.discovery.search import Fitted, HeldOutError, PlaceSearch
 from hsed_jax.errors import UserError
 from hsed_jax.inference.observation import conditions_of
 from hsed_jax.inference.watch import Watch
@@ -113,7 +113,7 @@ class _Beside:
         self._search = PlaceSearch(self.problem, self._reaches, watch.report)
         has_time = campaign.has_time or not built.experiments.component_test or built.simulation.grid is None
         self._search.run(places(kind.slots, has_time))
-        self._before = self._search.judged(None)
+        self._before = self._search.held_out_error(None)
 
     @property
     def is_enough(self) -> bool:
@@ -121,9 +121,9 @@ class _Beside:
         return noise_explains(self.problem, self._search.fitted[0].fit)
 
     @cached_property
-    def best(self) -> Judged:
+    def best(self) -> HeldOutError:
         """What the best place predicts of what was not used; every part that is left out is fitted for it."""
-        return self._search.judged(self._search.fitted[0])
+        return self._search.held_out_error(self._search.fitted[0])
 
     def discovery(self) -> Discovery:
         """What was found."""
@@ -154,14 +154,14 @@ class _Beside:
 
     def _too_little(self, best: Fitted, gain: float) -> str:
         """Why the evidence of a place does not do, in a sentence; empty where it does."""
-        promised, words = best.promised, best.place.words
-        if gain < math.log(_ODDS * len(self._search.promised)):
+        predicted_gain, words = best.predicted_gain, best.place.words
+        if gain < math.log(_ODDS * len(self._search.predicted_gains)):
             return f"the best place, {words}, gains only {gain:.1f} nats"
-        if promised.gain < promised.chance + math.log(_ODDS):
+        if predicted_gain.gain < predicted_gain.chance + math.log(_ODDS):
             return f"{words} gains no more than chance does with the same flexibility"
         return ""
 
-    def _holds_not(self, best: Fitted, now: Judged) -> str:
+    def _holds_not(self, best: Fitted, now: HeldOutError) -> str:
         """Why what a place predicts does not do, in a sentence; empty where it does."""
         words, before, floor = best.place.words, self._before, self.problem.train.noise**2
         if not now.error < before.error or before.error**2 - now.error**2 < _MATERIAL * (before.error**2 - floor):
@@ -173,7 +173,7 @@ class _Beside:
             )
         return ""
 
-    def _shown(self, found: Discovery, best: Fitted) -> tuple[Discovery, Judged]:
+    def _shown(self, found: Discovery, best: Fitted) -> tuple[Discovery, HeldOutError]:
         """The function as a formula, or as the curve that it is, with its file and its errors, and what it predicts."""
         place, reaches, train = best.place, best.reaches, self.problem.train
         curve = Curve(place, reaches, best.coefficients, best.covariance)
@@ -181,7 +181,7 @@ class _Beside:
         tried = formulas(place, reaches, best.coefficients, best.normal_equations[0], _FORMULAS)
         fits = FormulaFits(tried, reaches, self._problem, self._search.target, self._law())
         if (chosen := fits.best) is not None and chosen.log_evidence > best.log_evidence - _WORSE:
-            formula, after = chosen.formula, fits.judged(chosen)
+            formula, after = chosen.formula, fits.held_out_error(chosen)
             shown = replace(
                 found,
                 place=formula.place,
@@ -212,7 +212,7 @@ class _Beside:
 
     def _law(self) -> dict[str, float]:
         """Parameters of the model as it is, by name, SI."""
-        theta = self._search.models.theta(self._search.base.x, self._search.base.member)
+        theta = self._search.models.theta(self._search.base.x, self._search.base.submodel)
         return {self.problem.names[k]: float(theta[k]) for k in self.problem.law}
 
     def _notes(self, best: Fitted, ranking: Sequence[Tried]) -> list[str]:

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from hsed_jax.inference.heights import simulated
+from hsed_jax.inference.log_densities import simulated
 from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Campaign, Experiment
 from hsed_jax.physics.display import shown

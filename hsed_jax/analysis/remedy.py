@@ -17,8 +17,8 @@ from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.improve import Step, Trail, step_of
 from hsed_jax.diagnosis import diagnose as diagnosing
 from hsed_jax.diagnosis.candidates import problem_of, with_effects
-from hsed_jax.diagnosis.descent import Descent, Member, Target, Task
 from hsed_jax.diagnosis.findings import Diagnosis
+from hsed_jax.diagnosis.fit_state import FitState, Submodel, Target, Task
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
@@ -222,7 +222,7 @@ def improve(
     train = problem.train
     assert problem.start is not None
     models = problem.models
-    law = models.member(problem.law)
+    law = models.submodel(problem.law)
     predicted = models.predict([(problem.start, law)], np.arange(len(train.values)))[0][0]
     # As the calibration fits it, by what that leaves.
     target = train.standard(predicted, train.used[None]).target
@@ -244,9 +244,9 @@ def improve(
     for count in range(1, len(effects) + 1):
         added = [problem.effects[name][forms[name]] for name in effects[:count]]
         free = np.concatenate([problem.law, *(form.columns for form in added)]).astype(int)
-        member = models.member(free, {k: value for form in added for k, value in form.held.items()})
+        submodel = models.submodel(free, {k: value for form in added for k, value in form.held.items()})
         whole = count == len(effects) and start is not None
-        fit = _best(problem, target, member, added[-1].columns, fit.x, start if whole else None)
+        fit = _best(problem, target, submodel, added[-1].columns, fit.x, start if whole else None)
         steps.append(_between(problem, fit, effects[:count]))
     built = Built(study, calibration.built.campaign)
     # What is told of an improvement is its error.  Chains of a model with so many parameters take minutes: the study that is
@@ -273,36 +273,36 @@ def _with_files(built: Built, files: Sequence[str | Path]) -> Built:
 def _best(
     problem: Problem,
     target: Target,
-    member: Member,
+    submodel: Submodel,
     new: Sequence[int] | np.ndarray,
     x: np.ndarray,
     known: Mapping[str, float] | None = None,
-) -> Descent:
+) -> FitState:
     """The best fit of a model with new parameters: from where the one without them is, from there with these spread over their
     priors, and from parameters that are known."""
     models, columns = problem.models, np.asarray(new, dtype=int)
-    tasks = [Task(member, x)]
+    tasks = [Task(submodel, x)]
     if known is not None:
         tasks.append(
-            Task(member, models.point({name: value for name, value in known.items() if name in problem.names}))
+            Task(submodel, models.point({name: value for name, value in known.items() if name in problem.names}))
         )
     if columns.size:
         starts = np.tile(x, (8, 1))
         shares = 0.1 + 0.8 * (np.arange(8)[:, None] * (0.5 + np.sqrt(np.arange(columns.size) + 2.0)) % 1.0)
         starts[:, columns] = models.box.quantiles(columns, shares)
-        tasks += [Task(member, spread, rivals=0) for spread in starts]
+        tasks += [Task(submodel, spread, rivals=0) for spread in starts]
     return min(models.fit(target, tasks), key=lambda f: f.cost)
 
 
-def _parameters(problem: Problem, fit: Descent, built: Built) -> Array:
+def _parameters(problem: Problem, fit: FitState, built: Built) -> Array:
     """θ of a fit, in the order of the study that has its effects: those of a structure are after them."""
-    theta = problem.models.theta(fit.x, fit.member)
+    theta = problem.models.theta(fit.x, fit.submodel)
     return jnp.asarray([theta[problem.names.index(name)] for name in built.mechanics.parameters[0]])
 
 
-def _between(problem: Problem, fit: Descent, effects: Sequence[str]) -> Step:
+def _between(problem: Problem, fit: FitState, effects: Sequence[str]) -> Step:
     """A step of the trail between the model as it was and the improved one."""
-    theta = problem.models.theta(fit.x, fit.member)
+    theta = problem.models.theta(fit.x, fit.submodel)
     rows = np.arange(problem.rows)
     outputs, _ = problem.models.batch(np.repeat(theta[None], len(rows), axis=0), rows)
     size = len(problem.train.values)

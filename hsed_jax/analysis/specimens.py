@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from hsed_jax.diagnosis.descent import Task
 from hsed_jax.diagnosis.diagnose import diagnose, noise_explains
 from hsed_jax.diagnosis.findings import Diagnosis
+from hsed_jax.diagnosis.fit_state import Task
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.diagnosis.specimens import Membership, judge_specimens
 from hsed_jax.measurements import Campaign
@@ -73,12 +73,12 @@ def _odd(problem: Problem, membership: Membership) -> list[str]:
     train, models = problem.train, problem.models
     # The common parameters, too: one odd member has moved them for all.
     own = problem.law
-    theta = models.member(np.zeros(0, dtype=int)).held
+    theta = models.submodel(np.zeros(0, dtype=int)).held
     theta[problem.law] = models.box.theta(problem.start)[problem.law]
     used = train.used & membership.rows[:, :, None]
     rows = np.arange(len(train.values))
     outputs, _ = models.batch(np.repeat(theta[None], len(rows), axis=0), rows)
-    member = models.member(own, {k: float(v) for k, v in enumerate(theta) if k not in own})
+    member = models.submodel(own, {k: float(v) for k, v in enumerate(theta) if k not in own})
     uses = range(len(membership.members))
     fits = models.fit(train.standard(outputs, used).target, [Task(member, problem.start, use) for use in uses])
     odd = []

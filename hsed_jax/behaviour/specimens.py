@@ -75,12 +75,12 @@ def answers(specimen: Simulator, models: Sequence[Mapping[str, float]], historie
     """Forces of a specimen with different parameters, SI, by name."""
     steps, count = histories.lengths.shape[1], len(histories.lengths)
     timed = replace(specimen, timeline=Timeline(None, steps, 1))
-    lanes = np.arange(len(models) * count)
-    force = np.zeros((len(lanes), steps + 1))
-    ok = np.zeros(len(lanes), dtype=bool)
+    simulations = np.arange(len(models) * count)
+    force = np.zeros((len(simulations), steps + 1))
+    ok = np.zeros(len(simulations), dtype=bool)
 
     def answer(start: int) -> None:
-        own = lanes[start : start + _CHUNK]
+        own = simulations[start : start + _CHUNK]
         filled = np.pad(own, (0, _CHUNK - len(own)), mode="edge")
         of, row = np.divmod(filled, count)
         parameters = {name: jnp.asarray([models[k][name] for k in of]) for name in models[0]}
@@ -89,7 +89,7 @@ def answers(specimen: Simulator, models: Sequence[Mapping[str, float]], historie
         force[own], ok[own] = np.asarray(found)[: len(own)], np.asarray(is_fine)[: len(own)]
 
     with ThreadPoolExecutor(cores()) as threads:
-        list(threads.map(answer, range(0, len(lanes), _CHUNK)))
+        list(threads.map(answer, range(0, len(simulations), _CHUNK)))
     ok &= np.isfinite(force).all(axis=1)
     shape = (len(models), count)
     return Answers(force.reshape(*shape, steps + 1), ok.reshape(shape))

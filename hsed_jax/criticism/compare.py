@@ -15,7 +15,7 @@ from scipy.special import chdtrc
 
 from hsed_jax.criticism.prediction import HISTORY, Prediction, error_cell, noise_sizes
 from hsed_jax.errors import UserError
-from hsed_jax.inference.correlation import SIGNIFICANT, judge, size_p_value
+from hsed_jax.inference.correlation import SIGNIFICANT, estimate_noise, size_p_value
 from hsed_jax.inference.likelihood import whitened
 from hsed_jax.measurements.cycles import Cycles, cycles_of, returned
 from hsed_jax.physics.names import named, own_name, owner_of
@@ -194,10 +194,10 @@ def discrepancy_p_value(prediction: Prediction, declared: np.ndarray, parameters
         return 0.0
     z = prediction.residual / np.where(prediction.used, prediction.sigma, 1.0)
     correlated = [None if known else True for known in declared]
-    judged = judge(z, prediction.gaps, prediction.used, prediction.groups, declared, correlated)
-    noises = {g: noise for g, noise in enumerate(judged.noises) if declared[g]}
-    values = [size_p_value(z, prediction.used, judged.memory, noises, prediction.groups, parameters)]
-    new = whitened(z, judged.memory)
+    noise_estimate = estimate_noise(z, prediction.gaps, prediction.used, prediction.groups, declared, correlated)
+    noises = {g: noise for g, noise in enumerate(noise_estimate.noises) if declared[g]}
+    values = [size_p_value(z, prediction.used, noise_estimate.memory, noises, prediction.groups, parameters)]
+    new = whitened(z, noise_estimate.memory)
     for group in np.flatnonzero(~declared):
         columns = prediction.groups == group
         statistic, lags = 0.0, 0

@@ -376,8 +376,8 @@ def _discrepancies(posterior, data, theta, thetas, spread):
     number, tested = len(thetas) * _SPREAD, len(data.values)
     over = jnp.repeat(jax.vmap(posterior.of_model)(thetas), _SPREAD, axis=0)
     at = jnp.concatenate([over, jnp.tile(posterior.of_model(theta), (tested, 1))])
-    lanes = jax.tree.map(lambda s, d: jnp.concatenate([jnp.tile(s, len(thetas)), d]), spread, data.conditions)
-    predicted, good = posterior.predict(at, lanes, number + data.count)
+    batch = jax.tree.map(lambda s, d: jnp.concatenate([jnp.tile(s, len(thetas)), d]), spread, data.conditions)
+    predicted, good = posterior.predict(at, batch, number + data.count)
     here, ok = predicted[number:], good[number:]
     variance = variance_over(predicted[:number], good[:number], posterior.groups)
     norms = discrepancy(data.values, here, variance, data.weights, posterior.groups)

@@ -55,8 +55,11 @@ class Averaged(NamedTuple):
 
     def summary(self) -> dict[str, Any]:
         """Beside the verdict in `summary.json`."""
-        finite = lambda e: {k: v for k, v in e._asdict().items() if not isinstance(v, float) or np.isfinite(v)}  # noqa: E731
-        found: dict[str, Any] = {"explanations": [finite(e) for e in self.explanations], "differ": dict(self.differ)}
+        explanations = [
+            {k: v for k, v in e._asdict().items() if not isinstance(v, float) or np.isfinite(v)}
+            for e in self.explanations
+        ]
+        found: dict[str, Any] = {"explanations": explanations, "differ": dict(self.differ)}
         return found if self.error_test is None else found | {"error_test": self.error_test}
 
     @property
@@ -139,7 +142,7 @@ def _difference(problem: Problem, mean: np.ndarray, between: np.ndarray, ok: np.
     """By output, the experiment in which the explanations differ most."""
     rows = np.arange(problem.rows, len(mean)) if len(mean) > problem.rows else np.arange(problem.rows)
     rows = rows[ok[rows]] if ok[rows].any() else rows
-    found = {}
+    found: dict[str, dict[str, Any]] = {}
     for number, output in enumerate(problem.outputs):
         own = problem.train.groups == number
         sd, size = (np.sqrt(np.mean(table[rows][:, own] ** 2, axis=1)) for table in (between, mean))

@@ -10,8 +10,11 @@ itself (the rule of ski rental: at most twice the cost of knowing the number of 
 Chunks of simulations go to threads: XLA runs a program of this kind on one core, and several at a time on several.
 """
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -24,7 +27,7 @@ from jaxtyping import Array, Bool, Float, Int
 from hsed_jax.backend import cores
 from hsed_jax.inference.observation import Histories, Observation, Outputs
 from hsed_jax.physics.batch import tiled_map
-from hsed_jax.physics.gates import LANES, Acts
+from hsed_jax.physics.gates import BATCH_AXIS, Acts
 from hsed_jax.physics.simulator import AbstractModel, Conditions, Simulator
 from hsed_jax.programs import program
 
@@ -288,7 +291,7 @@ def _present(parts: Sequence[Part], count: int) -> Present:
     shapes = np.zeros_like(owned)
     for row, part in enumerate(parts):
         neutral[part.columns], owned[row, part.columns], shapes[row, part.columns] = part.neutral, True, part.shapes
-    return Present(tuple(part.effect for part in parts), *map(jnp.asarray, (neutral, owned, shapes)))
+    return Present(tuple(part.effect for part in parts), jnp.asarray(neutral), jnp.asarray(owned), jnp.asarray(shapes))
 
 
 def _steps_to(
@@ -310,23 +313,32 @@ def _steps_to(
 
 
 @program
-def _outputs(respond, conditions, present, thetas, experiments, count, stops):
-    def tile(lanes):
-        thetas, experiments, stops = lanes
+def _outputs(
+    respond: Outputs,
+    conditions: Conditions,
+    present: Present | None,
+    thetas: Array,
+    experiments: Array,
+    count: Array,
+    stops: Array | None,
+) -> tuple[Array, Array]:
+    def tile(batch: tuple[Array, Array, Array | None]) -> tuple[Array, Array]:
+        thetas, experiments, stops = batch
         if stops is None and conditions.stop is not None:
             stops = conditions.stop[experiments]
-        # One number for all, or the loop would ask every lane at every step.
+        # One number for all, or the loop would ask every simulation at every step.
         stop = None if stops is None else jnp.max(stops)
         acting, records = None if present is None else present.acting(thetas), conditions.until(None)
 
-        def one(theta, experiment):
-            at_it = jax.tree.map(lambda leaf: leaf[experiment], records)._replace(acting=acting)
+        def one(theta: Array, experiment: Array) -> tuple[Array, Array]:
+            of_one: Callable[[Array], Array] = lambda leaf: leaf[experiment]  # noqa: E731
+            at_it = jax.tree.map(of_one, records)._replace(acting=acting)
             outputs, ok = respond(theta, at_it.until(stop))
             # On its way to infinity a diverging simulation passes numbers whose squares are no numbers any more.
             ok = ok & jnp.all(jnp.abs(outputs) < _FAR)
             return jnp.where(ok, outputs, 0.0), ok
 
-        return jax.vmap(one, axis_name=LANES)(thetas, experiments)
+        return jax.vmap(one, axis_name=BATCH_AXIS)(thetas, experiments)
 
     outputs, ok = tiled_map(tile, (thetas, experiments, stops), count=count, tile=_TILE)
     return outputs, ok.astype(float)

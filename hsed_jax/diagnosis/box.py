@@ -5,9 +5,13 @@ logarithmic scale, in its logarithm.  A bound stays a bound: an amplitude that c
 it, which no unconstrained coordinate can hold.
 """
 
+# SciPy comes without types.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+
 from collections.abc import Collection, Mapping
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -54,7 +58,7 @@ def _coordinate(prior: Prior) -> Coordinate:
     """The coordinate of a parameter with this prior."""
     from scipy.interpolate import CubicSpline
 
-    def scaled(theta):
+    def scaled(theta: Any) -> Any:
         with np.errstate(divide="ignore"):
             return np.log(theta) if is_log else np.asarray(theta, dtype=float)
 

@@ -1,12 +1,16 @@
 """From a study and a campaign to the large model that a diagnosis works on: the study's model with every candidate in it."""
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Array, Int
 
 from hsed_jax.behaviour.histories import Range, range_of
 from hsed_jax.config.schema import ImproveEntry, ScalesEntry, Study
@@ -146,15 +150,17 @@ def problem_of(
         large.experiments.taken(campaign.test.experiments),
     )
     inputs, further = _candidates(large, campaign, cube)
-    parts = [data.conditions, *([] if further is None else [further])]
-    conditions = _padded(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts))
+    joined: list[Conditions] = [data.conditions] if further is None else [data.conditions, further]
+    conditions = _padded(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *joined))
     catalogue, order = built.mechanics.catalogue.only(names), tuple(free)
     declared = _declared(free, catalogue)
     neutral = _neutral(free, declared)
     own = {name: _forms(large, name, order, (forms or {}).get(name)) for name in names}
     columns = {n: np.asarray([k for k, one in enumerate(order) if owner_of(one) == n], dtype=int) for n in names}
     parts = [
-        Part(name, k, neutral[k], np.asarray([own_name(order[one]) in shapes_of(catalogue[name]) for one in k]))
+        Part(
+            name, k, neutral[k], np.asarray([own_name(order[one]) in shapes_of(catalogue[name]) for one in map(int, k)])
+        )
         for name, k in columns.items()
     ]
     size = jax.tree.leaves(conditions)[0].shape[0]
@@ -231,7 +237,7 @@ def _visited(large: Built, experiments: Sequence[Experiment], campaign: Campaign
 def _forms(large: Built, effect: str, order: tuple[str, ...], only: str | None) -> dict[str, FormColumns]:
     """The forms that a candidate may have, in a model with these parameters."""
     kind = large.mechanics.catalogue[effect]
-    found = {}
+    found: dict[str, FormColumns] = {}
     for label, form in large.mechanics.naming.forms(effect).items():
         columns = np.asarray([order.index(f"{effect}.{p}") for p in form.parameters(kind)])
         held = {order.index(f"{effect}.{p}"): value for p, value in form.held.items()}
@@ -248,7 +254,7 @@ def _declared(free: Iterable[str], effects: Catalogue) -> dict[str, Parameter]:
 
 
 def _neutral(free: Mapping[str, Prior], declared: Mapping[str, Parameter]) -> np.ndarray:
-    values = []
+    values: list[float] = []
     for name, prior in free.items():
         if name in declared:
             neutral = declared[name].neutral
@@ -304,7 +310,7 @@ def _candidates(
     if (
         excitation is None
         or not space.names
-        or excitation.constructor.declared.kind.protocol != built.experiments.protocol
+        or cast(type[AbstractExcitation], excitation.constructor).declared.kind.protocol != built.experiments.protocol
     ):
         return [], None
     if not built.experiments.component_test and drivers(built, campaign) != [driver_of(built.study)]:
@@ -312,7 +318,7 @@ def _candidates(
     declared = space.declared(space.initial_design(_CANDIDATES) if cube is None else cube)
     si = space.si(declared)
     longest = max(campaign.train.experiments, key=lambda e: 0 if e.record is None else len(e.record))
-    conditions = []
+    conditions: list[Conditions] = []
     for number in range(len(declared)):
         inputs = dict(longest.inputs) | {name: float(values[number]) for name, values in si.items()}
         record = None if longest.record is None else Record(_times(excitation(inputs), longest.record.time), {})
@@ -332,4 +338,8 @@ def _times(excitation: AbstractExcitation, recorded: np.ndarray) -> np.ndarray:
 def _padded(conditions: Conditions) -> Conditions:
     size = jax.tree.leaves(conditions)[0].shape[0]
     more = -size % _PADDING
-    return jax.tree.map(lambda leaf: jnp.concatenate([leaf, jnp.repeat(leaf[-1:], more, axis=0)]), conditions)
+
+    def padded(leaf: Array) -> Array:
+        return jnp.concatenate([leaf, jnp.repeat(leaf[-1:], more, axis=0)])
+
+    return jax.tree.map(padded, conditions)

@@ -11,9 +11,9 @@ from hsed_jax.behaviour.findings import Behaviours
 from hsed_jax.criticism.compare import discrepancy_p_value, is_noise
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.diagnosis.averaging import averaged
-from hsed_jax.diagnosis.descent import Descent
 from hsed_jax.diagnosis.evidence import Sampled, gaussian, sample_posterior
 from hsed_jax.diagnosis.findings import Candidate, Diagnosis, Explained
+from hsed_jax.diagnosis.fit_state import FitState
 from hsed_jax.diagnosis.fits import Model, Set
 from hsed_jax.diagnosis.prior_widths import prior_widths
 from hsed_jax.diagnosis.probing import Probe
@@ -102,7 +102,7 @@ def diagnose(
         verdict = "missing_effects"
     named = [c.effect for c in ranking if c.effect in best.effects]
     tests = search.unseen([none.effects, best.effects])
-    theta = problem.models.theta(best.fit.x, best.fit.member)
+    theta = problem.models.theta(best.fit.x, best.fit.submodel)
     return Diagnosis(
         verdict=verdict,
         effects=named,
@@ -179,7 +179,7 @@ def _leading(problem: Problem, search: Search) -> dict[str, Any]:
     """What leads in a search that goes on: the best set, and the probabilities of the models so far."""
     models, best = search.all(), search.model(search.best)
     before = search.model(())
-    ranking = [
+    ranking: list[dict[str, Any]] = [
         {
             "effect": effect,
             "family": problem.catalogue[effect].family,
@@ -221,7 +221,7 @@ def _ranking(
         # In place of what the best model has, else (or where that is more probable than the best) beside it.
         options = [m for m in models if effect in m.effects and m.effects - {effect} in by_set]
         if not options:
-            continue  # it promises less than others, and was not fitted
+            continue  # its predicted gain is less than others', so it was not fitted
         instead = [m for m in options if len(m.effects) <= max(len(best), 1)] or options
         beside = by_set.get(best | {effect})
         if beside is None or beside.probability <= by_set[best].probability:
@@ -229,7 +229,7 @@ def _ranking(
         shown[effect] = beside, by_set[beside.effects - {effect}]
     tests = search.unseen([model.effects for model, _ in shown.values()])
     gains = _gains(search, [model for model, _ in shown.values()])
-    found = []
+    found: list[Candidate] = []
     for (effect, (model, without)), test in zip(shown.items(), tests, strict=True):
         sample = sampled.get(model.effects)
         score = search.scores[effect]
@@ -289,18 +289,18 @@ def _estimate(problem: Problem, effect: str, model: Model, sample: Sampled | Non
     return found
 
 
-def _moments(problem: Problem, fit: Descent, sample: Sampled | None, column: int) -> dict[str, float]:
+def _moments(problem: Problem, fit: FitState, sample: Sampled | None, column: int) -> dict[str, float]:
     """Mean, sd, 5 % and 95 % quantile of a parameter."""
     if sample is not None and sample.effective >= _ENOUGH:
         return sample.moments(column)
-    mean, sd = float(problem.models.theta(fit.x, fit.member)[column]), _deviation(problem, fit, column)
+    mean, sd = float(problem.models.theta(fit.x, fit.submodel)[column]), _deviation(problem, fit, column)
     box = problem.models.box
     low, high = (float(box.theta(side)[column]) for side in (box.low, box.high))
     q05, q95 = np.clip([mean - 1.645 * sd, mean + 1.645 * sd], low, high)
     return {"mean": mean, "sd": sd, "q05": float(q05), "q95": float(q95)}
 
 
-def _deviation(problem: Problem, fit: Descent, column: int) -> float:
+def _deviation(problem: Problem, fit: FitState, column: int) -> float:
     """Sd of a parameter by linear propagation of the curvature, no wider than its prior."""
     _, covariance = gaussian(fit)
     place = int(np.flatnonzero(fit.free == column)[0])
@@ -311,17 +311,17 @@ def _deviation(problem: Problem, fit: Descent, column: int) -> float:
     return float(abs(box.theta(moved)[column] - box.theta(fit.x)[column]))
 
 
-def _opened(problem: Problem, fit: Descent) -> dict[str, float]:
+def _opened(problem: Problem, fit: FitState) -> dict[str, float]:
     """Where the model as it is goes beyond the bounds that the calibration leans on, SI."""
-    theta = problem.models.theta(fit.x, fit.member)
+    theta = problem.models.theta(fit.x, fit.submodel)
     return {name: float(theta[problem.names.index(name)]) for name in problem.opened}
 
 
-def _law(problem: Problem, fit: Descent, sample: Sampled) -> dict[str, dict[str, float]]:
+def _law(problem: Problem, fit: FitState, sample: Sampled) -> dict[str, dict[str, float]]:
     return {problem.names[k]: _moments(problem, fit, sample, int(k)) for k in problem.law}
 
 
-def _prediction(problem: Problem, fit: Descent, sigma: np.ndarray) -> Prediction:
+def _prediction(problem: Problem, fit: FitState, sigma: np.ndarray) -> Prediction:
     train = problem.train
     return Prediction(
         problem.outputs,
@@ -337,12 +337,12 @@ def _prediction(problem: Problem, fit: Descent, sigma: np.ndarray) -> Prediction
     )
 
 
-def noise_explains(problem: Problem, fit: Descent) -> bool:
+def noise_explains(problem: Problem, fit: FitState) -> bool:
     """Whether what a fit leaves is no more than the noise; False where nothing is known of that."""
     return is_noise(_p_value(problem, fit), problem.train.error(fit.predicted), problem.train.noise)
 
 
-def _p_value(problem: Problem, fit: Descent) -> float | None:
+def _p_value(problem: Problem, fit: FitState) -> float | None:
     """Probability of the residual from the noise alone: the declared one, or else the residual's own size."""
     train = problem.train
     is_declared = ~np.isnan(train.declared)

@@ -7,12 +7,16 @@ amplitude rests on its bound: half of the Gaussian, or its tail, lies beyond.  I
 Source: Tierney & Kadane 1986.
 """
 
+# SciPy comes without types.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import log_ndtr
 
-from hsed_jax.diagnosis.descent import Descent, Target
+from hsed_jax.diagnosis.fit_state import FitState, Target
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.inference.importance import Proposal, flattened, weigh
 
@@ -52,7 +56,7 @@ class Sampled(NamedTuple):
         }
 
 
-def laplace(fit: Descent, models: NestedModels) -> float:
+def laplace(fit: FitState, models: NestedModels) -> float:
     """log Z of a fit; −∞ where its simulation diverged.
 
     A coordinate that the slope of φ holds at its bound contributes the integral of its own tail, the others their Gaussian.
@@ -84,7 +88,7 @@ def laplace(fit: Descent, models: NestedModels) -> float:
     return log_z
 
 
-def sample_posterior(fit: Descent, models: NestedModels, target: Target, draws: int, seed: int) -> Sampled:
+def sample_posterior(fit: FitState, models: NestedModels, target: Target, draws: int, seed: int) -> Sampled:
     """log Z and a weighted sample of a fit's posterior.
 
     Arguments:
@@ -103,10 +107,10 @@ def sample_posterior(fit: Descent, models: NestedModels, target: Target, draws: 
 
     def log_density(points: np.ndarray) -> np.ndarray:
         inside = np.all((points >= low) & (points <= high), axis=1)
-        heights = np.full(len(points), -np.inf)
+        log_densities = np.full(len(points), -np.inf)
         if inside.any():
-            heights[inside] = -_costs(fit, models, target, points[inside])
-        return heights
+            log_densities[inside] = -_costs(fit, models, target, points[inside])
+        return log_densities
 
     found = weigh(log_density, proposal, draws + 40 * len(fit.free), np.random.default_rng(seed))
     with np.errstate(divide="ignore"):
@@ -116,27 +120,27 @@ def sample_posterior(fit: Descent, models: NestedModels, target: Target, draws: 
         # With many active bounds hardly any draw lies within all of them.  The Gaussian, clipped to the bounds, replaces them.
         points = np.clip(proposal.draw(np.random.default_rng(seed), draws), low, high)
         weights = np.full(draws, 1 / draws)
-    thetas = np.stack([models.theta(_at(fit, point), fit.member) for point in points])
+    thetas = np.stack([models.theta(_at(fit, point), fit.submodel) for point in points])
     return Sampled(found.log_evidence, found.worth, thetas, weights)
 
 
-def gaussian(fit: Descent) -> tuple[np.ndarray, np.ndarray]:
+def gaussian(fit: FitState) -> tuple[np.ndarray, np.ndarray]:
     """Centre and covariance of exp(−φ) to second order."""
     covariance = np.linalg.inv(fit.hessian + _FLOOR * np.eye(len(fit.free)))
     covariance = 0.5 * (covariance + covariance.T)
     return fit.x[fit.free] - covariance @ fit.gradient, covariance
 
 
-def _costs(fit: Descent, models: NestedModels, target: Target, points: np.ndarray) -> np.ndarray:
+def _costs(fit: FitState, models: NestedModels, target: Target, points: np.ndarray) -> np.ndarray:
     """φ at several points of the free coordinates."""
     full = [_at(fit, point) for point in points]
     prior = models.box.log_density(np.stack(full), fit.free).sum(axis=1)
-    outputs, ok = models.predict([(x, fit.member) for x in full], target.rows(fit.use))
+    outputs, ok = models.predict([(x, fit.submodel) for x in full], target.rows(fit.use))
     costs = target.misfit(fit.use, outputs) - prior
     return np.where(ok.all(axis=1) & np.isfinite(costs), costs, np.inf)
 
 
-def _at(fit: Descent, point: np.ndarray) -> np.ndarray:
+def _at(fit: FitState, point: np.ndarray) -> np.ndarray:
     x = fit.x.copy()
     x[fit.free] = point
     return x

@@ -54,7 +54,7 @@ class Candidate:
     reason: str | None = None
     score: Mapping[str, float] | None = None
     form: str | None = None
-    forms: Mapping[str, float] = field(default_factory=dict)
+    forms: Mapping[str, float] = field(default_factory=dict[str, float])
 
     @property
     def called(self) -> str:
@@ -63,9 +63,8 @@ class Candidate:
 
     def summary(self) -> dict[str, Any]:
         """As in `summary.json`; what is not finite, or not there, is absent."""
-        found = vars(self).items()
-        is_said = lambda v: v is not None and v != {} and not (isinstance(v, float) and not math.isfinite(v))  # noqa: E731
-        return {k: v for k, v in found if is_said(v)}
+        found = {k: v for k, v in vars(self).items() if v is not None and v != {}}
+        return {k: v for k, v in found.items() if not isinstance(v, float) or math.isfinite(v)}
 
 
 @dataclass(frozen=True)
@@ -229,10 +228,10 @@ class Diagnosis(Tabular):
     prediction: Prediction
     scales: Scales
     notes: Sequence[str] = ()
-    forms: Mapping[str, str] = field(default_factory=dict)
+    forms: Mapping[str, str] = field(default_factory=dict[str, str])
     averaged: "Averaged | None" = None
     specimens: Sequence[Judgement] = ()
-    opened: Mapping[str, float] = field(default_factory=dict)
+    opened: Mapping[str, float] = field(default_factory=dict[str, float])
     explanations: Sequence[Explained] = ()
     behaviour: Behaviours = field(default_factory=Behaviours)
     prior_widths: Sequence[PriorWidth] = ()
@@ -359,7 +358,7 @@ class Diagnosis(Tabular):
 
     def _table(self) -> Table:
         shown = [c for c in self.ranking if c.effect in self.effects or c.probability >= 0.001][:8] or self.ranking[:3]
-        rows = []
+        rows: list[tuple[str, ...]] = []
         for c in shown:
             amplitude, size = next(iter(c.estimate.items()))
             unit = "" if size["unit"] == "1" else f" {size['unit']}"

@@ -5,6 +5,10 @@ belongs to the default form of each effect and half to the others alike.  So man
 with another whatever formulas the two have.
 """
 
+# SciPy comes without types.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
@@ -13,8 +17,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import logsumexp
 
-from hsed_jax.diagnosis.descent import Descent, Member, Target, Task
 from hsed_jax.diagnosis.evidence import laplace
+from hsed_jax.diagnosis.fit_state import FitState, Submodel, Target, Task
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import FormColumns, Forms
 from hsed_jax.diagnosis.score import ODDS
@@ -51,7 +55,7 @@ class Model(NamedTuple):
     effects: Set
     forms: Mapping[str, str]
     shares: Mapping[str, Mapping[str, float]]
-    fit: Descent
+    fit: FitState
     log_evidence: float
     log_posterior: float
     probability: float
@@ -71,9 +75,9 @@ class Fits:
 
     def __init__(self, models: NestedModels, law: Int[np.ndarray, " p"], effects: Mapping[str, Forms]):
         self.models, self.law, self.effects = models, law, effects
-        self._known: dict[Choice, Descent] = {}
+        self._known: dict[Choice, FitState] = {}
         self._hopeless: set[Choice] = set()
-        self._evidence: dict[Choice, tuple[Descent, float]] = {}
+        self._evidence: dict[Choice, tuple[FitState, float]] = {}
         self.probabilities: dict[Choice, float] = {}
 
     def __contains__(self, effects: Set) -> bool:
@@ -88,7 +92,7 @@ class Fits:
         """Points all over the priors of the law, without effects; the first is the neutral one."""
         return np.stack([self.models.neutral, *self._everywhere(self.law)[1:]])
 
-    def set_law(self, fit: Descent) -> None:
+    def set_law(self, fit: FitState) -> None:
         """Take the fit of the model without effects."""
         self._known[frozenset()] = fit
 
@@ -105,7 +109,7 @@ class Fits:
         """The forms of a set that was fitted of most evidence, at most so many."""
         return sorted(self.of(effects), key=self._worth, reverse=True)[:most]
 
-    def __getitem__(self, choice: Choice) -> Descent:
+    def __getitem__(self, choice: Choice) -> FitState:
         """The fit of a choice."""
         return self._known[choice]
 
@@ -122,7 +126,7 @@ class Fits:
         least = worths[ranked[0]] - _SHAPE * (worths[ranked[0]] - below)
         return [choice for choice in list(of_drivers.values())[:most] if worths[choice] >= least]
 
-    def best(self, effects: Set) -> Descent:
+    def best(self, effects: Set) -> FitState:
         """The fit of a set in the forms in which it is taken."""
         return self._known[self.top(effects)]
 
@@ -151,7 +155,7 @@ class Fits:
     def judge(self, target: Target, sets: Sequence[Set]) -> None:
         """Judge sets with other errors, and fit the choices that lead then again, each from where it was; forms that are far
         below others of their set are left."""
-        kept = []
+        kept: list[Choice] = []
         for effects in sets:
             choices = self.of(effects)
             highest = max(self._worth(choice) for choice in choices)
@@ -173,22 +177,22 @@ class Fits:
     def look_all_over(self, target: Target) -> None:
         """Fit each effect alone, in its simplest shape, from points all over the priors of law and effect: beside another law it
         may be what it cannot be beside the fitted one."""
-        starts = {}
+        starts: dict[Choice, list[np.ndarray]] = {}
         for effect, forms in self.effects.items():
             label, form = next(iter(forms.items()))
             starts[frozenset({(effect, label)})] = self._everywhere(np.concatenate([self.law, form.columns]))
         self._fit_from(target, starts)
 
-    def member(self, choice: Choice) -> Member:
+    def submodel(self, choice: Choice) -> Submodel:
         """The nested model of a choice."""
         forms = [self._form(pair) for pair in sorted(choice)]
         held = {column: value for form in forms for column, value in form.held.items()}
-        return self.models.member(np.concatenate([self.law, *(form.columns for form in forms)]).astype(int), held)
+        return self.models.submodel(np.concatenate([self.law, *(form.columns for form in forms)]).astype(int), held)
 
     def _fit_from(self, target: Target, starts: Mapping[Choice, Sequence[np.ndarray]]) -> None:
         """Fit choices, each from its starts, which are rivals, and keep the best of each that is known."""
         tasks = [
-            Task(self.member(choice), start, rivals=number)
+            Task(self.submodel(choice), start, rivals=number)
             for number, (choice, own) in enumerate(starts.items())
             for start in own
         ]
@@ -222,10 +226,10 @@ class Fits:
         effect, label = pair
         return self.effects[effect][label]
 
-    def _go_on(self, target: Target, starts: Mapping[Choice, np.ndarray], stay: bool = False) -> dict[Choice, Descent]:
+    def _go_on(self, target: Target, starts: Mapping[Choice, np.ndarray], stay: bool = False) -> dict[Choice, FitState]:
         # Each is a start of its own, and ends where it cannot catch up with the others.
         tasks = [
-            Task(self.member(choice), start, rivals=number, known=self._known[choice], stays=stay)
+            Task(self.submodel(choice), start, rivals=number, known=self._known[choice], stays=stay)
             for number, (choice, start) in enumerate(starts.items())
         ]
         return dict(zip(starts, self.models.fit(target, tasks), strict=True))
@@ -239,7 +243,8 @@ class Fits:
 
     def _better_start(self, choice: Choice, choices: Sequence[Choice]) -> np.ndarray | None:
         """Where the fit of another choice shows this model to fit better than it does; None where none does."""
-        here, options = self._known[choice], []
+        here = self._known[choice]
+        options: list[tuple[float, np.ndarray]] = []
         for other in choices:
             if len(other ^ choice) != 1:
                 continue

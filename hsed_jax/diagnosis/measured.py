@@ -1,5 +1,8 @@
 """Measured experiments as a search over models sees them: how far predictions are off, and in units of what."""
 
+# JAX gives its devices no type, so the functions that make arrays have none.
+# pyright: reportUnknownMemberType=false
+
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -8,8 +11,8 @@ from jaxtyping import Bool, Float, Int
 
 from hsed_jax.criticism.compare import normalised_error
 from hsed_jax.criticism.prediction import HISTORY
-from hsed_jax.diagnosis.descent import Target
-from hsed_jax.inference.correlation import Judged, judge
+from hsed_jax.diagnosis.fit_state import Target
+from hsed_jax.inference.correlation import NoiseEstimate, estimate_noise
 from hsed_jax.inference.likelihood import Error, magnitudes
 
 WRONG = 5.0
@@ -92,20 +95,20 @@ class Measured(NamedTuple):
         """σ = s·c of predictions, SI; one where there is no measurement."""
         return np.where(self.used, errors[self.groups] * self.scales(predicted), 1.0)
 
-    def judged(self, predicted: np.ndarray) -> Judged:
+    def noise_estimate(self, predicted: np.ndarray) -> NoiseEstimate:
         """What the samples are worth beside predictions."""
         declared = ~np.isnan(self.declared)
         residual = self.residual(predicted) / np.where(declared, self.declared, self.left(predicted))[self.groups]
         correlated = [error.correlated for error in self.errors]
-        return judge(residual, self.gaps, self.used, self.groups, declared, correlated)
+        return estimate_noise(residual, self.gaps, self.used, self.groups, declared, correlated)
 
     def standard(self, predicted: Float[np.ndarray, "n J"], fitted: Bool[np.ndarray, "M n J"]) -> "Standard":
         """What several uses of the measurements are judged by, from what predictions leave of them."""
-        judged = self.judged(predicted)
+        noise_estimate = self.noise_estimate(predicted)
         errors = np.fmax(self.declared, self.left(predicted))
-        weights, samples = fitted * judged.worth[self.groups], self.samples(fitted)
-        target = Target(self.values, self.sigma(errors, predicted), weights, judged.memory, samples)
-        return Standard(errors, judged.worth, target)
+        weights, samples = fitted * noise_estimate.worth[self.groups], self.samples(fitted)
+        target = Target(self.values, self.sigma(errors, predicted), weights, noise_estimate.memory, samples)
+        return Standard(errors, noise_estimate.worth, target)
 
     def samples(self, fitted: Bool[np.ndarray, "M n J"]) -> Int[np.ndarray, "M n"]:
         """How many samples of the longest output there are up to the last that is fitted, by use and experiment."""

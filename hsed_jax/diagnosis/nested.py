@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from hsed_jax.diagnosis.batch import Predictions, Selected
 from hsed_jax.diagnosis.box import Box
-from hsed_jax.diagnosis.descent import Descent, Member, Target, Task
+from hsed_jax.diagnosis.fit_state import FitState, Submodel, Target, Task
 from hsed_jax.inference.watch import Watch, fingerprint
 
 # Of a difference, in coordinates of order one: far above the rounding of a simulation, far below a prior's width.
@@ -35,6 +35,10 @@ _FLAT = 1e-6
 _NUMBERS, _KEPT = 2**24, 2**17
 # So many steps in a row mend the derivatives, if each gains this share of what was expected of it.
 _MENDED, _EXPECTED = 3, 0.3
+
+
+_Request = tuple[np.ndarray, Submodel, np.ndarray, np.ndarray | None]
+"""A point, its model, the experiments, and how many samples of each."""
 
 
 class NestedModels:
@@ -61,19 +65,19 @@ class NestedModels:
         """The same models of some of the experiments, which are known by their places in `rows` then."""
         return NestedModels(Selected(self.batch, rows), self.box, self._neutral, self._watch)
 
-    def member(self, free: Int[np.ndarray, " p"], held: Mapping[int, float] | None = None) -> Member:
+    def submodel(self, free: Int[np.ndarray, " p"], held: Mapping[int, float] | None = None) -> Submodel:
         """A model with some coordinates free, some parameters held at given values, and the others neutral."""
         # Held are parameters and not coordinates: to the last bit, an effect that is off is absent.
         theta = self._neutral.copy()
         for column, value in (held or {}).items():
             theta[column] = value
-        return Member(free, theta)
+        return Submodel(free, theta)
 
     def predict(
-        self, points: Sequence[tuple[np.ndarray, Member]], rows: Int[np.ndarray, " r"]
+        self, points: Sequence[tuple[np.ndarray, Submodel]], rows: Int[np.ndarray, " r"]
     ) -> tuple[Float[np.ndarray, "B r J"], Float[np.ndarray, "B r"]]:
         """Outputs of models at several points for the experiments in `rows`, and whether they converged."""
-        outputs, ok = self._run([(x, member, rows, None) for x, member in points])
+        outputs, ok = self._run([(x, submodel, rows, None) for x, submodel in points])
         return np.stack(outputs), np.stack(ok)
 
     def point(self, known: Mapping[str, float]) -> Float[np.ndarray, " P"]:
@@ -83,13 +87,13 @@ class NestedModels:
             theta[self.box.names.index(name)] = value
         return np.clip(self.box.x(theta), self.box.low, self.box.high)
 
-    def theta(self, x: Float[np.ndarray, " P"], member: Member) -> Float[np.ndarray, " P"]:
+    def theta(self, x: Float[np.ndarray, " P"], submodel: Submodel) -> Float[np.ndarray, " P"]:
         """θ of a model at a point: free coordinates as they are, the others as held."""
-        theta = member.held.copy()
-        theta[member.free] = self.box.theta(x)[member.free]
+        theta = submodel.held.copy()
+        theta[submodel.free] = self.box.theta(x)[submodel.free]
         return theta
 
-    def fit(self, target: Target, tasks: Sequence[Task]) -> list[Descent]:
+    def fit(self, target: Target, tasks: Sequence[Task]) -> list[FitState]:
         """Make fits, all side by side; those that were made and kept before are not made again.
 
         Arguments:
@@ -102,7 +106,7 @@ class NestedModels:
         # By their place in the search and by what is whole numbers in them: two programs of one model differ in the last bit, and
         # a search that goes on does not make the programs that the interrupted one made.
         self._asked += 1
-        whole = [[t.member.free, t.use, t.rivals] for t in tasks]
+        whole = [[t.submodel.free, t.use, t.rivals] for t in tasks]
         name = f"fits-{fingerprint(self._asked, self._neutral, target.values, whole)}"
         if (kept := self._watch.recall(name)) is not None:
             return self._again(target, tasks, kept)
@@ -110,18 +114,19 @@ class NestedModels:
         self._watch.keep(name, [np.asarray(x) for f in fits for x in (f.x, f.cost, f.gradient, f.hessian)])
         return fits
 
-    def _again(self, target: Target, tasks: Sequence[Task], kept: Sequence[np.ndarray]) -> list[Descent]:
+    def _again(self, target: Target, tasks: Sequence[Task], kept: Sequence[np.ndarray]) -> list[FitState]:
         """Fits from what was kept of their ends; their predictions are made again, which is little beside a fit."""
-        fits = [Descent(task.member, x, task.use) for task, x in zip(tasks, kept[::4], strict=True)]
+        fits = [FitState(task.submodel, x, task.use) for task, x in zip(tasks, kept[::4], strict=True)]
         _, tables = self._costs(target, [(f, f.x) for f in fits])
         for number, (one, predicted) in enumerate(zip(fits, tables, strict=True)):
             _, cost, one.gradient, one.hessian = kept[4 * number : 4 * number + 4]
             one.cost, one.predicted = float(cost), predicted
         return fits
 
-    def _descended(self, target: Target, tasks: Sequence[Task]) -> list[Descent]:
+    def _descended(self, target: Target, tasks: Sequence[Task]) -> list[FitState]:
         fits = [
-            Descent(t.member, np.clip(t.start, self.box.low, self.box.high), t.use, races=t.rivals >= 0) for t in tasks
+            FitState(t.submodel, np.clip(t.start, self.box.low, self.box.high), t.use, races=t.rivals >= 0)
+            for t in tasks
         ]
         known = [self._taken_over(target, one, task.known) for one, task in zip(fits, tasks, strict=True)]
         unknown = [one for one, is_known in zip(fits, known, strict=True) if not is_known]
@@ -148,7 +153,7 @@ class NestedModels:
         self._linearise(target, [f for f in fits if np.isfinite(f.cost) and f.mended])
         return fits
 
-    def _taken_over(self, target: Target, fit: Descent, known: Descent | None) -> bool:
+    def _taken_over(self, target: Target, fit: FitState, known: FitState | None) -> bool:
         """Start a fit from what is known where it starts; whether anything is."""
         if known is None or not known.slopes.size or not np.array_equal(known.x, fit.x):
             return False
@@ -160,12 +165,12 @@ class NestedModels:
         self._derive(target, fit)
         return True
 
-    def _advance(self, target: Target, active: list[Descent], lead: Mapping[int, float]) -> None:
+    def _advance(self, target: Target, active: list[FitState], lead: Mapping[int, float]) -> None:
         """Move each fit by one accepted step, or end it; `lead` is the least cost of each use."""
         pending = active
         for _ in range(_MOST_TRIALS):
             trials = [(f, self._step(f)) for f in pending]
-            rest = []
+            rest: list[FitState] = []
             for (one, x), cost, predicted in zip(trials, *self._costs(target, trials), strict=True):
                 gain, was_mended = one.cost - cost, one.mended > 0
                 if gain > 0:
@@ -186,7 +191,7 @@ class NestedModels:
         for one in pending:
             one.done = True
 
-    def _move(self, target: Target, fit: Descent, x: np.ndarray, cost: float, predicted: np.ndarray) -> None:
+    def _move(self, target: Target, fit: FitState, x: np.ndarray, cost: float, predicted: np.ndarray) -> None:
         """Go to a better point, with derivatives that are right along the step that led there, if that is worth it."""
         step, gain, change = (x - fit.x)[fit.free], fit.cost - cost, predicted - fit.predicted
         expected = self._expected(fit, x)
@@ -198,12 +203,12 @@ class NestedModels:
             fit.slopes = fit.slopes + (step / (step @ step))[:, None, None] * change
             self._derive(target, fit)
 
-    def _expected(self, fit: Descent, x: np.ndarray) -> float:
+    def _expected(self, fit: FitState, x: np.ndarray) -> float:
         """What the cost would fall by on the way to a point, were it what its derivatives say."""
         step = (x - fit.x)[fit.free]
         return -float(fit.gradient @ step + 0.5 * step @ fit.hessian @ step)
 
-    def _derive(self, target: Target, fit: Descent) -> None:
+    def _derive(self, target: Target, fit: FitState) -> None:
         """Gradient and Gauss–Newton Hessian of φ from the derivatives of what is predicted."""
         rows = target.rows(fit.use)
         jacobian = target.standardised(fit.use, rows, fit.slopes[:, rows]).reshape(len(fit.free), -1)
@@ -212,7 +217,7 @@ class NestedModels:
         fit.gradient = jacobian @ residual.ravel() - terms.slope
         fit.hessian = jacobian @ jacobian.T + np.diag(terms.curvature)
 
-    def _step(self, fit: Descent) -> Float[np.ndarray, " P"]:
+    def _step(self, fit: FitState) -> Float[np.ndarray, " P"]:
         """The damped Gauss–Newton step, held by the bounds it would leave through."""
         low, high, x = self.box.low[fit.free], self.box.high[fit.free], fit.x[fit.free]
         held = ((x <= low) & (fit.gradient > 0)) | ((x >= high) & (fit.gradient < 0))
@@ -237,11 +242,12 @@ class NestedModels:
         return full
 
     def _costs(
-        self, target: Target, trials: Sequence[tuple[Descent, np.ndarray]]
+        self, target: Target, trials: Sequence[tuple[FitState, np.ndarray]]
     ) -> tuple[list[float], list[np.ndarray]]:
         """φ and predictions at trial points."""
-        outputs, ok = self._run([(x, f.member, *_asked(target, f.use)) for f, x in trials])
-        costs, tables = [], []
+        outputs, ok = self._run([(x, f.submodel, *_asked(target, f.use)) for f, x in trials])
+        costs: list[float] = []
+        tables: list[np.ndarray] = []
         for (one, x), rows_outputs, rows_ok in zip(trials, outputs, ok, strict=True):
             predicted = np.zeros_like(target.values)
             predicted[target.rows(one.use)] = rows_outputs
@@ -249,27 +255,28 @@ class NestedModels:
             tables.append(predicted)
         return costs, tables
 
-    def _cost(self, target: Target, fit: Descent, x: np.ndarray, outputs: Float[np.ndarray, "r J"]) -> float:
+    def _cost(self, target: Target, fit: FitState, x: np.ndarray, outputs: Float[np.ndarray, "r J"]) -> float:
         """φ of a fit at a point, where its outputs are these; infinite where it is no number."""
         cost = float(target.misfit(fit.use, outputs) - self.box.log_density(x[None], fit.free).sum())
         return cost if np.isfinite(cost) else np.inf
 
-    def _linearise(self, target: Target, fits: list[Descent]) -> None:
+    def _linearise(self, target: Target, fits: list[FitState]) -> None:
         """Derivatives of fits, some at a time: memory is that of a batch and not of all of them."""
         batch = max(1, _NUMBERS // (target.values.size * max((len(f.free) for f in fits), default=1)))
         for start in range(0, len(fits), batch):
             self._linearise_batch(target, fits[start : start + batch])
 
-    def _linearise_batch(self, target: Target, fits: list[Descent]) -> None:
+    def _linearise_batch(self, target: Target, fits: list[FitState]) -> None:
         """Derivatives by forward differences, away from the nearer bound."""
-        requests, sizes = [], []
+        requests: list[_Request] = []
+        sizes: list[np.ndarray] = []
         for one in fits:
             signs = np.where(one.x[one.free] + _DIFFERENCE > self.box.high[one.free], -1.0, 1.0) * _DIFFERENCE
             sizes.append(signs)
             for k, size in zip(one.free, signs, strict=True):
                 x = one.x.copy()
                 x[k] += size
-                requests.append((x, one.member, *_asked(target, one.use)))
+                requests.append((x, one.submodel, *_asked(target, one.use)))
         outputs, ok = self._run(requests)
         place = 0
         for one, steps in zip(fits, sizes, strict=True):
@@ -284,11 +291,11 @@ class NestedModels:
             if one.slopes.size > _KEPT:
                 one.slopes = np.zeros((0, 0, 0))
 
-    def _run(self, requests: Sequence[tuple[np.ndarray, Member, np.ndarray, np.ndarray | None]]) -> tuple[list, list]:
-        """Outputs (r, J) and flags (r,) of each request: a point, its model, experiments, and how many samples of each."""
+    def _run(self, requests: Sequence[_Request]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Outputs (r, J) and flags (r,) of each request."""
         if not requests:
             return [], []
-        thetas = [np.repeat(self.theta(x, member)[None], len(rows), axis=0) for x, member, rows, _ in requests]
+        thetas = [np.repeat(self.theta(x, submodel)[None], len(rows), axis=0) for x, submodel, rows, _ in requests]
         rows = [rows for *_, rows, _ in requests]
         samples = [samples for *_, samples in requests if samples is not None]
         asked = np.concatenate(samples) if len(samples) == len(requests) else None
@@ -303,20 +310,20 @@ def _asked(target: Target, use: int) -> tuple[np.ndarray, np.ndarray | None]:
     return rows, target.samples_of(use, rows)
 
 
-def _lead(fits: Sequence[Descent]) -> dict[int, float]:
+def _lead(fits: Sequence[FitState]) -> dict[int, float]:
     """The least cost of each use."""
     return {use: min(f.cost for f in fits if f.use == use) for use in {f.use for f in fits}}
 
 
-def _is_beaten(fit: Descent, gain: float, lead: Mapping[int, float]) -> bool:
+def _is_beaten(fit: FitState, gain: float, lead: Mapping[int, float]) -> bool:
     """Whether a fit that races would not catch up with the least cost of its use, at the pace of a step that gains so much."""
     behind = fit.cost - lead[fit.use]
     return fit.races and behind > _BEHIND and gain * _AS_MANY < behind
 
 
-def _give_up(fits: Sequence[Descent], tasks: Sequence[Task], left: int) -> None:
+def _give_up(fits: Sequence[FitState], tasks: Sequence[Task], left: int) -> None:
     """Of the starts of each fit, let only the lowest ones go on."""
-    groups: dict[int, list[Descent]] = {}
+    groups: dict[int, list[FitState]] = {}
     for one, task in zip(fits, tasks, strict=True):
         if task.rivals >= 0:
             groups.setdefault(task.rivals, []).append(one)

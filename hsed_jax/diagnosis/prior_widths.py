@@ -12,6 +12,10 @@ A wider prior does not extend the bounds: nothing beyond them was simulated.  Th
 the fit leans on a bound.
 """
 
+# SciPy comes without types.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -22,9 +26,9 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from hsed_jax.diagnosis.box import Box, Terms
-from hsed_jax.diagnosis.descent import Descent
 from hsed_jax.diagnosis.evidence import laplace
 from hsed_jax.diagnosis.findings import PriorWidth
+from hsed_jax.diagnosis.fit_state import FitState
 from hsed_jax.diagnosis.fits import Model
 from hsed_jax.diagnosis.rivals import rivals_of
 from hsed_jax.diagnosis.score import ODDS, weights_of
@@ -185,7 +189,7 @@ class _Stretching:
     def _evidence(self, box: Stretched) -> Float[np.ndarray, " M"]:
         """log Z of the models, each in the forms in which it is taken."""
         models = self._search.models.within(box)
-        found = []
+        found: list[float] = []
         for fit in (m.fit for m in self._models):
             if not np.isfinite(fit.cost):
                 found.append(0.0)  # of what cannot be simulated the width changes nothing
@@ -245,14 +249,14 @@ def _told(
     return PriorWidth(after.width, found, tuple(effects), dict(after.gains), dict(before.gains), is_same)
 
 
-def _of_all(fit: Descent, box: Box) -> _Misfit:
+def _of_all(fit: FitState, box: Box) -> _Misfit:
     """The misfit of all the data, at a fit."""
     terms = box.terms(fit.x, fit.free)
     hessian = fit.hessian - np.diag(terms.curvature)
     return _Misfit(fit.cost + float(terms.value.sum()), fit.gradient + terms.slope, hessian)
 
 
-def _of_fold(search: Search, fit: Descent, use: int) -> _Misfit:
+def _of_fold(search: Search, fit: FitState, use: int) -> _Misfit:
     """The misfit of the data of a fold, about the fit to all of them."""
     target = search.target
     rows = target.rows(use)
@@ -261,7 +265,7 @@ def _of_fold(search: Search, fit: Descent, use: int) -> _Misfit:
     return _Misfit(0.5 * float(residual @ residual), jacobian @ residual, jacobian @ jacobian.T)
 
 
-def _least(misfit: _Misfit, fit: Descent, box: Box) -> Float[np.ndarray, " P"]:
+def _least(misfit: _Misfit, fit: FitState, box: Box) -> Float[np.ndarray, " P"]:
     """Where φ_s is least within the bounds."""
     free = fit.free
     low, high, x = box.low[free], box.high[free], fit.x.copy()
@@ -280,7 +284,7 @@ def _least(misfit: _Misfit, fit: Descent, box: Box) -> Float[np.ndarray, " P"]:
     return x
 
 
-def moved_by(search: Search, fit: Descent, plain: Box, box: Box) -> np.ndarray | None:
+def moved_by(search: Search, fit: FitState, plain: Box, box: Box) -> np.ndarray | None:
     """By how much the width moves what the fits to the folds predict of what each leaves out, (n, J).
 
     None where the derivatives were too many to be kept: so many samples leave the priors nothing to say.

@@ -61,7 +61,7 @@ class Probe(NamedTuple):
 
     def traits(self, model: Model) -> dict[str, Trait]:
         """What each effect of a model does in the main, of those that a name stands for."""
-        found = {}
+        found: dict[str, Trait] = {}
         for element in self.simulator.elements:
             for effect, (own, *_) in self._contributions(model, element, [self._fitted(model)]).items():
                 if (main := trait(own)) is not None:
@@ -76,7 +76,9 @@ class Probe(NamedTuple):
             best: the model with the named effects.
             sampled: of the posterior of the best model.
         """
-        changes, steady, curves = [], {}, {}
+        changes: list[Behaviour] = []
+        steady: dict[str, float] = {}
+        curves: dict[str, ProbedCurve] = {}
         draws = self._drawn(best, sampled)
         for element in self.simulator.elements:
             before, after = self._along(plain, element, [self._fitted(plain)]), self._along(best, element, draws)
@@ -159,13 +161,15 @@ class Probe(NamedTuple):
             quantity, unit = name.rstrip("+-"), QUANTITIES[name.rstrip("+-")][1]
             scale = 1.0 if unit == "1" else max(abs(was), abs(now.mean()))
             if (apart := abs(now.mean() - was) / scale) > PRACTICAL:
-                values = {"before": Value(was, was, was), "after": _value(now), "unit": self.problem.pair.unit(unit)}
-                found.append((apart, Behaviour(quantity, "differs", {}, **values, specimen=element.name)))
+                constant, unit = Value(was, was, was), self.problem.pair.unit(unit)
+                found.append(
+                    (apart, Behaviour(quantity, "differs", {}, constant, _value(now), unit, specimen=element.name))
+                )
         return [one for _, one in sorted(found, key=lambda one: -one[0])]
 
     def _added(self, model: Model, element: Element, draws: Drawn) -> list[Behaviour]:
         """Forces that effects add, which depend on the elongation or on the rate alone."""
-        found = []
+        found: list[Behaviour] = []
         for own in self._contributions(model, element, draws).values():
             main = trait(own[0])
             if main is None or main.quantity not in ("elastic_force", "rate_force"):
@@ -218,14 +222,14 @@ class Probe(NamedTuple):
     def _specimen(self, model: Model, element: Element) -> Simulator:
         """The specimen with the effects of a model, in their forms."""
         own = self._effects(model, element)
-        free = {self.problem.names[k] for k in model.fit.free}
+        free = {self.problem.names[int(k)] for k in model.fit.free}
         fitted = self._fitted(model)
         held = {name: value for name, value in fitted.items() if owner_of(name) in own and name not in free}
         lean = replace(self.simulator, effects=self.simulator.effects.only(own))
         return alone(lean, element, held)
 
     def _fitted(self, model: Model) -> dict[str, float]:
-        return self._named(model, self.problem.models.theta(model.fit.x, model.fit.member))
+        return self._named(model, self.problem.models.theta(model.fit.x, model.fit.submodel))
 
     def _drawn(self, model: Model, sampled: Sampled) -> Drawn:
         """Draws of equal weight."""

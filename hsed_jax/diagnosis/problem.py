@@ -72,7 +72,7 @@ class Problem(NamedTuple):
         law: indices of the parameters that are free without any candidate.
         effects: the forms of each candidate.
         scales: characteristic values.
-        train, test: measured experiments; the first rows of the lanes' conditions, in this order.
+        train, test: measured experiments; the first rows of the conditions of a batch, in this order.
         experiments: the training experiments.
         outputs: names of the outputs.
         candidates: inputs of experiments that could be made, in declared units; the rows after those measured.
@@ -126,7 +126,7 @@ class Problem(NamedTuple):
         return self._replace(
             models=self.models.of_experiments(np.append(rows, others)),
             train=train._replace(values=train.values[rows], used=train.used[rows], gaps=train.gaps[rows]),
-            experiments=tuple(self.experiments[row] for row in rows),
+            experiments=tuple(self.experiments[int(row)] for row in rows),
         )
 
     def sigma(self, errors: Float[np.ndarray, " G"], predicted: Float[np.ndarray, "r J"]) -> Float[np.ndarray, "r J"]:

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from hsed_jax.diagnosis.descent import Descent
 from hsed_jax.diagnosis.evidence import gaussian
+from hsed_jax.diagnosis.fit_state import FitState
 from hsed_jax.diagnosis.fits import Model, Set
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Problem
@@ -82,7 +82,7 @@ def expected_log_bayes_factor(
     return information / max(float(1 - shares @ shares) / 2, 1e-12)
 
 
-def predictive(models: NestedModels, fit: Descent, rows: np.ndarray) -> Predictive:
+def predictive(models: NestedModels, fit: FitState, rows: np.ndarray) -> Predictive:
     """What a fitted model predicts of the experiments in `rows`."""
     box = models.box
     _, covariance = gaussian(fit)
@@ -93,11 +93,11 @@ def predictive(models: NestedModels, fit: Descent, rows: np.ndarray) -> Predicti
     factor = shrink[:, None] * np.linalg.cholesky(covariance + 1e-12 * np.diag(deviation**2))
     steps = 0.1 * np.minimum(shrink * deviation, 1.0)
     steps = np.where(fit.x[fit.free] + steps > high, -steps, steps)
-    points = [(fit.x, fit.member)]
+    points = [(fit.x, fit.submodel)]
     for k, step in zip(fit.free, steps, strict=True):
         x = fit.x.copy()
         x[k] += step
-        points.append((x, fit.member))
+        points.append((x, fit.submodel))
     outputs, ok = models.predict(points, rows)
     slopes = (outputs[1:] - outputs[0]) * ok[1:, :, None] / steps[:, None, None]
     return Predictive(outputs[0], np.einsum("pcj,pq->cjq", slopes, factor), ok[0])
@@ -157,15 +157,15 @@ def look_alikes_of(problem: Problem, search: Search, best: Model, models: Sequen
     """For each named effect, those that could stand in its place: with predictions that differ by less than the noise, and not
     excluded, since many samples tell what no single one does."""
     rows = np.arange(problem.rows + len(problem.candidates))
-    groups = []
+    groups: list[list[str]] = []
     for effect in sorted(best.effects):
         rest = best.effects - {effect}
         others = [m for m in _instead(models, best, _EXCLUDED) if m.effects > rest and len(m.effects - rest) == 1]
         if not others:
             continue
-        outputs, ok = problem.models.predict([(m.fit.x, m.fit.member) for m in (best, *others)], rows)
+        outputs, ok = problem.models.predict([(m.fit.x, m.fit.submodel) for m in (best, *others)], rows)
         sigma = problem.sigma(search.errors, outputs[0])
-        alike = []
+        alike: list[str] = []
         for m, predicted, converged in zip(others, outputs[1:], ok[1:], strict=True):
             apart = ((predicted - outputs[0]) / sigma) ** 2
             by_output = np.stack(

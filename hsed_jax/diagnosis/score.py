@@ -16,6 +16,10 @@ $$p_M = \mathrm E_b\,\frac{\pi_M\,e^{\sum_p b_p s_{Mp}}}{\sum_N \pi_N\,e^{\sum_p
   \qquad b\sim P\,\mathrm{Dirichlet}(1).$$
 """
 
+# SciPy comes without types.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -24,7 +28,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import softmax
 
-from hsed_jax.diagnosis.descent import Descent, Target, Task
+from hsed_jax.diagnosis.fit_state import FitState, Target, Task
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.inference.likelihood import whitened
@@ -139,28 +143,28 @@ class HeldOut:
         self._pieces = self.folds.pieces(measured.groups)
         # What the last target's fits predict, by identity; the fit is kept with it, so that no other one gets its number.
         self._target: Target | None = None
-        self._predicted: dict[int, tuple[Descent, np.ndarray | None]] = {}
+        self._predicted: dict[int, tuple[FitState, np.ndarray | None]] = {}
 
-    def unseen(self, target: Target, fits: Sequence[Descent]) -> list[float]:
+    def unseen(self, target: Target, fits: Sequence[FitState]) -> list[float]:
         """Error of fits on the test experiments; without any, on those left out in turn (on what comes later, where there
         are one or two).  Infinite where a simulation fails: what cannot be predicted is no improvement."""
         if self.test is None:
             return self.errors(target, fits)
         rows = len(self.measured.values) + np.arange(len(self.test.values))
-        outputs, ok = self.models.predict([(f.x, f.member) for f in fits], rows)
+        outputs, ok = self.models.predict([(f.x, f.submodel) for f in fits], rows)
         return [
             self.test.error(predicted) if converged.all() else math.inf
             for predicted, converged in zip(outputs, ok, strict=True)
         ]
 
-    def errors(self, target: Target, fits: Sequence[Descent]) -> list[float]:
+    def errors(self, target: Target, fits: Sequence[FitState]) -> list[float]:
         """Error of what each model predicts of all that is left out in turn."""
         scored = self.folds.left_out.any(axis=0)
         predicted = self._left_out(target, fits)
         return [math.inf if one is None else self.measured.error(one, scored) for one in predicted]
 
     def densities(
-        self, target: Target, fits: Sequence[Descent], moved: Sequence[np.ndarray | None] | None = None
+        self, target: Target, fits: Sequence[FitState], moved: Sequence[np.ndarray | None] | None = None
     ) -> Float[np.ndarray, "M P"]:
         """Log density of what is left out by model and piece, in nats, up to a constant; minus infinity where one fails.
 
@@ -184,7 +188,7 @@ class HeldOut:
         lowest = np.min([np.bincount(part, own) for own in squares], axis=0) / np.bincount(part, np.bincount(piece))
         return -0.5 * squares / np.where(np.isfinite(lowest), np.maximum(lowest, 1.0), 1.0)[part]
 
-    def _left_out(self, target: Target, fits: Sequence[Descent]) -> list[np.ndarray | None]:
+    def _left_out(self, target: Target, fits: Sequence[FitState]) -> list[np.ndarray | None]:
         """Of each model what it predicts of every part that is left out, (n, J), as `left_out_predictions` says."""
         if target is not self._target:
             self._target, self._predicted = target, {}
@@ -196,7 +200,7 @@ class HeldOut:
 
 
 def left_out_predictions(
-    models: NestedModels, target: Target, folds: Folds, fits: Sequence[Descent]
+    models: NestedModels, target: Target, folds: Folds, fits: Sequence[FitState]
 ) -> list[np.ndarray | None]:
     """Of each model what it predicts of every fold from the others, (n, J); None where a simulation failed.
 
@@ -207,9 +211,9 @@ def left_out_predictions(
         fits: of the models to all the data, where those to the folds start.
     """
     count = len(folds.fitted) - 1
-    tasks = [Task(fit.member, fit.x, use, known=fit) for fit in fits for use in range(1, count + 1)]
+    tasks = [Task(fit.submodel, fit.x, use, known=fit) for fit in fits for use in range(1, count + 1)]
     ends = models.fit(target, tasks)
-    outputs, ok = models.predict([(f.x, f.member) for f in ends], np.arange(len(target.values)))
+    outputs, ok = models.predict([(f.x, f.submodel) for f in ends], np.arange(len(target.values)))
     found: list[np.ndarray | None] = []
     for number in range(len(fits)):
         predicted, is_whole = np.zeros_like(target.values), True

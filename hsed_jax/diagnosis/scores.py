@@ -1,4 +1,4 @@
-r"""What candidates promise before they are fitted, around any model that was.
+r"""Predicted gains of candidates before they are fitted, from a linearisation of a fitted model.
 
 With r the residual and M what remains after the fitted parameters have adjusted to first order, a candidate whose difference from
 the fit is d explains
@@ -13,6 +13,10 @@ spreads its power over all samples.  A score test asks in one direction only, an
 With K candidates the smallest of K p-values counts as $1-(1-p)^K$ (Šidák 1967).
 """
 
+# SciPy comes without types.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -20,7 +24,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import chdtrc
 
-from hsed_jax.diagnosis.descent import Descent, Member, Target
+from hsed_jax.diagnosis.fit_state import FitState, Submodel, Target
 from hsed_jax.diagnosis.fits import spread
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Forms, of_simplest_shape
@@ -39,18 +43,18 @@ class Trial(NamedTuple):
     """A fitted model with a candidate beside it.
 
     Attributes:
-        member: the model with it.
+        submodel: the model with it.
         x: the fit, with the candidate at some size, (P,).
         amplitude: index of the coordinate that the size is.
     """
 
-    member: Member
+    submodel: Submodel
     x: Float[np.ndarray, " P"]
     amplitude: int
 
 
-class Promise(NamedTuple):
-    """What a trial promises.
+class PredictedGain(NamedTuple):
+    """The gain that the linearisation predicts for a trial.
 
     Attributes:
         gain: nats, with the fitted parameters adjusted to first order.
@@ -61,8 +65,8 @@ class Promise(NamedTuple):
     start: Float[np.ndarray, " P"]
 
 
-class Around:
-    """What a fitted model leaves, and what of that its own parameters cannot take.
+class Linearisation:
+    """A fitted model to first order: its residual, and the part of it that its own parameters cannot explain.
 
     Arguments:
         models: of the fit.
@@ -71,13 +75,13 @@ class Around:
         rows: of these experiments; by default of all.
     """
 
-    def __init__(self, models: NestedModels, target: Target, fit: Descent, rows: Int[np.ndarray, " r"] | None = None):
+    def __init__(self, models: NestedModels, target: Target, fit: FitState, rows: Int[np.ndarray, " r"] | None = None):
         self._models, self._target, self._fit = models, target, fit
         self._rows = np.arange(len(target.values)) if rows is None else rows
         self._x = models.neutral.copy()
         self._x[fit.free] = fit.x[fit.free]
         moved = [self._moved(self._x, int(k)) for k in fit.free]
-        outputs, ok = models.predict([(self._x, fit.member), *((x, fit.member) for x, _ in moved)], self._rows)
+        outputs, ok = models.predict([(self._x, fit.submodel), *((x, fit.submodel) for x, _ in moved)], self._rows)
         self._outputs = outputs[0]
         self._residual = self._standardised(target.values[self._rows] - outputs[0]).ravel()
         slopes = self._standardised((outputs[1:] - outputs[0]) * ok[1:, :, None]).reshape(len(moved), -1)
@@ -90,29 +94,29 @@ class Around:
             amplitudes: the index of each, and what other parameters are held at beside it.
         """
         places = [self._moved(self._x, k) for k, _ in amplitudes.values()]
-        members = [self._fit.member.beside(np.asarray([k]), held) for k, held in amplitudes.values()]
-        differences, own = self.across([(x, m) for (x, _), m in zip(places, members, strict=True)])
-        found = {}
+        submodels = [self._fit.submodel.beside(np.asarray([k]), held) for k, held in amplitudes.values()]
+        differences, own = self.across([(x, m) for (x, _), m in zip(places, submodels, strict=True)])
+        found: dict[T, float] = {}
         for effect, slope, free in zip(amplitudes, differences, own, strict=True):
             power = float(free @ free)
             is_told = power > 1e-12 * float(slope @ slope) and power > 0
             found[effect] = float(free @ self._residual) ** 2 / power if is_told else 0.0
         return found
 
-    def promises(self, trials: Sequence[Trial]) -> list[Promise]:
-        """What trials promise."""
-        _, own = self.across([(trial.x, trial.member) for trial in trials])
-        found = []
+    def predicted_gains(self, trials: Sequence[Trial]) -> list[PredictedGain]:
+        """The predicted gain of each trial."""
+        _, own = self.across([(trial.x, trial.submodel) for trial in trials])
+        found: list[PredictedGain] = []
         for trial, free in zip(trials, own, strict=True):
             along, power = float(free @ self._residual), float(free @ free)
             size = float(np.clip(along / power, 0.0, 1.0)) if power > 0 else 0.0
             start, k = trial.x.copy(), trial.amplitude
             start[k] = self._models.neutral[k] + max(size, _LEAST) * (trial.x[k] - self._models.neutral[k])
-            found.append(Promise(size * along - 0.5 * size**2 * power, start))
+            found.append(PredictedGain(size * along - 0.5 * size**2 * power, start))
         return found
 
-    def of_places(self, effects: Mapping[str, Forms]) -> dict[str, dict[str, list[Promise]]]:
-        """Of each effect, in its simplest shape and by driver, what several sizes of it promise, the best first."""
+    def of_places(self, effects: Mapping[str, Forms]) -> dict[str, dict[str, list[PredictedGain]]]:
+        """Predicted gains by effect and driver, in the simplest shape and at several sizes, the largest first."""
         trials: list[tuple[str, str, Trial]] = []
         for effect, forms in effects.items():
             for label in of_simplest_shape(forms):
@@ -120,14 +124,14 @@ class Around:
                 for x in self._models.box.quantiles(form.columns, spread(len(form.columns), _TRIALS)):
                     start = self._fit.x.copy()
                     start[form.columns] = x
-                    member = self._fit.member.beside(form.columns, form.held)
-                    trials.append((effect, label, Trial(member, start, int(form.columns[0]))))
-        found: dict[str, dict[str, list[Promise]]] = {}
-        for (effect, label, _), promise in zip(trials, self.promises([t for *_, t in trials]), strict=True):
-            found.setdefault(effect, {}).setdefault(label, []).append(promise)
+                    submodel = self._fit.submodel.beside(form.columns, form.held)
+                    trials.append((effect, label, Trial(submodel, start, int(form.columns[0]))))
+        found: dict[str, dict[str, list[PredictedGain]]] = {}
+        for (effect, label, _), gain in zip(trials, self.predicted_gains([t for *_, t in trials]), strict=True):
+            found.setdefault(effect, {}).setdefault(label, []).append(gain)
         return {e: {f: sorted(ps, key=lambda p: -p.gain) for f, ps in forms.items()} for e, forms in found.items()}
 
-    def across(self, points: Sequence[tuple[np.ndarray, Member]]) -> tuple[np.ndarray, np.ndarray]:
+    def across(self, points: Sequence[tuple[np.ndarray, Submodel]]) -> tuple[np.ndarray, np.ndarray]:
         """Standardised differences of models at points from the fit, zero where one diverges, and what of them its parameters
         cannot make, (B, N) each."""
         if not points:
@@ -162,7 +166,7 @@ class Around:
         return self._target.standardised(self._fit.use, self._rows, difference)
 
 
-def telling(target: Target, fit: Descent) -> Int[np.ndarray, " r"]:
+def telling(target: Target, fit: FitState) -> Int[np.ndarray, " r"]:
     """The experiments of which a fit leaves most: as few as have half of all that it leaves."""
     rows = target.rows(fit.use)
     left = np.sum(target.standardised(fit.use, rows, (fit.predicted - target.values)[rows]) ** 2, axis=-1)

@@ -18,14 +18,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from hsed_jax.diagnosis.descent import Descent, Target, Task
+from hsed_jax.diagnosis.fit_state import FitState, Target, Task
 from hsed_jax.diagnosis.fits import Choice, Fits, Model, Set, names_of
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Forms, amplitude_of, of_other_drivers, of_other_shapes
 from hsed_jax.diagnosis.propose import beside, pairs
 from hsed_jax.diagnosis.score import ODDS, Gain, HeldOut, weights_of
-from hsed_jax.diagnosis.scores import Around, score_p_value
+from hsed_jax.diagnosis.scores import Linearisation, score_p_value
 from hsed_jax.errors import UserError
 
 MOST_EFFECTS = 4
@@ -39,7 +39,7 @@ _MATERIAL = 0.1
 _POOL, _FORMS = 6, 3
 # Of the models that rank first so many are considered to go on from.
 _TRIED = 5
-# In place of an effect so many others, the most probable ones, are tried with so many beside each that promise most.
+# An effect is replaced by so many others, the most probable ones; each is tried beside so many with the largest predicted gains.
 _OTHERS, _BESIDE = 3, 2
 # All forms are fitted of so many sets (of three times as many of one effect), if they are no more nats below the one of most
 # evidence than this, or gain half as much as it.
@@ -81,7 +81,7 @@ class Search:
         measured: Measured,
         law: Int[np.ndarray, " p"],
         effects: Mapping[str, Forms],
-        is_explained: Callable[[Descent], bool],
+        is_explained: Callable[[FitState], bool],
         report: Callable[[str], None] = lambda line: None,
         test: Measured | None = None,
         start: Float[np.ndarray, " P"] | None = None,
@@ -102,7 +102,7 @@ class Search:
         self.on_round: Callable[[], None] = lambda: None
         self._tried: set[Set] = set()
         self._pairs: list[Set] = []
-        self._pointed: dict[Set, tuple[Descent, Target, Set]] = {}
+        self._pointed: dict[Set, tuple[FitState, Target, Set]] = {}
 
     def run(self) -> None:
         """Search, from the model as it is."""
@@ -174,10 +174,10 @@ class Search:
     def pointed_at(self, chosen: Set) -> Set:
         """The candidates that a score test around a fitted set is sure of, with their number accounted for."""
         fit = self._fits.best(chosen)
-        of_fit, of_target, found = self._pointed.get(chosen, (None, None, frozenset()))
+        of_fit, of_target, found = self._pointed.get(chosen, (None, None, Set()))
         if of_fit is not fit or of_target is not self.target:
             others = {name: amplitude_of(forms) for name, forms in self.effects.items() if name not in chosen}
-            scores = Around(self.models, self.target, fit).score_tests(others)
+            scores = Linearisation(self.models, self.target, fit).score_tests(others)
             found = frozenset(n for n, score in scores.items() if score_p_value(score, len(self.effects)) < _STRICT)
             self._pointed[chosen] = fit, self.target, found
         return found
@@ -205,7 +205,7 @@ class Search:
         odds = self.odds(larger, here)
         if odds < ODDS:
             return f"its odds of {odds:.2g} by what it predicts are less than {ODDS:.0f}"
-        fits = [self._fits.best(effects) for effects in (frozenset(), here, larger)]
+        fits = [self._fits.best(effects) for effects in (Set(), here, larger)]
         if self._is_explained(fits[1]) and not larger & self.pointed_at(here):
             return "the noise explains what is left, and no score test is sure of it"
         before, now, after = self.held_out.errors(self.target, fits)
@@ -233,7 +233,7 @@ class Search:
         rest, instead = self._in_forms(self.best - {effect}), self.best - {effect} | {other}
         labels = [label for label, form in self.effects[other].items() if form.form.driver in ("", driver)]
         self._fits.fit(self.target, [rest | {(other, label)} for label in labels])
-        fits = [self._fits.best(effects) for effects in (frozenset(), self.best, instead)]
+        fits = [self._fits.best(effects) for effects in (Set(), self.best, instead)]
         before, now, then = self.held_out.errors(self.target, fits)
         if not before**2 - then**2 >= (1 - _MATERIAL) * (before**2 - now**2):
             return False
@@ -247,9 +247,9 @@ class Search:
     def start(self) -> None:
         """The model without further effects, and a first look at every candidate from its gradient."""
         self._report("the model as it is")
-        member, starts = self.models.member(self.law), self._fits.starts_of_law()
-        tasks = [Task(member, start, rivals=0) for start in starts]
-        tasks += [] if self._start is None else [Task(member, self._start)]
+        submodel, starts = self.models.submodel(self.law), self._fits.starts_of_law()
+        tasks = [Task(submodel, start, rivals=0) for start in starts]
+        tasks += [] if self._start is None else [Task(submodel, self._start)]
         fit = None
         for _ in range(2):
             ends = self.models.fit(self.target, tasks)
@@ -261,11 +261,11 @@ class Search:
                     "the model's simulation diverges wherever a fit was started; check parameters and priors"
                 )
             self._judge_by(fit)
-            tasks = [Task(member, fit.x)]
+            tasks = [Task(submodel, fit.x)]
         assert fit is not None
         self._fits.set_law(fit)
         defaults = {effect: amplitude_of(forms) for effect, forms in self.effects.items()}
-        self.scores = Around(self.models, self.target, fit).score_tests(defaults)
+        self.scores = Linearisation(self.models, self.target, fit).score_tests(defaults)
 
     def _fit(self, around: Sequence[Set]) -> None:
         """Fit the sets around the best: what a set has more than a fitted one, as it is proposed."""
@@ -310,7 +310,7 @@ class Search:
         near = [m for m in ranked[: _DEEP if self.best else 3 * _DEEP] if m.log_posterior >= enough]
         for others, several in ((of_other_drivers, 1), (of_other_shapes, _DRIVERS)):
             self._report(f"forms of {_text(near[0].effects)}")
-            choices = []
+            choices: list[Choice] = []
             leading = [choice for m in near for choice in self._fits.leading(m.effects, several)]
             for own, (effect, label) in ((choice, form) for choice in leading for form in sorted(choice)):
                 # Of what the best set has, in that set alone: beside its forms those of another effect are compared.
@@ -336,7 +336,7 @@ class Search:
         search `is_over`, larger sets than the best one were not accepted, and count only if they have its effects.
         """
         self._report("what they predict of what is left out")
-        near = [s for s in (frozenset(), self.best, *_less_one(self.best)) if s in self._fits]
+        near = [s for s in (Set(), self.best, *_less_one(self.best)) if s in self._fits]
         always = [self._fits.top(s) for s in near]
         counted = [s for s in self._around() if not is_over or len(s) <= max(len(self.best), 1) or s > self.best]
         ranked = sorted(map(self.model, counted), key=lambda m: -m.log_posterior)
@@ -371,7 +371,7 @@ class Search:
             return True
         if len(self.best) == MOST_EFFECTS or not self.is_open():
             return False
-        fits = [self._fits.best(effects) for effects in (frozenset(), self.best)]
+        fits = [self._fits.best(effects) for effects in (Set(), self.best)]
         before, now = self.held_out.errors(self.target, fits)
         # The noise that there is may be less than what is expected of it, by so much of its square.
         by_chance = _DEVIATIONS * math.sqrt(2 / self.measured.used.sum())
@@ -388,12 +388,12 @@ class Search:
         alone = [frozenset({e}) for e in self.effects if not any(e in s for s in sets)]
         return [*sets, *(s for s in alone if s in self._fits)]
 
-    def _lowest(self) -> Descent:
+    def _lowest(self) -> FitState:
         """The fit of the round that leaves least, with what a set's size costs."""
         lowest = min(self._around(), key=lambda s: self._fits.best(s).cost - self._log_prior(len(s)))
         return self._fits.best(lowest)
 
-    def _judge_by(self, fit: Descent) -> None:
+    def _judge_by(self, fit: FitState) -> None:
         self.errors, self.worth, self.target = self.measured.standard(fit.predicted, self.held_out.folds.fitted)
 
     def _log_prior(self, size: int) -> float:

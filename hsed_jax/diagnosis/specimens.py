@@ -11,6 +11,10 @@ Each has the prior probability of a third, μ the prior of the catalogue, c a ha
 has six chances to look odd shares its prior probability among six, which is what accounts for their number.
 """
 
+# SciPy comes without types.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+
 import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -20,9 +24,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import gammaln, logsumexp
 
-from hsed_jax.diagnosis.descent import Descent, Target, Task
 from hsed_jax.diagnosis.evidence import laplace
 from hsed_jax.diagnosis.findings import Judgement
+from hsed_jax.diagnosis.fit_state import FitState, Target, Task
 from hsed_jax.diagnosis.problem import Problem
 
 # Sizes that every member is fitted at, in units of the largest one found; the negative ones where an effect has two signs.
@@ -74,7 +78,7 @@ def judge_specimens(
     chosen = {
         effect: problem.effects[effect][forms.get(effect) or next(iter(problem.effects[effect]))] for effect in effects
     }
-    theta = problem.models.member(np.zeros(0, dtype=int)).held
+    theta = problem.models.submodel(np.zeros(0, dtype=int)).held
     for form in chosen.values():
         for column, value in form.held.items():
             theta[column] = value
@@ -98,16 +102,18 @@ def _judged(
     target = problem.train.standard(outputs, used).target
     # Each member with its own size: what that leaves is the error that sizes are judged with.
     free = np.append(own, column)
-    fits = models.fit(target, [Task(models.member(free, _held(theta, free)), x, use) for use in uses])
+    fits = models.fit(target, [Task(models.submodel(free, _held(theta, free)), x, use) for use in uses])
     target = problem.train.standard(np.sum([f.predicted for f in fits], axis=0), used).target
-    neutral = float(models.member(own).held[column])
+    neutral = float(models.submodel(own).held[column])
     found = [models.box.theta(f.x)[column] - neutral for f in fits if np.isfinite(f.cost)]
     unit = float(max([theta[column] - neutral, *found], key=abs)) or 1.0
     low, high = (models.box.theta(side)[column] for side in (models.box.low, models.box.high))
     # Beyond its bounds there is no size.
     shares = np.asarray([*_SIZES, *_NEGATIVE])
     shares = np.unique(np.clip(unit * shares, low - neutral, high - neutral) / unit)
-    at, table = _tabulated(shares, _heights(problem, target, x, theta, own, column, neutral + unit * shares, uses))
+    at, table = _tabulated(
+        shares, _log_likelihoods(problem, target, x, theta, own, column, neutral + unit * shares, uses)
+    )
     prior = models.box.priors[problem.names[column]]
     inside = np.clip(neutral + unit * at, low + 1e-9 * abs(unit), high - 1e-9 * abs(unit))
     weighed = weigh_explanations(at, table, np.asarray(prior.log_density(jnp.asarray(inside)), dtype=float))
@@ -119,23 +125,23 @@ def _judged(
     return Judgement(effect, membership.level, weighed.verdict, weighed.probability, having, of)
 
 
-def _heights(
+def _log_likelihoods(
     problem: Problem, target: Target, x: np.ndarray, theta: np.ndarray, own: np.ndarray, column: int, sizes: np.ndarray,
     uses: Sequence[int],
 ) -> Float[np.ndarray, "M S"]:  # fmt: skip
     """Log probability of each member's measurements at each size."""
-    tasks = []
+    tasks: list[Task] = []
     for use in uses:
         for size in sizes:
             held = theta.copy()
             held[column] = size
-            tasks.append(Task(problem.models.member(own, _held(held, own)), x, use))
+            tasks.append(Task(problem.models.submodel(own, _held(held, own)), x, use))
     fits = problem.models.fit(target, tasks)
-    heights = np.asarray([_height(problem, f) for f in fits]).reshape(len(uses), len(sizes))
-    return np.where(np.isfinite(heights), heights, -1e6)
+    log_likelihoods = np.asarray([_log_likelihood(problem, f) for f in fits]).reshape(len(uses), len(sizes))
+    return np.where(np.isfinite(log_likelihoods), log_likelihoods, -1e6)
 
 
-def _height(problem: Problem, fit: Descent) -> float:
+def _log_likelihood(problem: Problem, fit: FitState) -> float:
     return laplace(fit, problem.models) if len(fit.free) else -fit.cost
 
 
@@ -143,19 +149,21 @@ def _held(theta: np.ndarray, free: np.ndarray) -> dict[int, float]:
     return {k: float(value) for k, value in enumerate(theta) if k not in free}
 
 
-def _tabulated(sizes: np.ndarray, heights: Float[np.ndarray, "M S"]) -> tuple[np.ndarray, Float[np.ndarray, "M P"]]:
+def _tabulated(
+    sizes: np.ndarray, log_likelihoods: Float[np.ndarray, "M S"]
+) -> tuple[np.ndarray, Float[np.ndarray, "M P"]]:
     """Log likelihoods on a fine grid of sizes, less their largest values."""
     from scipy.interpolate import PchipInterpolator
 
     at = np.linspace(sizes[0], sizes[-1], _POINTS)
-    table = np.stack([PchipInterpolator(sizes, row)(at) for row in heights])
+    table = np.stack([PchipInterpolator(sizes, row)(at) for row in log_likelihoods])
     return at, table - table.max(axis=1, keepdims=True)
 
 
-def _statistics(sizes: np.ndarray, heights: np.ndarray) -> dict[str, float]:
+def _statistics(sizes: np.ndarray, log_likelihoods: np.ndarray) -> dict[str, float]:
     if sizes[0] > sizes[-1]:
-        sizes, heights = sizes[::-1], heights[::-1]
-    share = np.exp(heights - logsumexp(heights))
+        sizes, log_likelihoods = sizes[::-1], log_likelihoods[::-1]
+    share = np.exp(log_likelihoods - logsumexp(log_likelihoods))
     mean, below = float(share @ sizes), np.cumsum(share) - 0.5 * share
     q05, q95 = np.interp([0.05, 0.95], below, sizes)
     return {"mean": mean, "sd": float(np.sqrt(share @ (sizes - mean) ** 2)), "q05": float(q05), "q95": float(q95)}
@@ -194,12 +202,12 @@ def weigh_explanations(
     many, step = len(table), float(at[1] - at[0])
     none = np.asarray([np.interp(0.0, at, row) for row in table])
     likelihoods = np.exp(table - table.max(axis=1, keepdims=True))
-    heights = table.max(axis=1) - none
+    log_likelihoods = table.max(axis=1) - none
 
     def ratios(density: Float[np.ndarray, "C P"]) -> Float[np.ndarray, "M C"]:
         """Log odds of each member between sizes of these densities and none."""
         with np.errstate(divide="ignore"):
-            return heights[:, None] + np.log(likelihoods @ (density.T * step))
+            return log_likelihoods[:, None] + np.log(likelihoods @ (density.T * step))
 
     centres = np.linspace(at[0], at[-1], _CENTRES)
     centres = centres[np.abs(centres) > 0.5 * (centres[1] - centres[0])]
@@ -254,7 +262,7 @@ def _numbers(
 
     by_number = np.asarray(logsumexp(sums(ratios) + log_weight, axis=1)) - choices
     total = logsumexp(by_number[1:])
-    has = []
+    has: list[float] = []
     for m in range(many):
         others = sums(np.delete(ratios, m, axis=0))
         with_it = logsumexp(others + ratios[m] + log_weight, axis=1) - choices[1:]

@@ -8,14 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hsed_jax.diagnosis.descent import Descent, Target, Task
 from hsed_jax.diagnosis.evidence import laplace
+from hsed_jax.diagnosis.fit_state import FitState, Target, Task
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.discovery.effect_file import source_of
 from hsed_jax.discovery.formulas import Formula
 from hsed_jax.discovery.places import Place
-from hsed_jax.discovery.search import Judged, flat, judged
+from hsed_jax.discovery.search import HeldOutError, flat, held_out_error
 from hsed_jax.drafts import write_whole
 from hsed_jax.physics.effects import AbstractEffect, registered
 from hsed_jax.python_files import executed
@@ -33,7 +33,7 @@ class FittedFormula(NamedTuple):
     formula: Formula
     log_evidence: float
     models: NestedModels
-    fit: Descent
+    fit: FitState
 
 
 class FormulaFits:
@@ -73,11 +73,11 @@ class FormulaFits:
         """The formula of most evidence; None where none could be simulated."""
         return max(self._fitted, key=lambda one: one.log_evidence, default=None)
 
-    def judged(self, one: FittedFormula) -> Judged:
+    def held_out_error(self, one: FittedFormula) -> HeldOutError:
         """What the model with a formula predicts of what was not used."""
-        plain = Task(self._models.member(self.problem.law), self._models.point(self._law))
+        plain = Task(self._models.submodel(self.problem.law), self._models.point(self._law))
         base = self._models.fit(self._target, [plain])[0]
-        return judged(self.problem, self._target, (one.models, one.fit), (self._models, base))
+        return held_out_error(self.problem, self._target, (one.models, one.fit), (self._models, base))
 
     def _task(self, name: str, formula: Formula) -> Task:
         known = {
@@ -89,11 +89,11 @@ class FormulaFits:
             known[f"{name}.fade"] = formula.place.fade
         columns = self.problem.effects[name][""].columns
         free = np.concatenate([self.problem.law, columns]).astype(int)
-        return Task(self._models.member(free), self._models.point(known))
+        return Task(self._models.submodel(free), self._models.point(known))
 
-    def _refined(self, name: str, formula: Formula, fit: Descent) -> Formula:
+    def _refined(self, name: str, formula: Formula, fit: FitState) -> Formula:
         """A formula with the numbers of its fit."""
-        theta = dict(zip(self.problem.names, map(float, self._models.theta(fit.x, fit.member)), strict=True))
+        theta = dict(zip(self.problem.names, map(float, self._models.theta(fit.x, fit.submodel)), strict=True))
         left = [theta[key] for key in _numbers(name, formula)]
         terms = []
         for term in formula.terms:

@@ -19,8 +19,8 @@ from jaxtyping import Float, Int
 from scipy.special import logsumexp
 
 from hsed_jax.diagnosis.batch import Predictions
-from hsed_jax.diagnosis.descent import Member
-from hsed_jax.diagnosis.scores import Around
+from hsed_jax.diagnosis.fit_state import Submodel
+from hsed_jax.diagnosis.scores import Linearisation
 from hsed_jax.discovery.places import Place, Reaches
 from hsed_jax.physics.effects.free_function import COUNTS, POWERS, deviations, power, powers_of
 
@@ -32,7 +32,7 @@ _ACROSS = 1.5
 _STEP = 1e-2
 
 
-class Promised(NamedTuple):
+class PlaceGain(NamedTuple):
     """The predicted gain of a place.
 
     Attributes:
@@ -59,13 +59,18 @@ class Learned(NamedTuple):
 
 
 def screened(
-    around: Around, member: Member, names: Sequence[str], chosen: Sequence[Place], reaches: Reaches, experiments: int
-) -> list[Promised]:
+    linearisation: Linearisation,
+    submodel: Submodel,
+    names: Sequence[str],
+    chosen: Sequence[Place],
+    reaches: Reaches,
+    experiments: int,
+) -> list[PlaceGain]:
     """The predicted gains of places, largest first.
 
     Arguments:
-        around: the fitted model.
-        member: of that fit.
+        linearisation: the fitted model.
+        submodel: of that fit.
         names: of all parameters; those of the free function with their owner in front.
         chosen: the places.
         reaches: of their coordinates.
@@ -76,14 +81,14 @@ def screened(
         columns, at = located(place, names, reaches)
         points = []
         for column in columns:
-            x = around.origin
+            x = linearisation.origin
             x[column] += _STEP
-            points.append((x, member.beside(np.asarray([column]), at)))
-        slopes = around.across(points)[0] / _STEP
-        own = around.own(slopes)
-        known = learned(own @ own.T, own @ around.residual, place)
-        chance = _chance(around, slopes, place, experiments)
-        found.append(Promised(place, known.gain, chance, known.deviations, known.coefficients))
+            points.append((x, submodel.beside(np.asarray([column]), at)))
+        slopes = linearisation.across(points)[0] / _STEP
+        own = linearisation.own(slopes)
+        known = learned(own @ own.T, own @ linearisation.residual, place)
+        chance = _chance(linearisation, slopes, place, experiments)
+        found.append(PlaceGain(place, known.gain, chance, known.deviations, known.coefficients))
     return sorted(found, key=lambda one: -one.gain)
 
 
@@ -98,12 +103,12 @@ class ByPolynomials:
     """Batch whose free function is given coefficients of polynomials in place of powers.
 
     Arguments:
-        lanes: that are given powers.
+        batch: that are given powers.
         names: of all parameters.
     """
 
-    def __init__(self, lanes: Predictions, names: Sequence[str]):
-        self._lanes = lanes
+    def __init__(self, batch: Predictions, names: Sequence[str]):
+        self._batch = batch
         self._columns = [names.index(f"learned.{name}") for name in POWERS]
 
     def __call__(
@@ -115,7 +120,7 @@ class ByPolynomials:
         """As those of `hsed_jax.diagnosis.batch.Batch`."""
         thetas = thetas.copy()
         thetas[:, self._columns] = powers_of(thetas[:, self._columns])
-        return self._lanes(thetas, experiments, samples)
+        return self._batch(thetas, experiments, samples)
 
 
 def learned(strength: Float[np.ndarray, "m m"], along: Float[np.ndarray, " m"], place: Place) -> Learned:
@@ -146,7 +151,7 @@ def process(place: Place, length: float, size: float) -> Float[np.ndarray, " m"]
     return np.asarray([first[m] * across[n] for m, n in place.degrees])
 
 
-def _chance(around: Around, slopes: np.ndarray, place: Place, experiments: int) -> float:
+def _chance(linearisation: Linearisation, slopes: np.ndarray, place: Place, experiments: int) -> float:
     """The most that the function gains from what another experiment, or of a single one another time, went through."""
     shape = (len(slopes), experiments, -1)
     gains = []
@@ -155,6 +160,6 @@ def _chance(around: Around, slopes: np.ndarray, place: Place, experiments: int) 
             moved = np.roll(slopes.reshape(shape), shift, axis=1)
         else:
             moved = np.roll(slopes, shift * slopes.shape[1] // 3, axis=1)
-        own = around.own(moved.reshape(len(slopes), -1))
-        gains.append(learned(own @ own.T, own @ around.residual, place).gain)
+        own = linearisation.own(moved.reshape(len(slopes), -1))
+        gains.append(learned(own @ own.T, own @ linearisation.residual, place).gain)
     return max(gains)

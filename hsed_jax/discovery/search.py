@@ -12,14 +12,14 @@ import numpy as np
 from scipy.special import ndtri
 
 from hsed_jax.diagnosis.box import Box
-from hsed_jax.diagnosis.descent import Descent, Target, Task
 from hsed_jax.diagnosis.evidence import laplace
+from hsed_jax.diagnosis.fit_state import FitState, Target, Task
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.diagnosis.score import Gain, folds_of, left_out_predictions
-from hsed_jax.diagnosis.scores import Around
+from hsed_jax.diagnosis.scores import Linearisation
 from hsed_jax.discovery.places import Place, Reaches
-from hsed_jax.discovery.screen import ByPolynomials, Promised, evidence, learned, located, screened
+from hsed_jax.discovery.screen import ByPolynomials, PlaceGain, evidence, learned, located, screened
 from hsed_jax.inference.priors import Prior
 
 # Number of fitted places of one and of two coordinates, and of fits of each, with the size and length from the fit before.
@@ -39,7 +39,7 @@ class Fitted:
     """A place, its function fitted inside the simulation.
 
     Attributes:
-        promised: what it promised.
+        predicted_gain: its predicted gain, from the screening.
         place: where it is, with the time of fading that was fitted.
         reaches: of its coordinates, as the fit had them.
         models, fit: the fit, and the models it is one of; its last free coordinates are the coefficients.
@@ -48,11 +48,11 @@ class Fitted:
         log_evidence: over all lengths and sizes.
     """
 
-    promised: Promised
+    predicted_gain: PlaceGain
     place: Place
     reaches: tuple[tuple[float, float], ...]
     models: NestedModels
-    fit: Descent
+    fit: FitState
     columns: np.ndarray
     deviations: np.ndarray
     log_evidence: float = -np.inf
@@ -65,7 +65,7 @@ class Fitted:
     @property
     def coefficients(self) -> np.ndarray:
         """Those of the function, (m,)."""
-        return self.models.theta(self.fit.x, self.fit.member)[self.columns]
+        return self.models.theta(self.fit.x, self.fit.submodel)[self.columns]
 
     @property
     def covariance(self) -> np.ndarray:
@@ -97,7 +97,7 @@ class Fitted:
         return _SPREAD * self.deviations
 
 
-class Judged(NamedTuple):
+class HeldOutError(NamedTuple):
     """The predictions of a model for data to which it was not fitted.
 
     Attributes:
@@ -120,47 +120,49 @@ class PlaceSearch:
     Attributes:
         models, base: the model as it is, and its fit.
         target: what fits were judged with last.
-        promised: what all places promise.
+        predicted_gains: of all places, the largest first.
         fitted: the places that were fitted, the most probable first.
     """
 
     def __init__(self, problem: Problem, reaches: Reaches, report: Callable[[str], None] = lambda line: None):
         self._problem, self._reaches, self._report = problem, reaches, report
-        self._lanes = ByPolynomials(problem.models.batch, problem.names)
+        self._batch = ByPolynomials(problem.models.batch, problem.names)
         self._folds = folds_of(problem.train.used, problem.train.groups)
         self.models = self._with({})
-        free = self.models.member(problem.law)
+        free = self.models.submodel(problem.law)
         x = self.models.neutral if problem.start is None else problem.start
         self.target = self._judged_by(np.zeros_like(problem.train.values))
         for _ in range(2):
             self.base = self.models.fit(self.target, [Task(free, x)])[0]
             x, self.target = self.base.x, self._judged_by(self.base.predicted)
         self.base = self.models.fit(self.target, [Task(free, x)])[0]
-        self.promised: list[Promised] = []
+        self.predicted_gains: list[PlaceGain] = []
         self.fitted: list[Fitted] = []
 
     def run(self, chosen: Sequence[Place]) -> None:
-        """Screen places and fit those that promise most."""
+        """Screen places and fit those with the largest predicted gains."""
         self._report(f"{len(chosen)} places")
-        around = Around(self.models, self.target, self.base)
+        linearisation = Linearisation(self.models, self.target, self.base)
         count = len(self._problem.train.values)
-        self.promised = screened(around, self.base.member, self._problem.names, chosen, self._reaches, count)
-        best: dict[tuple, Promised] = {}
-        for promised in self.promised:
-            best.setdefault(promised.place[:2], promised)
+        self.predicted_gains = screened(
+            linearisation, self.base.submodel, self._problem.names, chosen, self._reaches, count
+        )
+        best: dict[tuple, PlaceGain] = {}
+        for predicted_gain in self.predicted_gains:
+            best.setdefault(predicted_gain.place[:2], predicted_gain)
         # A function of two coordinates fits at least as well as one of a single coordinate, so both are compared.
         tried = [
             p for count in (1, 2) for p in [q for q in best.values() if len(q.place.of) == count][: _FITTED[count]]
         ]
-        self.fitted = [self._fit(promised) for promised in tried]
+        self.fitted = [self._fit(predicted_gain) for predicted_gain in tried]
         for _ in range(2):
             lead = min(self.fitted, key=lambda f: f.fit.cost)
             self._report(f"all beside {lead.place.words}")
             self.target = self._judged_by(lead.fit.predicted)
             self.fitted = [
-                self._fits(f.promised, f.place, f.deviations, [f.coefficients], f.fit.x) for f in self.fitted
+                self._fits(f.predicted_gain, f.place, f.deviations, [f.coefficients], f.fit.x) for f in self.fitted
             ]
-        self.base = self.models.fit(self.target, [Task(self.base.member, self.base.x)])[0]
+        self.base = self.models.fit(self.target, [Task(self.base.submodel, self.base.x)])[0]
         self.fitted.sort(key=lambda f: -f.log_posterior)
 
     @property
@@ -168,20 +170,20 @@ class PlaceSearch:
         """Of the model as it is."""
         return laplace(self.base, self.models)
 
-    def judged(self, one: Fitted | None) -> Judged:
+    def held_out_error(self, one: Fitted | None) -> HeldOutError:
         """What a fitted place, or the model as it is, predicts of what was not used."""
         models, fit = (self.models, self.base) if one is None else (one.models, one.fit)
-        return judged(self._problem, self.target, (models, fit), (self.models, self.base))
+        return held_out_error(self._problem, self.target, (models, fit), (self.models, self.base))
 
-    def _fit(self, promised: Promised) -> Fitted:
-        """Fit a place: from what it promises and from a small part of that."""
-        self._report(promised.place.words)
-        starts = [promised.coefficients, 0.2 * promised.coefficients]
-        return self._fits(promised, promised.place, promised.deviations, starts, self.base.x)
+    def _fit(self, predicted_gain: PlaceGain) -> Fitted:
+        """Fit a place, from the coefficients of the screening and from a fifth of them."""
+        self._report(predicted_gain.place.words)
+        starts = [predicted_gain.coefficients, 0.2 * predicted_gain.coefficients]
+        return self._fits(predicted_gain, predicted_gain.place, predicted_gain.deviations, starts, self.base.x)
 
     def _fits(
         self,
-        promised: Promised,
+        predicted_gain: PlaceGain,
         place: Place,
         deviations: np.ndarray,
         starts: Sequence[np.ndarray],
@@ -194,7 +196,7 @@ class PlaceSearch:
             columns, held = located(place, self._problem.names, self._reaches)
             # The time of fading is free like the law, before the coefficients.
             own = np.asarray([fade, *columns] if place.fades else columns)
-            member = self.base.member.beside(own, held)
+            submodel = self.base.submodel.beside(own, held)
             deviations = np.maximum(deviations, _LEAST)
             names = [self._problem.names[k] for k in columns]
             priors = {n: Prior("normal", [0.0, float(d)]) for n, d in zip(names, deviations, strict=True)}
@@ -204,12 +206,12 @@ class PlaceSearch:
                 point = x.copy()
                 point[columns] = start / (_SPREAD * deviations)
                 point[fade] = models.point({"learned.fade": place.fade})[fade]
-                tasks.append(Task(member, point))
+                tasks.append(Task(submodel, point))
             fit = min(models.fit(self.target, tasks), key=lambda f: f.cost)
             reaches = self._reaches.of(place)
             if place.fades:
-                place = place._replace(fade=float(models.theta(fit.x, fit.member)[fade]))
-            found = Fitted(promised, place, reaches, models, fit, columns, deviations)
+                place = place._replace(fade=float(models.theta(fit.x, fit.submodel)[fade]))
+            found = Fitted(predicted_gain, place, reaches, models, fit, columns, deviations)
             if not np.isfinite(fit.cost):
                 break
             asked = learned(*found.normal_equations, place)
@@ -223,7 +225,7 @@ class PlaceSearch:
 
     def _with(self, priors: Mapping[str, Prior]) -> NestedModels:
         """The models with these priors of coefficients, and flat ones of the law."""
-        return self._problem.models.within(flat(self._problem, priors), self._lanes)
+        return self._problem.models.within(flat(self._problem, priors), self._batch)
 
     def _judged_by(self, predicted: np.ndarray) -> Target:
         return self._problem.train.standard(predicted, self._folds.fitted).target
@@ -242,9 +244,9 @@ def flat(problem: Problem, priors: Mapping[str, Prior]) -> Box:
     return Box({**box.priors, **priors}, flat=law, limits=box.limits)
 
 
-def judged(
-    problem: Problem, target: Target, now: tuple[NestedModels, Descent], before: tuple[NestedModels, Descent]
-) -> Judged:
+def held_out_error(
+    problem: Problem, target: Target, now: tuple[NestedModels, FitState], before: tuple[NestedModels, FitState]
+) -> HeldOutError:
     """The predictions of a model for unused data, beside those of the first model.
 
     That is what was held out; where nothing was, what is left out in turn, which a function sees beyond its reach.  A single
@@ -252,17 +254,17 @@ def judged(
     """
     folds = folds_of(problem.train.used, problem.train.groups)
 
-    def left_out(models: NestedModels, fit: Descent) -> tuple[np.ndarray, float]:
+    def left_out(models: NestedModels, fit: FitState) -> tuple[np.ndarray, float]:
         parts = folds.left_out[1:]
         (predicted,) = left_out_predictions(models, target, folds, [fit])
         if predicted is None:
             return np.full(len(parts), np.inf), np.inf
         return problem.train.squares(predicted, parts), problem.train.error(predicted, folds.left_out.any(axis=0))
 
-    def held_out(models: NestedModels, fit: Descent) -> tuple[np.ndarray, float]:
+    def held_out(models: NestedModels, fit: FitState) -> tuple[np.ndarray, float]:
         assert problem.test is not None
         rows = np.arange(len(problem.train.values), problem.rows)
-        outputs, ok = models.predict([(fit.x, fit.member)], rows)
+        outputs, ok = models.predict([(fit.x, fit.submodel)], rows)
         if not ok.all():
             return np.full(len(rows), np.inf), np.inf
         each = np.eye(len(rows), dtype=bool)[..., None] & np.ones(problem.test.values.shape, dtype=bool)
@@ -273,4 +275,4 @@ def judged(
     if tested == 1:
         squares, _ = left_out(*now)
     squares_before, _ = (held_out if tested > 1 else left_out)(*before)
-    return Judged(float(error), Gain((squares_before - squares) / len(squares)))
+    return HeldOutError(float(error), Gain((squares_before - squares) / len(squares)))

@@ -157,7 +157,7 @@ def _residual(name: str, paths: _Paths, stiffness: float, strength: float) -> fl
     law, used = _LAWS[name], paths.is_measured
     beside, force = paths.beside[used], paths.force[used]
 
-    def left(points: Float[np.ndarray, "lanes p"]) -> Float[np.ndarray, "n lanes"]:
+    def left(points: Float[np.ndarray, "batch p"]) -> Float[np.ndarray, "n batch"]:
         given = law.parameters(list(points.T), stiffness, strength)
         parameters = {key: np.broadcast_to(np.asarray(value, dtype=float), len(points)) for key, value in given.items()}
         found = np.asarray(_forces(law.name, parameters, paths.elongation))[:, used].T / strength
@@ -183,7 +183,7 @@ def _residual(name: str, paths: _Paths, stiffness: float, strength: float) -> fl
 
 @program
 def _forces(name: str, parameters: Mapping[str, Any], elongation: Any) -> Array:
-    """Forces [N] of a law with several parameters along several paths, (lanes, records, samples)."""
+    """Forces [N] of a law with several parameters along several paths, (batch, records, samples)."""
 
     def along(own: Mapping[str, Any], path: Array) -> Any:
         specimen = Specimen(LAWS[name](**own))

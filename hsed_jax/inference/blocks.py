@@ -11,7 +11,7 @@ from threading import Event
 import jax
 import numpy as np
 
-from hsed_jax.inference.nuts import Course
+from hsed_jax.inference.nuts import ChainState
 from hsed_jax.inference.watch import Watch, arrays_of, tree_like
 
 # Length of a block [s], and leapfrog steps of the first one, whose duration is unknown.
@@ -21,29 +21,29 @@ _LOOK, _KEEP = 0.2, 5.0
 
 
 def follow(
-    advance: Callable[[Course, int], Course],
-    courses: Sequence[Course],
+    advance: Callable[[ChainState, int], ChainState],
+    chain_states: Sequence[ChainState],
     watch: Watch,
     name: str,
     seconds: float | None = None,
-) -> list[Course]:
-    """Let chains go to their end, each course on a thread of its own.
+) -> list[ChainState]:
+    """Let chains go to their end, each chain_state on a thread of its own.
 
     Arguments:
-        advance: lets a course go on for so many leapfrog steps.
-        courses: where they begin.
+        advance: lets a chain_state go on for so many leapfrog steps.
+        chain_states: where they begin.
         watch: hears how far they are and keeps them.
         name: to keep them under; what was kept under it is where they go on.
         seconds: budget, what was kept included, after which they halt where they are.
 
     Returns:
-        The courses at their end, or where the budget left them.
+        The chain_states at their end, or where the budget left them.
     """
-    spent, reached = 0.0, list(courses)
+    spent, reached = 0.0, list(chain_states)
     if (kept := watch.recall(name)) is not None:
         spent, reached = float(kept[0]), tree_like(reached, kept[1:])
     began, halt = time.perf_counter() - spent, Event()
-    planned = [len(course.kept[0]) for course in reached]
+    planned = [len(chain_state.kept[0]) for chain_state in reached]
 
     def is_unfinished(which: int) -> bool:
         return int(reached[which].done) < planned[which]
@@ -73,7 +73,7 @@ def follow(
             try:
                 looked = time.perf_counter()
                 while wait(running, _LOOK).not_done and not is_spent():
-                    watch.count(sum(int(course.done) for course in reached), sum(planned))
+                    watch.count(sum(int(chain_state.done) for chain_state in reached), sum(planned))
                     if time.perf_counter() - looked > _KEEP:
                         looked = time.perf_counter()
                         keep()

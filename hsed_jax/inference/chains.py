@@ -26,9 +26,9 @@ from scipy.special import softmax
 
 from hsed_jax.inference.blocks import follow
 from hsed_jax.inference.emulator import Design, Emulator, degree_for, emulate, simulations
-from hsed_jax.inference.heights import constrained, heights, simulated
 from hsed_jax.inference.importance import TELLING, Proposal, flattened, look, systematic, weighted
 from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.log_densities import constrained, log_densities, simulated
 from hsed_jax.inference.maximum import Maximum
 from hsed_jax.inference.moves import moved, wandered
 from hsed_jax.inference.nuts import Chains, Settings, advance, arrived, begin, convergence
@@ -88,8 +88,8 @@ def _by_emulators(
     points, log_drawn = frame.center + w @ frame.frame.T, -0.5 * np.sum((w / _SPREAD) ** 2, axis=1)
     for number in range(_ROUNDS):
         watch.report("simulations for the emulator of the posterior")
-        outputs, ok, height = simulated(posterior, data, points, watch)
-        log_weight = height - log_drawn
+        outputs, ok, log_density = simulated(posterior, data, points, watch)
+        log_weight = log_density - log_drawn
         if not np.isfinite(log_weight).any():
             return None
         if number > 0:
@@ -108,11 +108,11 @@ def _by_emulators(
             found = _weighed(posterior, data, emulator, chains, u, name, random, watch, _left(seconds, began))
             if found is not None:
                 return found._replace(emulator_error=float(emulator.error))
-        drawn, height = u.reshape(-1, p), np.asarray(chains.log_density).ravel()
+        drawn, log_density = u.reshape(-1, p), np.asarray(chains.log_density).ravel()
         if len(drawn) < count:
             return None
         rows = np.linspace(0, len(drawn) - 1, count).astype(int)
-        points, log_drawn = drawn[rows], height[rows]
+        points, log_drawn = drawn[rows], log_density[rows]
     return None
 
 
@@ -143,15 +143,15 @@ def _chains(
     # Chains in lockstep wait for the longest trajectory among them; two at a time, on a thread each, wait for less.  Always two,
     # so that the draws do not depend on the machine.
     together = 2 - settings.chains % 2
-    courses = follow(
-        lambda course, most: advance(posterior, data, maximum, settings, emulator, course, jnp.asarray(most)),
+    chain_states = follow(
+        lambda chain_state, most: advance(posterior, data, maximum, settings, emulator, chain_state, jnp.asarray(most)),
         [begin(maximum, step_size, keys[i : i + together], settings) for i in range(0, settings.chains, together)],
         watch,
         name,
         seconds,
     )
-    made = max(min(int(course.done) for course in courses) - settings.warmup, 0)
-    parts = [arrived(posterior, maximum, course, settings) for course in courses]
+    made = max(min(int(chain_state.done) for chain_state in chain_states) - settings.warmup, 0)
+    parts = [arrived(posterior, maximum, chain_state, settings) for chain_state in chain_states]
     # In NumPy, because JAX would compile each operation for every number of chains and draws.
     of_draws, places, step_sizes = (
         jax.tree.map(lambda *leaves: np.concatenate(leaves), *of) for of in zip(*parts, strict=True)
@@ -179,19 +179,19 @@ def _weighed(
     began = time.perf_counter()
     # In the order of draws, so that all chains are equally long when the budget ends.
     points = np.swapaxes(u, 0, 1).reshape(-1, u.shape[-1])
-    known = heights(posterior, data, points, watch, f"weights-of-{name}", seconds)
+    known = log_densities(posterior, data, points, watch, f"weights-of-{name}", seconds)
     made = len(known) // len(u)
-    height = known[: made * len(u)].reshape(made, len(u)).T
-    log_weight = height - np.asarray(chains.log_density)[:, :made]
-    draws = weighted(points[: height.size], known[: height.size], log_weight.T.ravel())
-    if not np.isfinite(log_weight).any(axis=1).all() or (height.size >= TELLING and not draws.reliable):
+    log_density = known[: made * len(u)].reshape(made, len(u)).T
+    log_weight = log_density - np.asarray(chains.log_density)[:, :made]
+    draws = weighted(points[: log_density.size], known[: log_density.size], log_weight.T.ravel())
+    if not np.isfinite(log_weight).any(axis=1).all() or (log_density.size >= TELLING and not draws.reliable):
         return None
     rows = np.arange(len(u))[:, None]
     chosen = np.stack([systematic(shares, made, random) for shares in softmax(log_weight, axis=1)])
-    at, there = u[rows, chosen].reshape(-1, u.shape[-1]), height[rows, chosen].ravel()
-    if height.size >= TELLING:
+    at, there = u[rows, chosen].reshape(-1, u.shape[-1]), log_density[rows, chosen].ravel()
+    if log_density.size >= TELLING:
         seen = look(
-            lambda points: heights(posterior, data, points, watch, f"looks-of-{name}"),
+            lambda points: log_densities(posterior, data, points, watch, f"looks-of-{name}"),
             # The evidence of the weights is the constant difference of the two log densities.
             lambda points: (
                 np.asarray(_emulated(posterior, data, emulator, jax.device_put(points))) + draws.log_evidence
@@ -200,21 +200,21 @@ def _weighed(
         )
         if not draws._replace(missed=seen.missed).reliable:
             return None
-    of_draws = chains.theta, height, chains.diverging, chains.steps
+    of_draws = chains.theta, log_density, chains.diverging, chains.steps
     kept = [np.asarray(values)[rows, chosen] for values in of_draws]
     found = Chains(*jax.device_put(kept), step_size=chains.step_size)
-    if height.size < TELLING or not _needs_moves(found):
+    if log_density.size < TELLING or not _needs_moves(found):
         return found
     left = _left(seconds, began)
     on = moved(
-        lambda points: heights(posterior, data, points),
+        lambda points: log_densities(posterior, data, points),
         lambda going, standing, key: wandered(posterior, data, emulator, going, standing, key),
         *(at, there, random, watch, f"moves-of-{name}", left),
     )
     theta = np.asarray(constrained(posterior, jax.device_put(on.points))).reshape(found.theta.shape)
     # Moved draws no longer depend on the chains of NUTS, so its divergences do not apply to them.
     diverging = np.asarray(found.diverging) & (not on.settled)
-    arrays = theta, on.height.reshape(height.shape), diverging, np.asarray(found.steps)
+    arrays = theta, on.log_density.reshape(log_density.shape), diverging, np.asarray(found.steps)
     doubt = None
     if not on.settled:
         doubt = (

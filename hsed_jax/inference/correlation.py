@@ -40,7 +40,7 @@ class Noise(NamedTuple):
     excess: float
 
 
-class Judged(NamedTuple):
+class NoiseEstimate(NamedTuple):
     """The noise of some experiments, and the weights of their samples.
 
     Attributes:
@@ -54,14 +54,14 @@ class Judged(NamedTuple):
     noises: tuple[Noise, ...]
 
 
-def judge(
+def estimate_noise(
     standardised: np.ndarray,
     gaps: np.ndarray,
     used: np.ndarray,
     groups: np.ndarray,
     declared: np.ndarray,
     correlated: Sequence[bool | None],
-) -> Judged:
+) -> NoiseEstimate:
     """Estimate the autocorrelation of the noise, and the remaining correlation of the residual.
 
     Arguments:
@@ -79,7 +79,7 @@ def judge(
         noises.append(noise_of(standardised[:, own], gaps[:, own], used[:, own], asked))
     memory = memory_of(gaps, np.asarray([noise.time for noise in noises]), groups)
     worth = worths(whitened(standardised, memory), used, groups)
-    return Judged(memory, np.where([said is False for said in correlated], 1.0, worth), tuple(noises))
+    return NoiseEstimate(memory, np.where([said is False for said in correlated], 1.0, worth), tuple(noises))
 
 
 def correlation_notes(outputs: Sequence[str], groups: np.ndarray, weights: np.ndarray, memory: np.ndarray) -> list[str]:

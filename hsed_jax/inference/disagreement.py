@@ -120,7 +120,7 @@ def disagreement(
     by_output = {g: weights * (posterior.groups == g) for g in outputs}
     without = np.zeros_like(weights)
     prior, *each = expand_each(posterior, [data._replace(weights=own) for own in (without, *by_output.values())], u)
-    precision, pull = np.asarray(prior.bend)[:size, :size], -np.asarray(prior.slope)[:size]
+    precision, pull = np.asarray(prior.hessian)[:size, :size], -np.asarray(prior.slope)[:size]
     told, shrinks = {}, {}
     for (g, own), around in zip(by_output.items(), each, strict=True):
         plain = _Told(np.asarray(around.information)[:size, :size], -np.asarray(around.slope)[:size] - pull)

@@ -34,7 +34,7 @@ class Expansion(NamedTuple):
     Attributes:
         log_posterior: log density in θ, unnormalised.
         slope: its gradient, (p,).
-        bend: minus its Hessian, made positive semidefinite, (p, p).
+        hessian: of minus that density, made positive semidefinite, (p, p).
         log_density: log density in u, unnormalised.
         gradient: of `log_density`, (p,).
         curvature: minus its Hessian, made positive, (p, p).
@@ -45,7 +45,7 @@ class Expansion(NamedTuple):
 
     log_posterior: Float[Array | np.ndarray, ""]
     slope: Float[Array | np.ndarray, " p"]
-    bend: Float[Array | np.ndarray, "p p"]
+    hessian: Float[Array | np.ndarray, "p p"]
     log_density: Float[Array | np.ndarray, ""]
     gradient: Float[Array | np.ndarray, " p"]
     curvature: Float[Array | np.ndarray, "p p"]

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from hsed_jax.inference.correlation import SIGNIFICANT, Judged, correlation_notes, judge, size_p_value
+from hsed_jax.inference.correlation import SIGNIFICANT, NoiseEstimate, correlation_notes, estimate_noise, size_p_value
 from hsed_jax.inference.disagreement import Disagreement, disagreement
 from hsed_jax.inference.expansion import centred, expand
 from hsed_jax.inference.leaning import Leaning, Range, caution, leaning
@@ -256,7 +256,9 @@ def fit(
     watch.fitted(np.asarray(there.predicted), data, posterior.groups)
     chains = draw(posterior, data, maximum, jnp.asarray(0.8), key, settings, watch, seconds)
     standardised = np.asarray(_against_declared(declared, data, maximum.theta, there.predicted, there.ok))
-    chi2, p_value = _left_unexplained(standardised, data, declared, _judged(standardised, data, declared, errors))
+    chi2, p_value = _left_unexplained(
+        standardised, data, declared, _noise_estimate(standardised, data, declared, errors)
+    )
     is_inflated = any(error.inflate for error in errors)
     told: dict[str, Any] = {"chi2_per_datum": chi2, "p_value": p_value, "is_inflated": is_inflated}
     if is_inflated:
@@ -298,13 +300,17 @@ def _most_probable(
     declared, process, is_centred = posterior, None, False
     for _ in range(_ROUNDS):
         standardised = _standardised(declared, posterior, data, maximum)
-        judged = _judged(standardised, data, declared, errors)
+        noise_estimate = _noise_estimate(standardised, data, declared, errors)
         inflated = declared.inflated(_left(standardised, data, declared, errors))
         # A discrepancy has its own correlation of the residuals.
-        worth = np.where([error.discrepancy for error in errors], 1.0, judged.worth) if errors else judged.worth
+        worth = (
+            np.where([error.discrepancy for error in errors], 1.0, noise_estimate.worth)
+            if errors
+            else noise_estimate.worth
+        )
         weights = jnp.asarray((np.asarray(data.weights) > 0) * worth[posterior.groups])
         learned = _learned(declared, data, maximum, errors, support, process)
-        found = (weights, judged.memory, inflated.declared, *(() if learned is None else learned.settling))
+        found = (weights, noise_estimate.memory, inflated.declared, *(() if learned is None else learned.settling))
         before = (data.weights, data.memory, posterior.declared, *(() if process is None else process.settling))
         is_settled = len(found) == len(before) and all(
             np.allclose(old, new, rtol=_SETTLED) for old, new in zip(before, found, strict=True)
@@ -315,7 +321,7 @@ def _most_probable(
             posterior, process = inflated, learned
             data = data._replace(
                 weights=weights,
-                memory=jnp.asarray(judged.memory),
+                memory=jnp.asarray(noise_estimate.memory),
                 decorrelation=None if process is None else process.whitening,
             )
         posterior, is_centred = centred(posterior, data, maximum.theta), True
@@ -352,10 +358,12 @@ def _against_declared(declared, data, theta, predicted, ok) -> Float[Array, "n J
     return declared.standardised(theta, predicted, ok, data)
 
 
-def _judged(standardised: np.ndarray, data: Data, posterior: Posterior, errors: Sequence[Error]) -> Judged:
+def _noise_estimate(
+    standardised: np.ndarray, data: Data, posterior: Posterior, errors: Sequence[Error]
+) -> NoiseEstimate:
     used, gaps = np.asarray(data.weights) > 0, np.asarray(data.gaps)
     said = [error.correlated for error in errors] or [False] * len(posterior.outputs)
-    return judge(standardised, gaps, used, posterior.groups, posterior.is_declared, said)
+    return estimate_noise(standardised, gaps, used, posterior.groups, posterior.is_declared, said)
 
 
 def _left(standardised: np.ndarray, data: Data, posterior: Posterior, errors: Sequence[Error]) -> np.ndarray:
@@ -369,14 +377,14 @@ def _left(standardised: np.ndarray, data: Data, posterior: Posterior, errors: Se
 
 
 def _left_unexplained(
-    standardised: np.ndarray, data: Data, posterior: Posterior, judged: Judged
+    standardised: np.ndarray, data: Data, posterior: Posterior, noise_estimate: NoiseEstimate
 ) -> tuple[float | None, float | None]:
     """χ² per datum, and its probability under the declared noise; None if no noise is declared."""
     used = (np.asarray(data.weights) > 0) & posterior.is_declared[posterior.groups]
     if not used.any():
         return None, None
-    noises = {g: noise for g, noise in enumerate(judged.noises) if posterior.is_declared[g]}
-    p_value = size_p_value(standardised, used, judged.memory, noises, posterior.groups, posterior.fitted)
+    noises = {g: noise for g, noise in enumerate(noise_estimate.noises) if posterior.is_declared[g]}
+    p_value = size_p_value(standardised, used, noise_estimate.memory, noises, posterior.groups, posterior.fitted)
     return float(np.mean(standardised[used] ** 2)), p_value
 
 

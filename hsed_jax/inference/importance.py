@@ -44,7 +44,7 @@ _LOOKS, _LENGTH, _OF_LENGTH = 400, 2.0, 3.0
 _LESS, _MAY_MISS = 2.0, 0.01
 
 Points = Float[np.ndarray, "S p"]
-Heights = Float[np.ndarray, " S"]
+Values = Float[np.ndarray, " S"]
 
 
 class Proposal(NamedTuple):
@@ -64,7 +64,7 @@ class Proposal(NamedTuple):
         w = random.standard_normal((draws, size)) * np.sqrt(_DEGREES / random.chisquare(_DEGREES, (draws, 1)))
         return self.center + w @ self.frame.T
 
-    def log_density(self, points: Points) -> Heights:
+    def log_density(self, points: Points) -> Values:
         """Its log density at points."""
         size, w = self.center.size, np.linalg.solve(self.frame, (points - self.center).T)
         normalisation = (
@@ -73,7 +73,7 @@ class Proposal(NamedTuple):
         normalisation -= np.linalg.slogdet(self.frame)[1]
         return normalisation - 0.5 * (_DEGREES + size) * np.log1p(np.sum(w**2, axis=0) / _DEGREES)
 
-    def learnt(self, points: Points, log_weight: Heights) -> "Proposal":
+    def learnt(self, points: Points, log_weight: Values) -> "Proposal":
         """The proposal that fits the draws, their weights flattened until enough of them count."""
         size = self.center.size
         share = flattened(log_weight, size)
@@ -96,8 +96,8 @@ class Weighted(NamedTuple):
     """
 
     points: Points
-    log_density: Heights
-    weights: Heights
+    log_density: Values
+    weights: Values
     log_evidence: float
     shape: float
     missed: float = 0.0
@@ -132,33 +132,33 @@ class Weighted(NamedTuple):
 
 
 def weigh(
-    log_density: Callable[[Points], Heights], proposal: Proposal, draws: int, random: np.random.Generator
+    log_densities: Callable[[Points], Values], proposal: Proposal, draws: int, random: np.random.Generator
 ) -> Weighted:
     """Draw from around a mode and weigh.
 
     Arguments:
-        log_density: of many points; -inf or nan where there is none.
+        log_densities: of many points; -inf or nan where there is none.
         proposal: to begin with.
         draws: so many at least, and up to twice as many where they cannot be relied on yet.
         random: the source of the draws.
     """
-    points, height, rounds, size = np.zeros((0, proposal.center.size)), np.zeros(0), [], min(draws, _EACH)
+    points, log_density, rounds, size = np.zeros((0, proposal.center.size)), np.zeros(0), [], min(draws, _EACH)
     mixed = np.full(0, -np.inf)
     while True:
         rounds.append((math.log(size), proposal))
         new = proposal.draw(random, size)
-        there = np.asarray(log_density(new))
+        there = np.asarray(log_densities(new))
         # log Σ n_r t_r: add this proposal at the earlier draws, and sum all proposals at its own draws.
         mixed = np.logaddexp(mixed, rounds[-1][0] + proposal.log_density(points))
         of_new = np.logaddexp.reduce([count + one.log_density(new) for count, one in rounds])
         points, mixed = np.concatenate([points, new]), np.concatenate([mixed, of_new])
-        height = np.concatenate([height, np.where(np.isnan(there), -np.inf, there)])
-        log_weight = height - mixed + math.log(len(points))
-        found, taught = weighted(points, height, log_weight), (points, log_weight)
+        log_density = np.concatenate([log_density, np.where(np.isnan(there), -np.inf, there)])
+        log_weight = log_density - mixed + math.log(len(points))
+        found, taught = weighted(points, log_density, log_weight), (points, log_weight)
         if len(points) >= draws and found.reliable:
             shift = found.log_evidence - math.log(len(points))
             seen = look(
-                log_density,
+                log_densities,
                 lambda at, shift=shift: shift + np.logaddexp.reduce([c + one.log_density(at) for c, one in rounds]),
                 *resampled(found, len(points), random),
                 random,
@@ -178,7 +178,7 @@ def weigh(
             size = max(draws - len(points), size)
 
 
-def weighted(points: Points, log_density: Heights, log_weight: Heights) -> Weighted:
+def weighted(points: Points, log_density: Values, log_weight: Values) -> Weighted:
     """Draws with the logarithms of their weights, in any scale; the evidence is that of the density relative to this scale."""
     total = float(np.asarray(logsumexp(log_weight)))
     if not np.isfinite(total):
@@ -187,17 +187,17 @@ def weighted(points: Points, log_density: Heights, log_weight: Heights) -> Weigh
     return Weighted(points, log_density, weights / weights.sum(), evidence, _pareto_shape(log_weight))
 
 
-def _shares(log_weight: Heights) -> Heights:
+def _shares(log_weight: Values) -> Values:
     finite = np.where(np.isfinite(log_weight), log_weight, -np.inf)
     share = np.exp(finite - finite.max())
     return share / share.sum()
 
 
-def _worth(share: Heights) -> float:
+def _worth(share: Values) -> float:
     return float(1 / np.sum(share**2))
 
 
-def _pareto_shape(log_weight: Heights) -> float:
+def _pareto_shape(log_weight: Values) -> float:
     from arviz_stats.base.array import array_stats
 
     finite = np.sort(log_weight[np.isfinite(log_weight)])
@@ -221,23 +221,23 @@ class Looked(NamedTuple):
     """
 
     points: Points
-    excess: Heights
+    excess: Values
     missed: float
 
 
 def look(
-    log_density: Callable[[Points], Heights],
-    log_drawn: Callable[[Points], Heights],
+    log_densities: Callable[[Points], Values],
+    log_drawn: Callable[[Points], Values],
     points: Points,
-    height: Heights,
+    log_density: Values,
     random: np.random.Generator,
 ) -> Looked:
     """Search by Metropolis steps for parts that the draws miss.
 
     Arguments:
-        log_density: of many points.
+        log_densities: of many points.
         log_drawn: log density that the draws were made by, in the scale of the other.
-        points, height: draws, and their log density.
+        points, log_density: draws, and their log density.
         random: the source of the steps.
     """
     count, size = min(_LOOKS, len(points)), points.shape[1]
@@ -246,20 +246,20 @@ def look(
     length = _LENGTH * random.standard_t(_OF_LENGTH, count) * np.sqrt(np.maximum(values[which], 0.0))
     rows = random.permutation(len(points))[:count]
     looked = points[rows] + length[:, None] * axes[:, which].T
-    there = np.asarray(log_density(looked))
+    there = np.asarray(log_densities(looked))
     there = np.where(np.isnan(there), -np.inf, there)
     excess = there - log_drawn(looked)
-    accepted = np.exp(np.minimum(there - height[rows], 0.0))
+    accepted = np.exp(np.minimum(there - log_density[rows], 0.0))
     return Looked(looked, excess, float(np.mean(accepted * ~(excess < _LESS))))
 
 
-def resampled(weighted: Weighted, count: int, random: np.random.Generator) -> tuple[Points, Heights]:
+def resampled(weighted: Weighted, count: int, random: np.random.Generator) -> tuple[Points, Values]:
     """Equally weighted draws (count, p) and their log density, by systematic resampling, in random order."""
     chosen = random.permutation(systematic(weighted.weights, count, random))
     return weighted.points[chosen], weighted.log_density[chosen]
 
 
-def flattened(log_weight: Heights, size: int) -> Heights:
+def flattened(log_weight: Values, size: int) -> Values:
     """Weights raised to a power below one, the largest with which enough draws count for `size` dimensions."""
     enough = min(4 * size + 20, 0.5 * len(log_weight))
     power, share = 1.0, _shares(log_weight)
@@ -269,7 +269,7 @@ def flattened(log_weight: Heights, size: int) -> Heights:
     return share
 
 
-def systematic(weights: Heights, count: int, random: np.random.Generator) -> np.ndarray:
+def systematic(weights: Values, count: int, random: np.random.Generator) -> np.ndarray:
     """Indices of `count` draws of equal weight, in their order; a draw may occur several times."""
     places = (np.arange(count) + random.uniform()) / count
     return np.minimum(np.searchsorted(np.cumsum(weights), places), len(weights) - 1)

@@ -6,9 +6,9 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from hsed_jax.inference.heights import constrained, heights
 from hsed_jax.inference.importance import Proposal, Weighted, resampled, weigh
 from hsed_jax.inference.likelihood import LOG_2PI, Data
+from hsed_jax.inference.log_densities import constrained, log_densities
 from hsed_jax.inference.maximum import Maximum
 from hsed_jax.inference.nuts import Chains, Settings
 from hsed_jax.inference.posterior import Posterior
@@ -33,9 +33,9 @@ class Weighing:
     def chains(self) -> Chains:
         """Draws in proportion to their weights, with a doubt where the weights cannot be trusted."""
         asked = self.asked
-        u, height = resampled(self.weights, asked.number, self.random)
+        u, log_density = resampled(self.weights, asked.number, self.random)
         settings = asked.settings._replace(sampler="importance")
-        found = independent(asked.posterior, u, height, asked.step_size, settings, self.weights.worth)
+        found = independent(asked.posterior, u, log_density, asked.step_size, settings, self.weights.worth)
         return found._replace(doubt=self.weights.doubt)
 
 
@@ -56,7 +56,7 @@ def weigh_around(
 ) -> Weighted:
     """Weighted draws of u around a mode."""
     proposal = Proposal(np.asarray(maximum.start), np.asarray(maximum.whitening))
-    return weigh(lambda u: heights(posterior, data, u, watch), proposal, draws, random)
+    return weigh(lambda u: log_densities(posterior, data, u, watch), proposal, draws, random)
 
 
 def generator(key: PRNGKeyArray) -> np.random.Generator:
@@ -78,7 +78,7 @@ def gaussian(
 def independent(
     posterior: Posterior,
     u: Float[np.ndarray, "N p"],
-    height: Float[np.ndarray, " N"],
+    log_density: Float[np.ndarray, " N"],
     step_size: Float[Array, ""],
     settings: Settings,
     worth: float,
@@ -88,7 +88,7 @@ def independent(
     Arguments:
         posterior: that they are of.
         u: the draws.
-        height: log density of each.
+        log_density: log density of each.
         step_size: of NUTS, to begin the next adaptation from.
         settings: the number of chains and draws, and the sampler.
         worth: number of independent draws that they are worth.
@@ -96,7 +96,7 @@ def independent(
     shape = (settings.chains, settings.draws)
     arrays = (
         np.asarray(constrained(posterior, jax.device_put(u))).reshape(*shape, -1),
-        height.reshape(shape),
+        log_density.reshape(shape),
         np.zeros(shape, dtype=bool),
         np.zeros(shape, dtype=int),
         np.full(settings.chains, float(step_size)),

@@ -64,8 +64,8 @@ def lowest(
     from scipy.optimize import minimize
 
     def of_numbers(values: np.ndarray) -> tuple[float, np.ndarray]:
-        height, slope = objective(jnp.asarray(values))
-        return float(height), np.asarray(slope, dtype=float)
+        value, slope = objective(jnp.asarray(values))
+        return float(value), np.asarray(slope, dtype=float)
 
     ends = [minimize(of_numbers, start, jac=True, method="L-BFGS-B", bounds=bounds) for start in starts]
     return min(ends, key=lambda end: float(end.fun)).x

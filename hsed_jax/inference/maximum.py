@@ -56,7 +56,7 @@ class Maximum(NamedTuple):
         log_evidence: log Z by Laplace's method (Tierney & Kadane 1986), of this mode alone.
         start: unconstrained coordinates of the mode of the density in u, where a sampler of u starts, shape (p,).
         whitening: L with u = start + L w, w nearly standard normal, shape (p, p).
-        converged: whether the descent ended where no step promised anything.
+        converged: whether the descent ended where no step has a predicted gain.
         others: modes besides this one that hold a share of the posterior that matters; without others of their own.
     """
 
@@ -105,14 +105,14 @@ def maximise(posterior: Posterior, data: Data, starts: Float[Array | np.ndarray,
     """
     race = _begun(posterior, data, np.asarray(starts))
     _descend(posterior, data, race, _RACE)
-    heights = np.asarray([float(search.here.log_posterior) for search in race])
-    heights = np.where(np.isfinite(heights), heights, -np.inf)
-    order = np.argsort(-heights)
+    log_densities = np.asarray([float(search.here.log_posterior) for search in race])
+    log_densities = np.where(np.isfinite(log_densities), log_densities, -np.inf)
+    order = np.argsort(-log_densities)
     best = _mode(posterior, data, race[order[0]])
     modes = [best]
     for end in order[1:]:
         # Each mode has its own frame, so the distance from a narrow mode to a wide one differs from that back.
-        if heights[order[0]] - heights[end] < 0.5 * _APART**2 and _is_apart(race[end].u, modes):
+        if log_densities[order[0]] - log_densities[end] < 0.5 * _APART**2 and _is_apart(race[end].u, modes):
             found = _mode(posterior, data, race[end])
             if _is_apart(np.asarray(found.start), modes) and all(_dips(posterior, data, found, mode) for mode in modes):
                 modes.append(found)
@@ -126,7 +126,7 @@ class _Search:
     Attributes:
         u: where it is, (p,).
         here: the posterior there.
-        is_settled: whether no step promises anything.
+        is_settled: whether no step has a predicted gain.
         is_over: whether it met a better one, or came where there is no step.
     """
 
@@ -136,7 +136,7 @@ class _Search:
 
     def step(self) -> Float[np.ndarray, " p"]:
         """The next step, that of the damped quadratic (Levenberg 1944; Marquardt 1963)."""
-        damped = np.asarray(self.here.bend) + self._damping * np.eye(self.u.size)
+        damped = np.asarray(self.here.hessian) + self._damping * np.eye(self.u.size)
         if not (np.isfinite(damped).all() and np.isfinite(self.here.slope).all()):
             return np.full(self.u.size, np.nan)
         try:
@@ -144,15 +144,15 @@ class _Search:
         except np.linalg.LinAlgError:  # numbers beyond the digits of a double
             return np.full(self.u.size, np.nan)
 
-    def promise(self, step: Float[np.ndarray, " p"]) -> float:
+    def predicted_gain(self, step: Float[np.ndarray, " p"]) -> float:
         """The gain that the quadratic expects of a step [nats]."""
-        return float(step @ self.here.slope - 0.5 * step @ self.here.bend @ step)
+        return float(step @ self.here.slope - 0.5 * step @ self.here.hessian @ step)
 
     def judge(self, step: Float[np.ndarray, " p"], there: Expansion) -> None:
         """Accept a step or not, and adapt the damping (Nielsen 1999); a descent that stops at a kink soon ends."""
-        promise = self.promise(step)
-        share = float(there.log_posterior - self.here.log_posterior) / promise
-        self.is_settled = share < 0.25 and promise < _AT_A_KINK
+        predicted_gain = self.predicted_gain(step)
+        share = float(there.log_posterior - self.here.log_posterior) / predicted_gain
+        self.is_settled = share < 0.25 and predicted_gain < _AT_A_KINK
         if share > 0:
             self.u, self.here = self.u + step, there
             self._damping *= max(1 / 3, 1 - (2 * min(share, 1.0) - 1) ** 3)
@@ -174,9 +174,9 @@ def _descend(posterior: Posterior, data: Data, searches: Sequence[_Search], most
             if search.is_over or search.is_settled:
                 continue
             step = search.step()
-            promise = search.promise(step)
-            search.is_settled, search.is_over = promise < _SETTLED, not np.isfinite(promise)
-            if np.isfinite(promise) and not search.is_settled:
+            predicted_gain = search.predicted_gain(step)
+            search.is_settled, search.is_over = predicted_gain < _SETTLED, not np.isfinite(predicted_gain)
+            if np.isfinite(predicted_gain) and not search.is_settled:
                 going.append(search)
                 steps.append(step)
         if not going:

@@ -53,24 +53,24 @@ class Moved(NamedTuple):
 
     Attributes:
         points: u, (N, p).
-        height: log density there, (N,).
+        log_density: log density there, (N,).
         settled: whether they have forgotten where they were half-way, and are as wide and in the same place as then.
         worth: how many independent draws they are at most.
         sweeps: simulations of each draw that moved.
     """
 
     points: Float[np.ndarray, "N p"]
-    height: Float[np.ndarray, " N"]
+    log_density: Float[np.ndarray, " N"]
     settled: bool
     worth: int
     sweeps: int
 
 
 def moved(
-    heights: Callable[[np.ndarray], np.ndarray],
+    log_densities: Callable[[np.ndarray], np.ndarray],
     wander: Wander,
     points: Float[np.ndarray, "N p"],
-    height: Float[np.ndarray, " N"],
+    log_density: Float[np.ndarray, " N"],
     random: np.random.Generator,
     watch: Watch,
     name: str,
@@ -79,10 +79,10 @@ def moved(
     """Move draws until they have settled, or the budget of time or of sweeps ends.
 
     Arguments:
-        heights: log density of many points, -inf where there is none.
+        log_densities: log density of many points, -inf where there is none.
         wander: where steps by an emulator lead from some draws beside others, and what its log density is there beyond that at
             the draws (`wandered`).
-        points, height: draws in u, and their log density.
+        points, log_density: draws in u, and their log density.
         random: the source of the steps.
         watch: hears how far it is, and keeps the draws when they have moved.
         name: to keep them under.
@@ -92,8 +92,8 @@ def moved(
         return Moved(known[0], known[1], bool(known[2]), int(known[3]), int(known[4]))
     began, wanted, settled, sweep = time.perf_counter(), len(points), False, 0
     chosen = np.resize(random.permutation(wanted), min(max(wanted, _LEAST_WALKERS), _WALKERS))
-    points, height = points[chosen], height[chosen]
-    passed, kept = [points.copy()], [(points, height)]
+    points, log_density = points[chosen], log_density[chosen]
+    passed, kept = [points.copy()], [(points, log_density)]
     watch.report("draws moved by the emulator and the simulator")
     for sweep in range(1, _MOST + 1):
         # Moving draws use differences of standing ones, so every step leaves the posterior invariant.
@@ -104,24 +104,24 @@ def moved(
             propose = wander if sweep % 2 else directly
             those, others = jax.device_put((points[going], points[standing]))
             tried, gain = map(np.asarray, propose(those, others, key))
-            there = heights(tried)
-            taken = np.log(random.uniform(size=len(going))) < there - height[going] - gain
+            there = log_densities(tried)
+            taken = np.log(random.uniform(size=len(going))) < there - log_density[going] - gain
             points[going] = np.where(taken[:, None], tried, points[going])
-            height[going] = np.where(taken, there, height[going])
+            log_density[going] = np.where(taken, there, log_density[going])
         watch.count(sweep, _MOST)
         is_late = seconds is not None and time.perf_counter() - began > seconds
         if settled and (sweep % _LOOK == 0 or is_late):
-            kept.append((points.copy(), height.copy()))
+            kept.append((points.copy(), log_density.copy()))
         elif sweep % _LOOK == 0:
             passed.append(points.copy())
             half = passed[len(passed) // 2]
             settled = _memory(half, points) < _SURE / np.sqrt(len(points)) and _are_alike(half, points)
-            kept = [(points.copy(), height.copy())]
+            kept = [(points.copy(), log_density.copy())]
         if is_late or (settled and len(kept) * len(points) >= wanted):
             break
     rows = np.arange(wanted) % (len(kept) * len(points))
-    of_points, of_height = (np.concatenate(part)[rows] for part in zip(*kept, strict=True))
-    found = Moved(of_points, of_height, settled, min(wanted, len(points)), sweep)
+    of_points, of_density = (np.concatenate(part)[rows] for part in zip(*kept, strict=True))
+    found = Moved(of_points, of_density, settled, min(wanted, len(points)), sweep)
     watch.keep(name, [np.asarray(part) for part in found])
     return found
 
@@ -154,20 +154,20 @@ def wandered(
         key: of the random numbers.
     """
 
-    def heights(u):
+    def log_densities(u):
         return jax.lax.map(lambda x: emulator.log_density(posterior, x, data), u, batch_size=TILE)
 
     def step(number, state):
-        u, height = state
+        u, log_density = state
         of_step, of_choice = jax.random.split(jax.random.fold_in(key, number))
         tried = _stepped(u, standing, of_step)
-        there = heights(tried)
-        taken = jnp.log(jax.random.uniform(of_choice, (len(u),))) < there - height
-        return jnp.where(taken[:, None], tried, u), jnp.where(taken, there, height)
+        there = log_densities(tried)
+        taken = jnp.log(jax.random.uniform(of_choice, (len(u),))) < there - log_density
+        return jnp.where(taken[:, None], tried, u), jnp.where(taken, there, log_density)
 
-    start = heights(going)
-    end, height = jax.lax.fori_loop(0, _BY_EMULATOR, step, (going, start))
-    return end, height - start
+    start = log_densities(going)
+    end, log_density = jax.lax.fori_loop(0, _BY_EMULATOR, step, (going, start))
+    return end, log_density - start
 
 
 def _stepped(going: Float[Array, "N p"], standing: Float[Array, "M p"], key: PRNGKeyArray) -> Float[Array, "N p"]:

@@ -61,7 +61,7 @@ class Chains(NamedTuple):
     doubt: str | None = None
 
 
-class Course(NamedTuple):
+class ChainState(NamedTuple):
     """The state of chains in lockstep, with all that continuing needs.
 
     Attributes:
@@ -79,7 +79,7 @@ class Course(NamedTuple):
 
 
 @program
-def begin(maximum: Maximum, step_size: Float[Array, ""], keys: Key[Array, " chains"], settings: Settings) -> Course:
+def begin(maximum: Maximum, step_size: Float[Array, ""], keys: Key[Array, " chains"], settings: Settings) -> ChainState:
     """Chains before their first iteration.
 
     Arguments:
@@ -100,7 +100,7 @@ def begin(maximum: Maximum, step_size: Float[Array, ""], keys: Key[Array, " chai
     kept = jax.tree.map(
         lambda values: jnp.zeros((settings.warmup + settings.draws, *values.shape), values.dtype), _worth_keeping(state)
     )
-    return Course(state, kept, jnp.zeros((), int), jnp.zeros((), int))
+    return ChainState(state, kept, jnp.zeros((), int), jnp.zeros((), int))
 
 
 @program
@@ -110,9 +110,9 @@ def advance(
     maximum: Maximum,
     settings: Settings,
     emulator: Emulator | None,
-    course: Course,
+    chain_state: ChainState,
     most: Int[Array, ""],
-) -> Course:
+) -> ChainState:
     """Let chains continue to their end or for so many leapfrog steps.  The place of a stop changes no draw.
 
     Arguments:
@@ -121,7 +121,7 @@ def advance(
         maximum: the mode and the whitening.
         settings: sizes.
         emulator: takes the place of the simulator; None for the simulator itself.
-        course: the chains.
+        chain_state: the chains.
         most: leapfrog steps after which no iteration is begun.
     """
     place, frame = maximum.start, maximum.whitening
@@ -144,17 +144,19 @@ def advance(
     nowhere = ParamInfo(place, jnp.zeros(()), place)
     _started(start, nowhere, settings, jnp.ones(()), jax.random.key(0), data)
     move = jax.vmap(lambda state: draw(state, (data,)))
-    before, planned = course.work, settings.warmup + settings.draws
+    before, planned = chain_state.work, settings.warmup + settings.draws
 
-    def one(course):
-        state = move(course.state)
-        kept = jax.tree.map(lambda all, new: all.at[course.done].set(new), course.kept, _worth_keeping(state))
-        return Course(state, kept, course.done + 1, course.work + jnp.max(state.num_steps))
+    def one(chain_state):
+        state = move(chain_state.state)
+        kept = jax.tree.map(lambda all, new: all.at[chain_state.done].set(new), chain_state.kept, _worth_keeping(state))
+        return ChainState(state, kept, chain_state.done + 1, chain_state.work + jnp.max(state.num_steps))
 
     # Adaptation and draws in one loop: two loops would take twice as long to trace and compile.
-    state = jax.lax.cond(course.done == 0, entered, lambda state: state, course.state)
+    state = jax.lax.cond(chain_state.done == 0, entered, lambda state: state, chain_state.state)
     return jax.lax.while_loop(
-        lambda course: (course.done < planned) & (course.work - before < most), one, course._replace(state=state)
+        lambda chain_state: (chain_state.done < planned) & (chain_state.work - before < most),
+        one,
+        chain_state._replace(state=state),
     )
 
 
@@ -181,13 +183,15 @@ def _started(start, at: ParamInfo, settings: Settings, step_size: Float[Array, "
 
 
 @eqx.filter_jit
-def arrived(posterior: Posterior, maximum: Maximum, course: Course, settings: Settings) -> tuple[Any, Array, Array]:
+def arrived(
+    posterior: Posterior, maximum: Maximum, chain_state: ChainState, settings: Settings
+) -> tuple[Any, Array, Array]:
     """What chains came to, adaptation left out: θ, log density in u, divergence and leapfrog steps of every draw; its u; and the
     step sizes.  Those that were not made yet mean nothing."""
-    w, potential, diverging, steps = (jnp.swapaxes(x[settings.warmup :], 0, 1) for x in course.kept)
+    w, potential, diverging, steps = (jnp.swapaxes(x[settings.warmup :], 0, 1) for x in chain_state.kept)
     u = maximum.start + w @ maximum.whitening.T
     theta = jax.vmap(jax.vmap(posterior.constrain))(u)
-    return (theta, -potential, diverging, steps), u, course.state.adapt_state.step_size
+    return (theta, -potential, diverging, steps), u, chain_state.state.adapt_state.step_size
 
 
 class Convergence(NamedTuple):

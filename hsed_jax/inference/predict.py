@@ -71,8 +71,8 @@ def _(rest, primals, tangents):
 
 
 @eqx.filter_jit
-def _values(rest, arrays, lanes):
-    thetas, conditions = lanes
+def _values(rest, arrays, batch):
+    thetas, conditions = batch
     stop = None
     if isinstance(conditions, Conditions) and conditions.stop is not None:
         # One number for all simulations: otherwise the loop would check each of them at every step.
@@ -88,8 +88,8 @@ def _values(rest, arrays, lanes):
 
 
 @eqx.filter_jit
-def _values_and_jacobian(rest, arrays, lanes):
-    thetas, conditions = lanes
+def _values_and_jacobian(rest, arrays, batch):
+    thetas, conditions = batch
 
     def push(direction):
         tangent = jnp.broadcast_to(direction, thetas.shape)
@@ -101,8 +101,8 @@ def _values_and_jacobian(rest, arrays, lanes):
 
 
 def _over_all(tile_function: Callable, tile: int) -> Callable:
-    """From a function of a tile of lanes to one of parameters (C, 1 or n, p), conditions (n, …) and how many of these matter to
-    each of the C, flat whatever is vmapped."""
+    """Turn a function of a tile into one of parameters (C, 1 or n, p), conditions (n, …) and the number of these that matter to
+    each of the C; its batch is flat, whatever is vmapped."""
 
     @custom_vmap
     def run(arrays, thetas, conditions, counts):
@@ -110,11 +110,11 @@ def _over_all(tile_function: Callable, tile: int) -> Callable:
         by_experiment = jnp.broadcast_to(thetas, (chains, size, thetas.shape[-1]))
         # Simulations that count come first, for every chain; the last tile is filled by repeating one of them.
         ends = jnp.cumsum(counts)
-        lane = jnp.minimum(jnp.arange(chains * size), jnp.maximum(ends[-1] - 1, 0))
-        chain = jnp.minimum(jnp.sum(lane[:, None] >= ends, axis=1), chains - 1)
-        experiment = jnp.minimum(lane - (ends - counts)[chain], size - 1)
-        lanes = by_experiment[chain, experiment], jax.tree.map(lambda values: values[experiment], conditions)
-        results = tiled_map(partial(tile_function, arrays), lanes, count=ends[-1], tile=tile)
+        simulation = jnp.minimum(jnp.arange(chains * size), jnp.maximum(ends[-1] - 1, 0))
+        chain = jnp.minimum(jnp.sum(simulation[:, None] >= ends, axis=1), chains - 1)
+        experiment = jnp.minimum(simulation - (ends - counts)[chain], size - 1)
+        batch = by_experiment[chain, experiment], jax.tree.map(lambda values: values[experiment], conditions)
+        results = tiled_map(partial(tile_function, arrays), batch, count=ends[-1], tile=tile)
         at = jnp.arange(size)
         where = jnp.minimum((ends - counts)[:, None] + at, chains * size - 1)
         matters = at < counts[:, None]

@@ -10,8 +10,8 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from hsed_jax.inference.heights import heights
 from hsed_jax.inference.likelihood import Data
+from hsed_jax.inference.log_densities import log_densities
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.watch import Watch, fingerprint
 
@@ -50,7 +50,7 @@ def searched(
 
     def depths(shares: np.ndarray) -> np.ndarray:
         points = np.asarray(posterior.at_shares(shares.T.reshape(-1, count)))
-        found = heights(posterior, data, points)
+        found = log_densities(posterior, data, points)
         return -np.where(np.isfinite(found), found, _NOTHING).reshape(shares.shape[1:])
 
     found = differential_evolution(

@@ -40,7 +40,7 @@ class Watch:
         return None
 
 
-def fingerprint(*parts: PyTree) -> str:
+def fingerprint(*parts: Any) -> str:
     """A short name of the inputs of a calculation: of all numbers and words in them, to the last bit."""
     digest = hashlib.blake2b(digest_size=10)
     for leaf in jax.tree.leaves(parts):

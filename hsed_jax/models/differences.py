@@ -136,7 +136,7 @@ def failure(error: BaseException) -> str:
 
 @dataclass(frozen=True)
 class _Call:
-    """A differenced function at fixed values of some of its parameters: over lanes, as JAX calls it."""
+    """A differenced function at fixed values of some of its parameters: over a batch, as JAX calls it."""
 
     of: Differenced
     fixed: tuple[tuple[str, float], ...]
@@ -148,19 +148,21 @@ class _Call:
 
     def values(self, theta: Any, inputs: Mapping[str, Any]) -> np.ndarray:
         """(…, J) from parameters (…, p) and inputs, all with the same axes in front."""
-        lanes = self._lanes(theta, inputs)
-        return np.stack(self.of.many([self._task(*lane) for lane in lanes])).reshape(*np.shape(theta)[:-1], -1)
+        batch = self._batch(theta, inputs)
+        return np.stack(self.of.many([self._task(*simulation) for simulation in batch])).reshape(
+            *np.shape(theta)[:-1], -1
+        )
 
     def expansion(self, theta: Any, inputs: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
         """Values (…, J) and their derivatives (…, J, p)."""
-        lanes, axes = self._lanes(theta, inputs), np.shape(theta)[:-1]
-        points = [self._around(at) for at, _ in lanes]
-        tasks = [self._task(x, known) for around, (_, known) in zip(points, lanes, strict=True) for x in around]
-        found = np.stack(self.of.many(tasks)).reshape(len(lanes), -1, self.size(inputs))
+        batch, axes = self._batch(theta, inputs), np.shape(theta)[:-1]
+        points = [self._around(at) for at, _ in batch]
+        tasks = [self._task(x, known) for around, (_, known) in zip(points, batch, strict=True) for x in around]
+        found = np.stack(self.of.many(tasks)).reshape(len(batch), -1, self.size(inputs))
         slopes = np.stack([_slopes(x, f) for x, f in zip(points, found, strict=True)])
         return found[:, 0].reshape(*axes, -1), slopes.reshape(*axes, *slopes.shape[1:])
 
-    def _lanes(self, theta: Any, inputs: Mapping[str, Any]) -> list[tuple[np.ndarray, dict[str, Any]]]:
+    def _batch(self, theta: Any, inputs: Mapping[str, Any]) -> list[tuple[np.ndarray, dict[str, Any]]]:
         axes = np.ndim(theta) - 1
         rows = np.asarray(theta).reshape(-1, np.shape(theta)[-1])
         known = {name: np.asarray(value) for name, value in inputs.items()}

@@ -17,12 +17,12 @@ from jaxtyping import Array
 TILE = 64
 
 
-def tiled_map[T, R](many: Callable[[T], R], lanes: T, *, count: ArrayLike | None = None, tile: int = TILE) -> R:
+def tiled_map[T, R](many: Callable[[T], R], batch: T, *, count: ArrayLike | None = None, tile: int = TILE) -> R:
     """Apply a batched function to all simulations of a batch, tile by tile.
 
     Arguments:
         many: from a tile of the batch (leading axis) to a pytree of arrays with the same leading axis; usually a `jax.vmap`.
-        lanes: pytree of arrays with a common leading axis of length N.
+        batch: pytree of arrays with a common leading axis of length N.
         count: how many simulations count (may be traced); tiles beyond it are not computed, and results beyond it are zero.
             So one compiled program costs what the data need, for any padding.
         tile: simulations that run together.
@@ -30,7 +30,7 @@ def tiled_map[T, R](many: Callable[[T], R], lanes: T, *, count: ArrayLike | None
     Returns:
         The results, leading axis N.
     """
-    size = jax.tree.leaves(lanes)[0].shape[0]
+    size = jax.tree.leaves(batch)[0].shape[0]
     tile = min(tile, size)
     tiles = -(-size // tile)
     padding = tiles * tile - size
@@ -40,7 +40,7 @@ def tiled_map[T, R](many: Callable[[T], R], lanes: T, *, count: ArrayLike | None
         padded = jnp.concatenate([values, jnp.repeat(values[-1:], padding, axis=0)]) if padding else values
         return padded.reshape(tiles, tile, *values.shape[1:])
 
-    cuts = jax.tree.map(cut, lanes)
+    cuts = jax.tree.map(cut, batch)
     if count is None:
         results = cast(R, jax.lax.map(many, cuts))
     else:

@@ -1,7 +1,7 @@
 """What a study may name, apart from what computes it: spring laws by name, excitations with their settings.
 
 Nothing here needs JAX, which takes longer to load than a study takes to read: a wrong key is told without it.  An excitation is
-declared here, and computed by the class of `hsed_jax.physics.excitations` that is declared so.  Studies, laboratories,
+declared here, and computed by the class in the file of `hsed_jax.physics.excitations` with its name.  Studies, laboratories,
 figures and reports ask here.
 """
 
@@ -197,5 +197,5 @@ CYCLIC_ELONGATION = Declared(
 CYCLES = 2
 """Full cycles at each amplitude, where a study names neither them nor a protocol."""
 
-DECLARED = {known.name: known for known in (NEAR_FAULT_PULSE, RECORDED_MOTION, HISTORY_OF_A_FORCE, CYCLIC_ELONGATION)}
+DECLARED = {known.name: known for known in list(globals().values()) if isinstance(known, Declared)}
 """Excitations by their keys in a study."""

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-LANES = "lanes"
+BATCH_AXIS = "batch"
 """The axis of `jax.vmap` over what runs together, where effects are gated."""
 
 # Every gate costs a test, so effects share a gate in groups of this size.
@@ -41,9 +41,9 @@ def gated[T](acts: Bool[Array, ""] | None, there: Callable[[], T], absent: Calla
     return cast(T, jax.lax.cond(acts, numbers_there, numbers_absent))
 
 
-def in_any_lane(happens: Bool[Array, ""]) -> Bool[Array, ""]:
+def in_any_simulation(happens: Bool[Array, ""]) -> Bool[Array, ""]:
     """Whether an event happens in any simulation of the batch."""
-    return cast(Array, jax.lax.pmax(jnp.asarray(happens, int), LANES)) > 0
+    return cast(Array, jax.lax.pmax(jnp.asarray(happens, int), BATCH_AXIS)) > 0
 
 
 class Acts(NamedTuple):

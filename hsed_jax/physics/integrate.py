@@ -173,8 +173,8 @@ def _turn(first: tuple[Scalar, Scalar], last: tuple[Scalar, Scalar], h: Scalar) 
     theta = jax.lax.optimization_barrier(jnp.where(turns, v0 / jnp.where(turns, v0 - v1, 1.0), 1.0))
     turns, rest = theta < 1, 1 - theta
     # The cubic in powers of 1 − θ: exactly Δu₁ without a reversal.
-    back, bend = du0 - du1, 2 * (du0 - du1) + h * (v0 + v1)
-    elongation = du1 + rest * (rest * (back + bend + h * v1 - rest * bend) - h * v1)
+    back, curvature = du0 - du1, 2 * (du0 - du1) + h * (v0 + v1)
+    elongation = du1 + rest * (rest * (back + curvature + h * v1 - rest * curvature) - h * v1)
     elongation = jax.lax.optimization_barrier(elongation)
     return Turn(turns, h, theta, du0, elongation, v0, v1)
 

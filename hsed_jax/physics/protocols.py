@@ -8,7 +8,7 @@ rotation, that length is 1.
 Most protocols go on until the specimen fails, by a constant increment of the amplitude (`Protocol.increment`).  The table here
 ends where the published one does; `steps` cuts it short or goes on.
 
-Nothing here needs JAX: `hsed_jax.physics.excitations.cyclic` imposes the sequence, `protocol_history` is the command alone.
+Nothing here needs JAX: `hsed_jax.physics.excitations.imposed` imposes the sequence, `protocol_history` is the command alone.
 """
 
 from dataclasses import dataclass

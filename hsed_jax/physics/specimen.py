@@ -28,7 +28,7 @@ from hsed_jax.physics.effects.base import (
 )
 from hsed_jax.physics.effects.forms import slots_of, slots_of_any
 from hsed_jax.physics.effects.shaped import kind_of
-from hsed_jax.physics.gates import Contributor, gated, gathered, in_any_lane
+from hsed_jax.physics.gates import Contributor, gated, gathered, in_any_simulation
 from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, Turn
 from hsed_jax.physics.scales import Scales, is_zero
 from hsed_jax.physics.states import SharedState
@@ -110,7 +110,7 @@ class Specimen(eqx.Module):
             before, after: states at its ends, as integrated.
             flow: rates at its start.
         """
-        turns = in_any_lane(turn.happens) if self.is_gated else None
+        turns = in_any_simulation(turn.happens) if self.is_gated else None
         mended = partial(self.law.mended, turn, before, flow, after, self.rates)
         at_turn, at_end = gated(turns, mended, lambda: (after, after))
         rate = jnp.where(turn.happens, 0.0, turn.after)

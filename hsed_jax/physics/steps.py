@@ -78,7 +78,7 @@ class Step(NamedTuple):
 
 def _peak(first: Scalar, middle: Scalar, last: Scalar) -> Scalar:
     """Largest magnitude of the parabola through three values, at the end of a step or within it."""
-    slope, bend = 4 * middle - 3 * first - last, 2 * (first - 2 * middle + last)
-    turns = jnp.where(bend == 0, 0.0, -slope / jnp.where(bend == 0, 1.0, 2 * bend))
+    slope, curvature = 4 * middle - 3 * first - last, 2 * (first - 2 * middle + last)
+    turns = jnp.where(curvature == 0, 0.0, -slope / jnp.where(curvature == 0, 1.0, 2 * curvature))
     inside = (turns > 0) & (turns < 1)
     return jnp.maximum(jnp.abs(last), jnp.where(inside, jnp.abs(first + 0.5 * slope * turns), 0.0))

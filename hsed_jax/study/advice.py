@@ -22,7 +22,7 @@ _SECONDS = {"calibrate": 3e-4, "compare": 2e-5, "diagnose": 2e-2, "discover": 3e
 _COMPILING = 15.0
 # Experiments that a diagnosis searches, at most.
 _SEARCHED = 6
-# Memory [B]: of the program; on each core, of a step in a tile of lanes and of a number in a chunk of them; of a number of each
+# Memory [B]: of the program; on each core, of a step in a tile of a batch and of a number in a chunk of them; of a number of each
 # experiment in a search, which holds a batch of them at most.
 _PROGRAM, _TILE, _CHUNK, _SEARCH, _BATCH = 0.7e9, 64 * 32, 256 * 24, 1500 * 8, 0.5e9
 

@@ -180,12 +180,12 @@ def _fault(
 
         return jax.jvp(of_parameters, (parameters,), (parameters,))
 
-    def lane(value: Any) -> Any:
+    def simulation(value: Any) -> Any:
         return jnp.asarray(value, dtype=float)[None]
 
-    lanes = jax.tree.map(lane, (dict(parameters), dict(told)))
+    batch = jax.tree.map(simulation, (dict(parameters), dict(told)))
     try:
-        jax.eval_shape(jax.vmap(one), *lanes)
+        jax.eval_shape(jax.vmap(one), *batch)
     except (Exception, SystemExit) as error:
         return failure(error).splitlines()[0]
     return None

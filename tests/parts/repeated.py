@@ -8,8 +8,10 @@ from jaxtyping import Array, Float
 
 from hsed_jax.physics.declared import REPEATED, Declared
 from hsed_jax.physics.excitations.base import AbstractRecord, Scalar
+from hsed_jax.registry import register
 
 
+@register
 @final
 class Repeated(AbstractRecord):
     """Twice a recorded accelerogram."""

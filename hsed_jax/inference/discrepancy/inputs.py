@@ -256,7 +256,7 @@ def _split(values: Float[Array, " h"], outputs: int, numbers: tuple[int, ...]) -
 def _objective(values, empty: Process, numbers: tuple[int, ...], residual, slopes, stiffness):
     """Minus the log posterior of amplitudes and lengths, parameters integrated, and its derivative."""
 
-    def height(values):
+    def log_density(values):
         amplitudes, lengths = _split(values, empty.amplitudes.size, numbers)
         factor = _factor(eqx.tree_at(lambda p: (p.amplitudes, p.lengths), empty, (amplitudes, lengths)))
         whitened = solve_triangular(factor, jnp.column_stack([residual, slopes]), lower=True)
@@ -264,4 +264,4 @@ def _objective(values, empty: Process, numbers: tuple[int, ...], residual, slope
         likelihood = log_marginal(whitened.T @ whitened, log_determinant, stiffness)
         return -likelihood - log_prior_of_lengths(jnp.log(lengths)) - log_prior_of_amplitudes(amplitudes)
 
-    return jax.value_and_grad(height)(values)
+    return jax.value_and_grad(log_density)(values)

@@ -27,26 +27,26 @@ _SWINGS, _QUALITY = (1.0, 0.7), (3.0, 1.0)
 _SWINGS_WITHIN, _QUALITY_WITHIN = (0.05, 10.0), (0.55, 50.0)
 
 
-class Course(NamedTuple):
-    """How a response goes through its cycles.
+class CycleHistory(NamedTuple):
+    """The cycles of a response, at every sample.
 
     Attributes:
-        amplitude: of the cycle, half the way from turn to turn, between their middles by lines, (…, m).
-        cycles: that it has gone through: half of one from turn to turn, within it as the way goes, (…, m).
+        amplitude: half the distance between two turns, interpolated linearly between the middles of the half cycles, (…, m).
+        cycles: number of cycles so far: half a cycle from turn to turn, in proportion to the distance in between, (…, m).
     """
 
     amplitude: np.ndarray
     cycles: np.ndarray
 
 
-def course(histories: Float[np.ndarray, "*s m"]) -> Course:
-    """The cycles of predicted histories."""
+def cycle_history(histories: Float[np.ndarray, "*s m"]) -> CycleHistory:
+    """The cycle histories of predicted histories."""
     flat = np.nan_to_num(histories.reshape(-1, histories.shape[-1]), posinf=0.0, neginf=0.0)
-    found = [_course_of(x) for x in flat]
-    return Course(*(np.stack(part).reshape(histories.shape) for part in zip(*found, strict=True)))
+    found = [_cycle_history_of(x) for x in flat]
+    return CycleHistory(*(np.stack(part).reshape(histories.shape) for part in zip(*found, strict=True)))
 
 
-def _course_of(x: Float[np.ndarray, " m"]) -> tuple[np.ndarray, np.ndarray]:
+def _cycle_history_of(x: Float[np.ndarray, " m"]) -> tuple[np.ndarray, np.ndarray]:
     turns, way = half_cycles(x), np.concatenate([[0.0], np.cumsum(np.abs(np.diff(x)))])
     if turns.size < 2 or way[-1] == 0:
         return np.zeros(x.size), np.zeros(x.size)
@@ -79,7 +79,7 @@ def learn(
     used = by_output(((np.asarray(data.weights) > 0) & (ok[:, None] > 0)).astype(float))
     of_sigma = _of_histories(by_output(sigma), used)
     z = used * by_output(predicted - np.asarray(data.values)) / of_sigma
-    swing, is_wrong = course(by_output(predicted)), wrong[:, None] * np.ones(used.shape)
+    swing, is_wrong = cycle_history(by_output(predicted)), wrong[:, None] * np.ones(used.shape)
     size = swing.amplitude / of_sigma
     reference = np.sum(used * size, axis=(0, 2)) / np.maximum(np.sum(used, axis=(0, 2)), 1)
     reference = np.where(reference > 0, reference, 1.0)
@@ -144,7 +144,7 @@ def _with(empty: OverCycles, values: Float[Array, " h"], numbers: tuple[int, ...
 def _objective(values, empty: OverCycles, numbers: tuple[int, ...], z, stiffness):
     """Minus the log posterior of what the process is made of, parameters integrated, and its derivative."""
 
-    def height(values):
+    def log_density(values):
         process = _with(empty, values, numbers)
         columns = jnp.concatenate([z[..., None], process.used[..., None] * process.along], axis=-1)
         found = Products(process, columns)
@@ -154,4 +154,4 @@ def _objective(values, empty: OverCycles, numbers: tuple[int, ...], z, stiffness
         prior += log_prior_of_amplitudes(process.amplitudes) - 2 * jnp.sum(jnp.log1p(process.spread))
         return -log_marginal(found.products, found.log_determinant, stiffness) - prior
 
-    return jax.value_and_grad(height)(values)
+    return jax.value_and_grad(log_density)(values)

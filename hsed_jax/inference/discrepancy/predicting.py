@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hsed_jax.inference.discrepancy.cycles import OverCycles
-from hsed_jax.inference.discrepancy.learning import course, sensitivities
+from hsed_jax.inference.discrepancy.learning import cycle_history, sensitivities
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.programs import program
@@ -33,7 +33,7 @@ def shortfall(
     theta, shape = posterior.constrain(u), (len(predicted), len(posterior.outputs), -1)
     sigma = np.asarray(_expected_sigma(posterior, theta, jnp.asarray(predicted), data))
     sigma = np.where(sigma > 0, sigma, 1.0)
-    amplitude = course(predicted.reshape(shape)).amplitude / sigma.reshape(shape)
+    amplitude = cycle_history(predicted.reshape(shape)).amplitude / sigma.reshape(shape)
     in_units = (along / sigma[..., None]).reshape(*shape, along.shape[-1])
     open_there = process.of_others(jnp.asarray(amplitude), jnp.asarray(in_units))
     variance = np.asarray(open_there).reshape(sigma.shape) * sigma**2

@@ -22,6 +22,6 @@ class Laplace(AbstractSampler):
     @staticmethod
     def draw(asked: Requested) -> Chains:
         """Draws of the Gaussian around the mode."""
-        u, height = gaussian(asked.maximum, jax.random.split(asked.key)[0], asked.number)
+        u, log_density = gaussian(asked.maximum, jax.random.split(asked.key)[0], asked.number)
         settings = asked.settings._replace(sampler="laplace")
-        return independent(asked.posterior, u, height, asked.step_size, settings, asked.number)
+        return independent(asked.posterior, u, log_density, asked.step_size, settings, asked.number)

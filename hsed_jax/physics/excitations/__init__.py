@@ -1,6 +1,5 @@
-"""Excitations: one file each, and a line of the registry here."""
+"""The excitations that a study may name, one file each, called like its key; `hsed_jax.physics.declared` has their settings."""
 
-from hsed_jax.physics.excitations.applied_force import AppliedForce
 from hsed_jax.physics.excitations.base import (
     AbstractExcitation as AbstractExcitation,
 )
@@ -25,10 +24,7 @@ from hsed_jax.physics.excitations.base import (
 from hsed_jax.physics.excitations.base import (
     driven as driven,
 )
-from hsed_jax.physics.excitations.cyclic import CyclicElongation
-from hsed_jax.physics.excitations.near_fault_pulse import NearFaultPulse
-from hsed_jax.physics.excitations.recorded import RecordedMotion
+from hsed_jax.registry import Parts
 
-_ALL: tuple[type[AbstractExcitation], ...] = (NearFaultPulse, RecordedMotion, AppliedForce, CyclicElongation)
-EXCITATIONS = {excitation.declared.name: excitation for excitation in _ALL}
-"""What computes those that a study may name (`hsed_jax.physics.declared`), by their keys."""
+EXCITATIONS = Parts[AbstractExcitation](__name__, "excitation")
+"""The classes that compute them, by the keys of a study."""

@@ -11,11 +11,13 @@ from jaxtyping import Array, Float
 
 from hsed_jax.physics.declared import HISTORY_OF_A_FORCE, Declared
 from hsed_jax.physics.excitations.base import AbstractRecord, Applied, Scalar, samples_of
+from hsed_jax.registry import register
 
 # As the integration resolves a period (`hsed_jax.study.timelines`).
 _STEPS_PER_PERIOD = 24
 
 
+@register
 @final
 class AppliedForce(AbstractRecord):
     r"""A history of a force on one mass times a factor, linear between its samples and zero outside them.

@@ -16,11 +16,13 @@ from jaxtyping import Bool
 
 from hsed_jax.physics.declared import NEAR_FAULT_PULSE, Declared
 from hsed_jax.physics.excitations.base import AbstractExcitation, AbstractForcing, Scalar
+from hsed_jax.registry import register
 
 Phasor = tuple[Scalar, Scalar]
 """Cosine and sine of an angle."""
 
 
+@register
 @final
 class NearFaultPulse(AbstractExcitation):
     r"""Near-fault velocity pulse of Dabaghi and Der Kiureghian, started at t = 0.

@@ -11,8 +11,10 @@ from jaxtyping import Array, Float
 
 from hsed_jax.physics.declared import RECORDED_MOTION, Declared
 from hsed_jax.physics.excitations.base import AbstractRecord, Scalar, samples_of
+from hsed_jax.registry import register
 
 
+@register
 @final
 class RecordedMotion(AbstractRecord):
     """A recorded accelerogram times a factor, linear between its samples and zero outside them.

@@ -20,7 +20,7 @@ from hsed_jax.programs import program
 _LOOK, _KEEP = 0.2, 5.0
 
 
-def heights(
+def log_densities(
     posterior: Posterior,
     data: Data,
     points: Float[np.ndarray, "N p"],
@@ -69,11 +69,11 @@ def simulated(
         blocks[at] = _simulated(posterior, data, block)
 
     def seen() -> None:
-        watch.count(sum(len(height) for *_, height in blocks.values()), len(points))
+        watch.count(sum(len(log_density) for *_, log_density in blocks.values()), len(points))
 
     _over(one, points, data, np.ones(len(points), dtype=bool), seen, lambda: None, None)
-    outputs, ok, height = zip(*(blocks[at] for at in sorted(blocks)), strict=True)
-    return np.concatenate(outputs), np.concatenate(ok), np.concatenate(height)
+    outputs, ok, log_density = zip(*(blocks[at] for at in sorted(blocks)), strict=True)
+    return np.concatenate(outputs), np.concatenate(ok), np.concatenate(log_density)
 
 
 def _over(

@@ -23,8 +23,10 @@ from hsed_jax.physics.declared import CYCLES, CYCLIC_ELONGATION, Declared
 from hsed_jax.physics.excitations.base import AbstractForcing, AbstractImposedElongation, Imposed, Scalar, Tabulated
 from hsed_jax.physics.protocols import Protocol
 from hsed_jax.physics.timeline import Timeline
+from hsed_jax.registry import register
 
 
+@register
 @final
 class CyclicElongation(AbstractImposedElongation):
     """Cycles of stepwise amplitudes, imposed on the specimen alone.

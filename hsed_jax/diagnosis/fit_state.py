@@ -48,7 +48,7 @@ class Target(NamedTuple):
         return np.sqrt(used) * whitened((used > 0) * difference / self.sigma[rows], self.memory[rows])
 
 
-class Member(NamedTuple):
+class Submodel(NamedTuple):
     """One of the nested models.
 
     Attributes:
@@ -59,19 +59,19 @@ class Member(NamedTuple):
     free: Int[np.ndarray, " p"]
     held: Float[np.ndarray, " P"]
 
-    def beside(self, more: Int[np.ndarray, " q"], held: Mapping[int, float]) -> "Member":
+    def beside(self, more: Int[np.ndarray, " q"], held: Mapping[int, float]) -> "Submodel":
         """The model with further coordinates free, and further parameters held."""
         values = self.held.copy()
         for column, value in held.items():
             values[column] = value
-        return Member(np.append(self.free, more), values)
+        return Submodel(np.append(self.free, more), values)
 
 
 class Task(NamedTuple):
     """One fit to make.
 
     Attributes:
-        member: the model.
+        submodel: the model.
         start: where to start.
         use: which of the target's weights to fit.
         rivals: tasks of one number, if not negative, are starts of one fit: those that fall behind are given up.
@@ -79,20 +79,20 @@ class Task(NamedTuple):
         stays: it is judged anew where it is, and goes no further.
     """
 
-    member: Member
+    submodel: Submodel
     start: Float[np.ndarray, " P"]
     use: int = 0
     rivals: int = -1
-    known: "Descent | None" = None
+    known: "FitState | None" = None
     stays: bool = False
 
 
 @dataclass
-class Descent:
+class FitState:
     """A fit, while it is made and afterwards.
 
     Attributes:
-        member: the model.
+        submodel: the model.
         x: where it is, (P,).
         cost: φ there; infinite where the simulation diverged.
         predicted: outputs of all experiments of the target, SI, (n, J); zero where the use has no weight.
@@ -102,7 +102,7 @@ class Descent:
         races: it is given up where it cannot catch up with other fits.
     """
 
-    member: Member
+    submodel: Submodel
     x: Float[np.ndarray, " P"]
     use: int
     cost: float = np.inf
@@ -118,4 +118,4 @@ class Descent:
     @property
     def free(self) -> Int[np.ndarray, " p"]:
         """Its free coordinates."""
-        return self.member.free
+        return self.submodel.free
