@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from hsed_jax.config.load import load_study as load_study
     from hsed_jax.config.schema import Study as Study
     from hsed_jax.errors import UserError as UserError
+    from hsed_jax.exports.designsafe import write_designsafe as write_designsafe
     from hsed_jax.exports.export import export as export
     from hsed_jax.intake.beginning import read_files as read_files
     from hsed_jax.measurements import Campaign as Campaign
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from hsed_jax.physics.protocols import protocol_history as protocol_history
     from hsed_jax.registry import register as register
     from hsed_jax.runs.ask_tell import AskTell as AskTell
+    from hsed_jax.runs.projects import read_designsafe as read_designsafe
     from hsed_jax.runs.reading import read_run as read_run
     from hsed_jax.runs.workflow import run as run
     from hsed_jax.sweeps.laws import laws as laws
@@ -55,6 +57,7 @@ _HOMES = {
     "config.load": ("load_study",),
     "config.schema": ("Study",),
     "errors": ("UserError",),
+    "exports.designsafe": ("write_designsafe",),
     "exports.export": ("export",),
     "measurements": (
         "Campaign",
@@ -76,6 +79,7 @@ _HOMES = {
     "analysis.sensitivity": ("sensitivity",),
     "sweeps.laws": ("laws",),
     "sweeps.sweep": ("sweep",),
+    "runs.projects": ("read_designsafe",),
     "runs.reading": ("read_run",),
     "runs.workflow": ("run",),
 }

@@ -78,6 +78,8 @@ def command_line() -> argparse.ArgumentParser:
         action="store_true",
         help="simulate 64 points of the priors, and say which data the model cannot produce",
     )
+    text = "earlier experiments: say how much they tell about those that the study plans"
+    check.add_argument("--worth", metavar="CAMPAIGN", help=text)
     check.set_defaults(command=_check)
     beginning.add_command(commands)
     for name, text, steps in _PARTS:
@@ -195,7 +197,8 @@ def _check(options: Any) -> int:
     # A wrong key is told before what calculates is loaded.
     from hsed_jax.runs.checking import check_study
 
-    check_study(study, Path(options.study), predict=getattr(options, "predict", False))
+    predict, worth = getattr(options, "predict", False), getattr(options, "worth", None)
+    check_study(study, Path(options.study), predict=predict, worth=worth)
     return 0
 
 

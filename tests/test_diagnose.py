@@ -37,6 +37,7 @@ import hsed_jax as hx
 from hsed_jax.diagnosis.averaging import averaged
 from hsed_jax.diagnosis.candidates import problem_of
 from hsed_jax.diagnosis.diagnose import diagnose
+from hsed_jax.diagnosis.findings import PriorWidth
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import FormColumns
@@ -897,6 +898,21 @@ def test_a_likely_effect_that_is_not_named_is_mentioned_with_its_reason(damped):
     assert said in repr(found) and said in found.summary()["notes"]
     assert found.summary()["ranking"][0]["reason"] == "its simulation is slow"
     assert "reason" not in damped.summary()["ranking"][0] and all(c.reason is None for c in damped.ranking[:1])
+
+
+@pytest.mark.whole
+def test_a_verdict_that_other_priors_turn_to_another_explanation_is_ambiguous(monkeypatch):
+    def turned(search, models, best, verdict, otherwise, does_the_same):
+        gains = {"viscous_damping": -1.0}
+        narrow = PriorWidth(1 / 3, verdict, tuple(best.effects), gains, gains, True)
+        return [narrow, PriorWidth(10.0, otherwise, (), gains, gains, False, ())]
+
+    monkeypatch.setattr("hsed_jax.diagnosis.diagnose.prior_widths", turned)
+    found = diagnosed(C)
+    assert found.verdict == "ambiguous" and found.effects == ["viscous_damping"]
+    assert found.look_alikes == [["viscous_damping"]] and found.averaged is not None
+    assert "missing is viscous_damping or no such effect, which these measurements cannot tell apart" in found.sentence
+    assert "it leads to no effect" in " ".join(found.summary()["notes"])
 
 
 def test_an_ambiguous_diagnosis_says_how_far_its_explanations_differ(damped):

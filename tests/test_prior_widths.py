@@ -11,7 +11,7 @@ from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.evidence import laplace
 from hsed_jax.diagnosis.fit_state import Task
 from hsed_jax.diagnosis.nested import NestedModels
-from hsed_jax.diagnosis.prior_widths import WIDTHS, Stretched, moved_by, prior_widths
+from hsed_jax.diagnosis.prior_widths import WIDTHS, Stretched, _leader, _State, moved_by, prior_widths
 from hsed_jax.diagnosis.score import HeldOut
 from hsed_jax.diagnosis.search import Search
 from hsed_jax.inference.priors import Prior
@@ -86,8 +86,40 @@ def test_an_effect_that_only_a_narrow_prior_supports_loses_its_verdict_with_a_wi
     size = float(weak.fit.x[COLUMNS[NAMED][0]])
     assert wide.log_evidence_gain[NAMED] == pytest.approx(gain - math.log(10) + 0.5 * size**2 * (1 - 0.01), abs=0.02)
     assert not wide.is_same and wide.verdict == "unexplained" and wide.effects == ()
+    # What was left out supports the effect still, so that the model without it does not lead.
+    assert wide.leader is None
     assert "caution" in wide.sentence and "10 times wider" in wide.sentence
     assert wide.summary()["verdict"] == "unexplained" and wide.summary()["width"] == 10.0
+
+
+def state(search, own, other, none=0.0, odds=1e3, gain=5.0):
+    """What three explanations are worth: probability and log posterior odds of each, and the odds of the named effect."""
+    named, rival, less = (
+        search.model(effects)._replace(probability=p, log_posterior=worth)
+        for effects, (p, worth) in (({NAMED}, own), ({"effect_1"}, other), ((), (none, 0.0)))
+    )
+    return _State(10.0, [named, rival, less], {NAMED: gain}, {NAMED: odds}, {NAMED: 0.0})
+
+
+def test_another_explanation_leads_where_it_meets_the_demands_of_a_verdict(strong):
+    best = strong.model({NAMED})
+    before = state(strong, (0.9, 9.0), (0.1, 5.0))
+
+    def leader(after, does_the_same=lambda model: False):
+        return _leader(best, before, after, does_the_same)
+
+    leads = state(strong, (0.1, 4.0), (0.9, 5.0))
+    assert leader(leads) == ("effect_1",)
+    # What does the same is no other explanation; what led before leads by no prior.
+    assert leader(leads, lambda model: model.effects == {"effect_1"}) is None
+    assert _leader(best, leads, leads, lambda model: False) is None
+    # Either demand alone is not enough: odds of four, and no less evidence.
+    assert leader(state(strong, (0.21, 4.0), (0.79, 5.0))) is None
+    assert leader(state(strong, (0.1, 6.0), (0.9, 5.0))) is None
+    # Against the model without it, the effect has its odds and its gain.
+    assert leader(state(strong, (0.9, 9.0), (0.1, 5.0), odds=0.2, gain=-0.5)) == ()
+    assert leader(state(strong, (0.9, 9.0), (0.1, 5.0), odds=0.3, gain=-0.5)) is None
+    assert leader(state(strong, (0.9, 9.0), (0.1, 5.0), odds=0.2, gain=0.5)) is None
 
 
 @pytest.mark.parametrize(

@@ -85,12 +85,19 @@ def diagnose(
     called = {} if probe is None else {m.effects: probe.called(m) for m in (best, *rivals) if m.effects}
     rivals = [m for m in rivals if called.get(m.effects) != called.get(best.effects, best.effects)]
     ranking = _ranking(problem, search, models, sampled, called)
+    is_adequate = is_explained(none.fit) and not problem.opened
+    plain = "undecided" if p_value is None else "adequate" if is_adequate else "unexplained"
+    before = plain if not best.effects else "ambiguous" if rivals else "missing_effects"
+    widths = prior_widths(search, models, best, before, plain, partial(_does_the_same, probe, best))
+    # With other priors of the effects another explanation leads: the data alone do not decide between both.
+    leaders = [
+        search.model(one.leader)._replace(probability=best.probability) for one in widths if one.leader is not None
+    ]
+    rivals = rivals or leaders[:1]
     # A clear winner still has a runner-up to be told from.
     information = separation(problem, search, [best, *(rivals or [m for m in models if m is not best][:1])])
     look_alikes = look_alikes_of(problem, search, best, models) if best.effects else []
     chosen, worth, average = None, None, None
-    is_adequate = is_explained(none.fit) and not problem.opened
-    plain = "undecided" if p_value is None else "adequate" if is_adequate else "unexplained"
     if not best.effects:
         verdict = plain
     elif rivals:
@@ -129,7 +136,7 @@ def diagnose(
         averaged=average,
         explanations=_explanations(search, models, best, called),
         behaviour=Behaviours() if probe is None else probe.behaviours(none, best, sampled[best.effects]),
-        prior_widths=prior_widths(search, models, best, verdict, plain, partial(_does_the_same, probe, best)),
+        prior_widths=widths,
     )
 
 

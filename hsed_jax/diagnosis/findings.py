@@ -137,7 +137,8 @@ class PriorWidth:
         effects: that are named.
         log_evidence_gain: of each named effect (without one, of the candidate of most evidence), at this width.
         log_evidence_gain_before: the same with the priors as they are.
-        is_same: whether verdict and effects are those of the diagnosis.
+        is_same: whether verdict and effects are those with the priors as they are.
+        leader: effects of the explanation that then leads by the demands of a verdict; None without one.
     """
 
     width: float
@@ -146,6 +147,7 @@ class PriorWidth:
     log_evidence_gain: Mapping[str, float]
     log_evidence_gain_before: Mapping[str, float]
     is_same: bool
+    leader: tuple[str, ...] | None = None
 
     @property
     def words(self) -> str:
@@ -162,10 +164,10 @@ class PriorWidth:
         told = f" (log evidence gain: {gains})" if gains else ""
         if self.is_same:
             return f"with priors of the effects {self.words} the verdict stays the same{told}"
-        named = " and ".join(self.effects) or "no effect"
+        named = " and ".join(self.effects if self.leader is None else self.leader) or "no effect"
         return (
-            f"caution: the verdict depends on the priors; with priors of the effects {self.words} it is {self.verdict} and names "
-            f"{named}{told}"
+            f"caution: the verdict depends on the priors; with priors of the effects {self.words} it "
+            f"{f'is {self.verdict} and names' if self.leader is None else 'leads to'} {named}{told}"
         )
 
     def summary(self) -> dict[str, Any]:
@@ -300,7 +302,9 @@ class Diagnosis(Tabular):
                 f"; what remains ({self.error_after[0]:.3f} against a noise of {self.noise_floor:.3f}) is not noise yet"
             )
         if self.verdict == "ambiguous":
-            rivals = "; ".join(" or ".join(map(self.called, group)) for group in self.look_alikes)
+            # What the priors decide may be an effect against none.
+            groups = [[*map(self.called, group), *["no such effect"][len(group) - 1 :]] for group in self.look_alikes]
+            rivals = "; ".join(map(" or ".join, groups))
             return f"missing is {rivals}, which these measurements cannot tell apart; with {named}, {fall}{left}"
         alike = "".join(
             f"; {' or '.join(map(self.called, others))} in place of {self.called(first)} differs by less than the noise and is "

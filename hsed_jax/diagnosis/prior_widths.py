@@ -8,6 +8,10 @@ $$\varphi_s(x) = c + g^\top(x-\hat x) + \tfrac12 (x-\hat x)^\top H (x-\hat x) - 
 and the stretched densities $p_s$ are exact.  The minimum of φ_s gives the evidence by Laplace's method.  The same expansion for
 the data of each fold gives how far the fit to that fold moves, and its derivatives how far its predictions move.
 
+Another explanation leads at a width if it meets the demands of a verdict there: its odds against the named one by what both
+predict are at least those that an effect needs, and its evidence with its prior is not less.  Then the verdict is ambiguous.
+A flip without such a leader is a caution: the support of an effect may fall below the demands while nothing else explains more.
+
 A wider prior does not extend the bounds: nothing beyond them was simulated.  The evidence under it is thus a lower bound where
 the fit leans on a bound.
 """
@@ -119,7 +123,7 @@ class _State(NamedTuple):
 
     Attributes:
         width: of the priors.
-        models: with their probabilities.
+        models: with their probabilities and log posterior odds.
         gains: log evidence gain of each effect that is told of.
         odds: of the model with each of these effects against the one without it, by what they predict.
         log_priors: log prior odds of the same.
@@ -171,7 +175,10 @@ class _Stretching:
         shares = np.asarray([m.probability for m in self._models])
         shares = shares * weights / np.maximum(self._plain_weights, 1e-300)
         shares = shares / shares.sum() if shares.sum() > 0 else shares
-        models = [m._replace(probability=float(p)) for m, p in zip(self._models, shares, strict=True)]
+        models = [
+            m._replace(probability=float(p), log_posterior=float(m.log_posterior + change))
+            for m, p, change in zip(self._models, shares, evidence, strict=True)
+        ]
         place = {m.effects: k for k, m in enumerate(self._models)}
         gains, odds, log_priors = {}, {}, {}
         for effect, (larger, smaller) in self._pairs.items():
@@ -246,7 +253,38 @@ def _told(
         effects = [e for e in after.odds if all(supports(after, e)) and not all(supports(before, e))]
         found = "missing_effects" if effects else verdict
     is_same = found == verdict and effects == sorted(best.effects)
-    return PriorWidth(after.width, found, tuple(effects), dict(after.gains), dict(before.gains), is_same)
+    leader = None if is_same or verdict != "missing_effects" else _leader(best, before, after, does_the_same)
+    return PriorWidth(after.width, found, tuple(effects), dict(after.gains), dict(before.gains), is_same, leader)
+
+
+def _leader(
+    best: Model, before: _State, after: _State, does_the_same: Callable[[Model], bool]
+) -> tuple[str, ...] | None:
+    """Effects of the explanation that leads with the other priors, and did not before; None without one."""
+
+    def leading(state: _State) -> dict[frozenset[str], float]:
+        own = next(m for m in state.models if m.effects == best.effects)
+        # A model that was not scored has no probability; the one without an effect has the odds against it.
+        less = {
+            best.effects - {effect}: 1 / max(odds, 1e-300)
+            for effect, odds in state.odds.items()
+            if odds <= 1 / ODDS and state.gains[effect] + state.log_priors[effect] <= 0
+        }
+        instead = {
+            m.effects: m.probability / max(own.probability, 1e-300)
+            for m in state.models
+            if m.effects != best.effects
+            and len(m.effects) <= len(best.effects)
+            and m.probability >= ODDS * own.probability
+            and m.probability > 0
+            and m.log_posterior >= own.log_posterior
+            and not does_the_same(m)
+        }
+        return less | instead
+
+    known = leading(before)
+    new = {effects: odds for effects, odds in leading(after).items() if effects not in known}
+    return tuple(sorted(max(new, key=lambda effects: new[effects]))) if new else None
 
 
 def _of_all(fit: FitState, box: Box) -> _Misfit:

@@ -45,10 +45,14 @@ def add_command(commands: Any) -> None:
     """Add the command to the sub-commands of `hsed`."""
     text = "write a ready study for a campaign of measurements, or for the files of a laboratory"
     init = commands.add_parser("init", help=text, description=text.capitalize() + ".")
-    what = "folder of a campaign, or files of one specimen: csv, txt, dat, out, lvm, xlsx, tdms, mat, npz, parquet, h5"
+    what = (
+        "folder of a campaign or of a project of DesignSafe, or files of one specimen: csv, txt, dat, out, lvm, xlsx, tdms, mat, "
+        "npz, parquet, h5"
+    )
     init.add_argument("campaign", nargs="+", metavar="CAMPAIGN|FILE", help=what)
     where = (
-        "of a campaign: the study (default: CAMPAIGN/study.yaml); of files: the folder (default: beside the first file)"
+        "of a campaign: the study (default: CAMPAIGN/study.yaml); of files or a project: the folder (default: beside the first "
+        "file or the project)"
     )
     init.add_argument("--output", metavar="STUDY.yaml|DIR", help=where)
     add_force(init, "replace an existing study or folder")
@@ -179,6 +183,8 @@ def _beside(file: Path) -> Path:
 
 
 def _init(options: Any) -> int:
+    from hsed_jax.runs.projects import is_project
+
     files = files_of(options.campaign)
     if files:
         if len(files) < len(options.campaign):
@@ -186,8 +192,10 @@ def _init(options: Any) -> int:
         study = study_of_files(files, options, options.output)
     elif len(options.campaign) > 1:
         raise UserError("give one folder of a campaign; files of one specimen may be several")
+    elif is_project(folder := Path(options.campaign[0])):
+        study = _study_of_project(folder, options)
     else:
-        study = _study_of_campaign(Path(options.campaign[0]), options)
+        study = _study_of_campaign(folder, options)
     print(f"wrote {study}; run it with: hsed run {quote(str(study))}")
     return 0
 
@@ -209,6 +217,25 @@ def _study_of_campaign(folder: Path, options: Any) -> Path:
         raise UserError(f"{output} exists already; say --force to replace it or choose another --output")
     _write_study(output, text_of_study(campaign, folder, output, _frame(options), model=_model(options, campaign)))
     return output
+
+
+def _study_of_project(folder: Path, options: Any) -> Path:
+    """The campaign of a project as a folder of its own, with the study of the project, or with a new one."""
+    from hsed_jax.runs.projects import read_designsafe, unpack
+
+    output = Path(options.output) if options.output else folder.with_name(f"{folder.resolve().name}_campaign")
+    study = output / "study.yaml"
+    if study.exists() and not options.force:
+        raise UserError(f"{output} exists already; say --force to replace it or choose another --output")
+    project = read_designsafe(folder)
+    try:
+        unpacked = unpack(project, output)
+    except OSError as error:
+        raise UserError(f"{output}: cannot be written ({error.strerror}); choose another --output") from None
+    if unpacked is not None:
+        _tell_findings(project.campaign, str(folder))
+        return unpacked
+    return _study_of_campaign(output, argparse.Namespace(**{**vars(options), "output": None}))
 
 
 def _tell_findings(campaign: "Campaign", where: str, doubts: "Sequence[Finding]" = ()) -> None:

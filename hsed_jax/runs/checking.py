@@ -6,7 +6,7 @@ from pathlib import Path
 
 from hsed_jax.config.schema import Study
 from hsed_jax.errors import UserError
-from hsed_jax.measurements import Campaign, Finding, check_campaign, overview, stop_at_errors
+from hsed_jax.measurements import Campaign, Finding, check_campaign, overview, read_campaign, stop_at_errors
 from hsed_jax.reporting.doubt_figures import write_pictures
 from hsed_jax.study.advice import forecast, frequency_doubts
 from hsed_jax.study.build import Built
@@ -14,13 +14,14 @@ from hsed_jax.study.excitations import sentence_of
 from hsed_jax.study.unit_doubts import unit_doubts
 
 
-def check_study(study: Study, path: Path, *, predict: bool = False) -> None:
+def check_study(study: Study, path: Path, *, predict: bool = False, worth: str | None = None) -> None:
     """Build a study, print what is wrong or doubtful of it and its data, and draw what is doubted.
 
     Arguments:
         study: what the user said.
         path: its file; the pictures go into the folder `figures` beside it.
         predict: simulate the model all over its priors, and print which data they exclude.
+        worth: folder of a campaign of earlier experiments; print what they tell about those that the study plans.
 
     Raises:
         UserError: the study cannot be run, the data have errors, or there is nothing measured to compare a prediction with.
@@ -54,6 +55,10 @@ def check_study(study: Study, path: Path, *, predict: bool = False) -> None:
 
         for sentence in prior_sentences(built.inference, measured):
             print(f"prior prediction: {sentence}")
+    if worth is not None:
+        from hsed_jax.analysis.prior_worth import worth_of
+
+        print(worth_of(built.inference, read_campaign(worth)))
     if "diagnose" in study.steps:
         for note in built.mechanics.naming.left_out():
             print(f"diagnose: {note}")
