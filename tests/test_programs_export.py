@@ -4,8 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import yaml
+from builders import run_folders
 from scipy.integrate import solve_ivp
 
+from hsed_jax.command_line import main
 from hsed_jax.errors import UserError
 from hsed_jax.exports.programs import entries, markdown
 from hsed_jax.physics.effects import EFFECTS
@@ -134,3 +137,18 @@ def test_what_is_not_equal_is_refused(law, values, effects, said):
 def test_the_table_has_every_number_with_its_unit():
     table = markdown("A law", entries(LAWS["bilinear"](**BILINEAR), {}, SCALES, REACH, ELONGATION_AND_FORCE))
     assert "| SeismoStruct | bl_kin | K0 | 2000000 | N/m |" in table and "| bl_kin | r | 0.04 | 1 |" in table
+
+
+def test_the_command_writes_the_numbers_of_a_run(tmp_path, capsys):
+    run = run_folders.write(tmp_path / "run")
+    study = yaml.safe_load((run / "study.yaml").read_text(encoding="utf-8"))
+    study["model"]["parameters"] |= {"beta": 10.0, "gamma": 10.0, "n": 1.0}
+    (run / "study.yaml").write_text(yaml.safe_dump(study), encoding="utf-8")
+    assert main(["export", str(run), "--programs", "--before"]) == 0
+    table = (run / "export" / "programs.md").read_text(encoding="utf-8")
+    # The map of the run has A = 5e5; its strength is A/(β + γ).
+    assert "| Stiffness | 500000 | N/m |" in table and "| Yield Strength | 25000 | N |" in table
+    study["model"]["parameters"]["gamma"] = 0.0
+    (run / "study.yaml").write_text(yaml.safe_dump(study), encoding="utf-8")
+    assert main(["export", str(run), "--programs", "--before"]) == 2
+    assert "gamma = beta" in capsys.readouterr().err
