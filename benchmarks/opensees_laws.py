@@ -5,7 +5,11 @@ residual over the range of the priors; the error is that of the fitted experimen
 
     python benchmarks/opensees_laws.py FOLDER --output benchmarks/opensees_laws.json   # cases that FILE has are kept
 
-FOLDER has the measured files of `MEASURED`; without it, only the records that OpenSees made are calibrated.
+    python benchmarks/opensees_laws.py --coverage 4 --search 300 --output coverage.json
+
+The second command calibrates so many further records of each material that OpenSees made, and counts how many true parameters
+the 90 % intervals hold.  FOLDER has the measured files of `MEASURED`; without it, only the records that OpenSees made are
+calibrated.
 """
 
 import argparse
@@ -37,6 +41,8 @@ MADE = ("SelfCentering", "IMKBilin", "SAWS", "IMKPeakOriented", "Pinching4")
 NOISE = 0.02
 """Of a record that OpenSees made, over the RMS of its force."""
 SAMPLES, STARTS = 300, 2
+# Of the records whose coverage is counted; those of the cases have smaller ones.
+_FIRST_SEED = 100
 
 
 def measured(folder: Path, file: str, units: dict[str, str]) -> Campaign:
@@ -95,11 +101,9 @@ class Counted:
         self.count = 0
 
 
-def case(
-    campaign: Campaign, material: str, extra: dict[str, Any], search: int, counted: Counted, seed: int
-) -> dict[str, Any]:
-    """One specimen: error and simulations of the calibration, and the error of differential evolution with as many."""
-    content = {
+def settings(material: str, extra: dict[str, Any], search: int) -> dict[str, Any]:
+    """The study of a case."""
+    return {
         "study": "case",
         "model": {"opensees": material, "parameters": extra, "search": search},
         "experiments": {"campaign": "case"},
@@ -109,7 +113,26 @@ def case(
         "calibration": {"starts": STARTS, "sampler": "laplace"},
         "steps": ["calibrate", "compare"],
     }
-    study = load_study(content)
+
+
+def coverage(material: str, seed: int, search: int) -> dict[str, Any]:
+    """How many true parameters of a record that OpenSees made are within their 90 % intervals, and those that are not."""
+    campaign, truth = made(material, seed)
+    fit = hx.calibrate(load_study(settings(material, {}, search)), campaign)
+    told = {name: one for name, one in fit.fit.summary().items() if name in truth}
+    missed = {
+        name: [truth[name], one["q05"], one["q95"]]
+        for name, one in told.items()
+        if not one["q05"] <= truth[name] <= one["q95"]
+    }
+    return {"material": material, "seed": seed, "inside": len(told) - len(missed), "of": len(told), "missed": missed}
+
+
+def case(
+    campaign: Campaign, material: str, extra: dict[str, Any], search: int, counted: Counted, seed: int
+) -> dict[str, Any]:
+    """One specimen: error and simulations of the calibration, and the error of differential evolution with as many."""
+    study = load_study(settings(material, extra, search))
     counted.start()
     began = time.perf_counter()
     fit = hx.calibrate(study, campaign)
@@ -170,7 +193,17 @@ def main() -> None:
     parser.add_argument(
         "--search", type=int, default=1000, metavar="N", help="simulations of the search (default: 1000)"
     )
+    text = "count how many true parameters the intervals hold, in N further records of each material"
+    parser.add_argument("--coverage", type=int, metavar="N", help=text)
     options = parser.parse_args()
+    if options.coverage:
+        rows = []
+        for number, material in enumerate(MADE * options.coverage):
+            rows.append(coverage(material, _FIRST_SEED + number, options.search))
+            print(rows[-1], flush=True)
+            options.output.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        print(f"{sum(row['inside'] for row in rows)} of {sum(row['of'] for row in rows)} parameters are inside")
+        return
     counted = Counted()
     found = json.loads(options.output.read_text(encoding="utf-8")) if options.output.exists() else {}
 

@@ -271,6 +271,12 @@ class Diagnosis(Tabular):
         return next((candidate.called for candidate in self.ranking if candidate.effect == effect), effect)
 
     @property
+    def alternatives(self) -> list[list[str]]:
+        """The look-alikes as they are called; an effect alone stands against none."""
+        called = [[self.called(effect) for effect in group] for group in self.look_alikes]
+        return [group if len(group) > 1 else [*group, "no such effect"] for group in called]
+
+    @property
     def is_explained(self) -> bool:
         """Whether the noise explains what the named effects leave."""
         return is_noise(self.p_value_after, self.error_after[0], self.noise_floor)
@@ -302,9 +308,7 @@ class Diagnosis(Tabular):
                 f"; what remains ({self.error_after[0]:.3f} against a noise of {self.noise_floor:.3f}) is not noise yet"
             )
         if self.verdict == "ambiguous":
-            # What the priors decide may be an effect against none.
-            groups = [[*map(self.called, group), *["no such effect"][len(group) - 1 :]] for group in self.look_alikes]
-            rivals = "; ".join(map(" or ".join, groups))
+            rivals = "; ".join(map(" or ".join, self.alternatives))
             return f"missing is {rivals}, which these measurements cannot tell apart; with {named}, {fall}{left}"
         alike = "".join(
             f"; {' or '.join(map(self.called, others))} in place of {self.called(first)} differs by less than the noise and is "

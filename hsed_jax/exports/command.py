@@ -22,6 +22,8 @@ def add_command(commands: Any) -> None:
     text = (
         "a project of DesignSafe in a new folder: model, sensor list, events, analysis and report, with their metadata"
     )
+    programs = "programs.md: the law at its MAP for SAP2000, SeismoStruct and Abaqus, where their law is equal"
+    export.add_argument("--programs", action="store_true", help=programs)
     export.add_argument("--designsafe", metavar="FOLDER", help=text)
     export.add_argument("--hybrid", action="store_true", help="the project of DesignSafe is a hybrid simulation")
     export.add_argument("--before", action="store_true", help="export the model before its improvement")
@@ -34,7 +36,7 @@ def _export(options: Any) -> int:
 
     kinds = [kind for kind in KINDS if getattr(options, kind)]
     if not kinds and options.designsafe is None:
-        raise UserError("choose what to export: --opensees, --table or --designsafe FOLDER")
+        raise UserError("choose what to export: --opensees, --table, --programs or --designsafe FOLDER")
     if options.hybrid and options.designsafe is None:
         raise UserError("--hybrid is the type of a project of DesignSafe; say --designsafe FOLDER, too")
     for kind in kinds:

@@ -9,6 +9,8 @@ from hsed_jax.errors import UserError
 from hsed_jax.exports.calibrated import Calibrated, calibrated
 from hsed_jax.exports.counterparts import material
 from hsed_jax.exports.materials import check_text, command_of, difference, test_of, version
+from hsed_jax.exports.programs import entries
+from hsed_jax.exports.programs import markdown as tables
 from hsed_jax.exports.scripts import python_script, tcl_script
 from hsed_jax.exports.table import latex, markdown, rows
 from hsed_jax.runs.reading import holding
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
     from hsed_jax.analysis.calibration import Calibration
     from hsed_jax.analysis.remedy import Improvement
 
-KINDS = ("opensees", "table")
+KINDS = ("opensees", "table", "programs")
 
 
 def export(
@@ -39,7 +41,8 @@ def export(
         output: folder to write into; by default `export` in the run folder, else in the working directory.
         kind: `opensees` writes `specimen.py` (OpenSeesPy) and `specimen.tcl` (of several specimens two files each, by their
             names; of a material of OpenSees also `protocol.csv`, the test along which the script was run, and `check.json`, its
-            difference from the simulation and the version of OpenSees), `table` writes `parameters.md` and `parameters.tex`.
+            difference from the simulation and the version of OpenSees), `table` writes `parameters.md` and `parameters.tex`,
+            `programs` writes `programs.md`: the law as input of SAP2000, SeismoStruct and Abaqus, where theirs is equal.
         before: the model as it was, in place of the improved one.
 
     Returns:
@@ -78,6 +81,8 @@ def export(
 def _files(model: Calibrated, kind: str) -> dict[str, str]:
     if kind == "opensees":
         return _material(model) if isinstance(model.built.mechanics, OpenSeesMechanics) else _scripts(model)
+    if kind == "programs":
+        return _programs(model)
     table = rows(model)
     return {"parameters.md": markdown(table), "parameters.tex": latex(table)}
 
@@ -102,6 +107,21 @@ def _material(model: Calibrated) -> dict[str, str]:
         "protocol.csv": test.csv,
         "check.json": check_text(share, opensees),
     }
+
+
+def _programs(model: Calibrated) -> dict[str, str]:
+    """The numbers of each specimen for other programs."""
+    if isinstance(model.built.mechanics, OpenSeesMechanics):
+        raise UserError("a material of OpenSees is equal to no law of SAP2000, SeismoStruct and Abaqus")
+    files = {}
+    for element in model.built.mechanics.elements:
+        law, effects, _ = model.of(element)
+        name = "programs" if not element.name else f"programs_{element.name}"
+        title = f"The calibrated law of {element.name or 'the specimen'} of the study {' '.join(model.name.split())}"
+        files[f"{name}.md"] = tables(
+            title, entries(law, effects, model.scales, model.reach(), model.built.mechanics.pair)
+        )
+    return files
 
 
 def _scripts(model: Calibrated) -> dict[str, str]:

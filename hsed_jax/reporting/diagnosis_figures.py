@@ -93,9 +93,7 @@ def ranking(diagnosis: Diagnosis) -> Picture:
                            annotation_clip=False)  # fmt: skip
     style.legend(figure, panel)
     rest = len(diagnosis.ranking) - len(shown)
-    groups = "; ".join(
-        " or ".join(style.words(diagnosis.called(name)) for name in group) for group in diagnosis.look_alikes
-    )
+    groups = "; ".join(" or ".join(map(style.words, group)) for group in diagnosis.alternatives)
     first = shown[0]
     return Picture(
         figure,
