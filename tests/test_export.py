@@ -341,7 +341,7 @@ def test_mistakes_are_one_line(run_folder, tmp_path, capsys):
     assert main(["export", str(tmp_path / "none"), "--table"]) == 2
     assert "is no run folder" in capsys.readouterr().err
     assert main(["export", str(run_folder())]) == 2
-    assert "--opensees, --table or both" in capsys.readouterr().err
+    assert "choose what to export: --opensees, --table" in capsys.readouterr().err
     folder = run_folder()
     (folder / "summary.json").write_text('{"study": "beam", "status": "complete"}')
     assert main(["export", str(folder), "--table"]) == 2

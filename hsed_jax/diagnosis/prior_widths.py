@@ -264,23 +264,17 @@ def _leader(
 
     def leading(state: _State) -> dict[frozenset[str], float]:
         own = next(m for m in state.models if m.effects == best.effects)
-        # A model that was not scored has no probability; the one without an effect has the odds against it.
-        less = {
-            best.effects - {effect}: 1 / max(odds, 1e-300)
-            for effect, odds in state.odds.items()
-            if odds <= 1 / ODDS and state.gains[effect] + state.log_priors[effect] <= 0
-        }
-        instead = {
+        return {
             m.effects: m.probability / max(own.probability, 1e-300)
             for m in state.models
-            if m.effects != best.effects
-            and len(m.effects) <= len(best.effects)
-            and m.probability >= ODDS * own.probability
+            if len(m.effects) <= len(best.effects)
+            # Without an effect there is no other explanation: that is a caution.
+            and not m.effects <= best.effects
             and m.probability > 0
+            and m.probability >= ODDS * own.probability
             and m.log_posterior >= own.log_posterior
             and not does_the_same(m)
         }
-        return less | instead
 
     known = leading(before)
     new = {effects: odds for effects, odds in leading(after).items() if effects not in known}

@@ -36,6 +36,9 @@ from hsed_jax.inference.likelihood import whitened
 ODDS = 4.0
 """Odds that more effects, or more parameters, need: they predict better in four of five resamplings of the pieces."""
 
+MATERIAL = 0.1
+"""An effect is material that takes away this share of the squared error beyond the noise: a formula is off by as much."""
+
 # Of more experiments than so few, they are left out in turn: two parts say nothing of how sure their mean is.
 _FEW = 2
 _FOLDS = 6
@@ -105,6 +108,20 @@ def weights_of(
     shares = count * np.random.default_rng(0).dirichlet(np.ones(count), size=draws)
     found[able] = softmax(shares @ densities[able].T + log_priors[able], axis=1).mean(axis=0)
     return found
+
+
+def material(noise: float, before: float, now: float) -> float:
+    """The squared error on data that were not fitted that a further effect has to take away.
+
+    It is a share of what the model as it is leaves beyond the noise.  If the model without the effect leaves much more, the noise
+    and this share of the rest are enough.
+
+    Arguments:
+        noise: of the outputs, as an error.
+        before: the error of the model as it is.
+        now: that of the model without the effect.
+    """
+    return min(MATERIAL * max(before**2 - noise**2, 0.0), noise**2 + MATERIAL * max(now**2 - noise**2, 0.0))
 
 
 def folds_of(used: Bool[np.ndarray, "n J"], groups: np.ndarray) -> Folds:

@@ -24,7 +24,7 @@ from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Forms, amplitude_of, of_other_drivers, of_other_shapes
 from hsed_jax.diagnosis.propose import beside, pairs
-from hsed_jax.diagnosis.score import ODDS, Gain, HeldOut, weights_of
+from hsed_jax.diagnosis.score import MATERIAL, ODDS, Gain, HeldOut, material, weights_of
 from hsed_jax.diagnosis.scores import Linearisation, score_p_value
 from hsed_jax.errors import UserError
 
@@ -33,8 +33,6 @@ MOST_EFFECTS = 4
 _STRICT = 1e-3
 # Standard deviations of the square of the noise that are no surprise.
 _DEVIATIONS = 3.0
-# An effect is material that takes away this share of the squared error beyond the noise.  A textbook formula is off by as much.
-_MATERIAL = 0.1
 # So many sets of most evidence are scored, each in so many of its forms.
 _POOL, _FORMS = 6, 3
 # Of the models that rank first so many are considered to go on from.
@@ -196,7 +194,9 @@ class Search:
         unseen = self.unseen(self.path)
         before, least = unseen[0], min(unseen)
         alike = [
-            s for s, now in zip(self.path, unseen, strict=True) if now**2 - least**2 <= self._material(before, now)
+            s
+            for s, now in zip(self.path, unseen, strict=True)
+            if now**2 - least**2 <= material(self.measured.noise, before, now)
         ]
         return min(alike, key=len)
 
@@ -209,18 +209,9 @@ class Search:
         if self._is_explained(fits[1]) and not larger & self.pointed_at(here):
             return "the noise explains what is left, and no score test is sure of it"
         before, now, after = self.held_out.errors(self.target, fits)
-        if not now**2 - after**2 >= self._material(before, now):
+        if not now**2 - after**2 >= material(self.measured.noise, before, now):
             return f"with training experiments left out in turn the error goes from {now:.3f} to {after:.3g} only"
         return None
-
-    def _material(self, before: float, now: float) -> float:
-        """The squared error on what is left out that a further effect has to take away.
-
-        It is a share of what the model as it is leaves beyond the noise (`before`), since the formula of an effect is off by as
-        much.  If the model without the effect (`now`) leaves much more, the noise and this share of the rest are enough.
-        """
-        noise = self.measured.noise**2
-        return min(_MATERIAL * max(before**2 - noise, 0.0), noise + _MATERIAL * max(now**2 - noise, 0.0))
 
     def exchange(self, effect: str, other: str, driver: str) -> bool:
         """Name another effect in place of one of the best set, since it does the same; whether it explains nearly as much.
@@ -235,7 +226,7 @@ class Search:
         self._fits.fit(self.target, [rest | {(other, label)} for label in labels])
         fits = [self._fits.best(effects) for effects in (Set(), self.best, instead)]
         before, now, then = self.held_out.errors(self.target, fits)
-        if not before**2 - then**2 >= (1 - _MATERIAL) * (before**2 - now**2):
+        if not before**2 - then**2 >= (1 - MATERIAL) * (before**2 - now**2):
             return False
         self.best = instead
         self.path.append(instead)
@@ -375,7 +366,7 @@ class Search:
         before, now = self.held_out.errors(self.target, fits)
         # The noise that there is may be less than what is expected of it, by so much of its square.
         by_chance = _DEVIATIONS * math.sqrt(2 / self.measured.used.sum())
-        return now**2 - max(1 - by_chance, 0.0) * self.measured.noise**2 >= self._material(before, now)
+        return now**2 - max(1 - by_chance, 0.0) * self.measured.noise**2 >= material(self.measured.noise, before, now)
 
     def is_open(self) -> bool:
         """Whether anything is left for a further effect to explain, by size or by a score test."""
