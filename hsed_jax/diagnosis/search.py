@@ -192,13 +192,8 @@ class Search:
         """The smallest set on the way that predicts the experiments that were not used as well as any, but for what is not
         material.  Only the end tells: beside the plain law one effect may predict worse, and with a second one better."""
         unseen = self.unseen(self.path)
-        before, least = unseen[0], min(unseen)
-        alike = [
-            s
-            for s, now in zip(self.path, unseen, strict=True)
-            if now**2 - least**2 <= material(self.measured.noise, before, now)
-        ]
-        return min(alike, key=len)
+        limit = min(unseen) ** 2 + material(self.measured.noise, unseen[0], min(unseen))
+        return min((s for s, error in zip(self.path, unseen, strict=True) if error**2 <= limit), key=len)
 
     def _unsupported(self, larger: Set, here: Set) -> str | None:
         """Why the measurements that are fitted do not support a set with more effects than another one; None where they do."""
