@@ -1,5 +1,7 @@
 """Which effect is missing: the search on a dictionary of known functions, and diagnoses of tests made by other programs."""
 
+import copy
+import functools
 import json
 import math
 import os
@@ -677,6 +679,11 @@ MORE = 5
 
 def rival_case(unlike, more=()):
     """Two effects that are alike but for a part of this size, the first of which is hidden, and further ones that are, too."""
+    return copy.deepcopy(_searched(unlike, more))  # a test goes on with a search of its own
+
+
+@functools.cache
+def _searched(unlike, more):
     random = np.random.default_rng(5)
     functions = np.concatenate([FUNCTIONS, random.standard_normal((2 + K, MORE, J))], axis=1)
     functions[3 + 1] = functions[2] + unlike * random.standard_normal(functions[0].shape)

@@ -397,6 +397,12 @@ def test_laws_refuses_a_mistake_before_it_calibrates(tmp_path, capsys, words, me
     assert message in capsys.readouterr().err
 
 
+def test_a_wrong_material_is_told_to_a_caller_in_python_without_the_words_of_the_command():
+    study = load_study(parse_yaml(STUDY, "study"))
+    with pytest.raises(UserError, match=r"^materials: there is no material 'Stel4' \(did you mean Steel4\?\)"):
+        hx.laws(study, ["Stel4"])
+
+
 def test_the_page_is_what_the_table_says():
     docs = Path(__file__).resolve().parents[1] / "docs"
     page = runpy.run_path(str(docs / "opensees_laws.py"))["page"]()

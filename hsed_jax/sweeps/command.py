@@ -132,9 +132,12 @@ def _sensitivity(options: Any) -> int:
 
 def _laws(options: Any) -> int:
     from hsed_jax.config.load import load_study
+    from hsed_jax.config.opensees import asked_material
 
     study = load_study(options.study, options.overrides)
     names = tuple(filter(None, (word.strip() for word in (options.materials or "").split(","))))
+    for name in names:
+        asked_material(name, "--materials")
     # A wrong key is reported before the numerical packages are loaded.
     from hsed_jax.sweeps.laws import Law, laws
 

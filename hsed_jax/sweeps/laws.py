@@ -125,7 +125,7 @@ def laws(
     if study.experiments.campaign is None:
         raise UserError("experiments.campaign: laws are compared on measured tests; give a campaign")
     for name in materials:
-        asked_material(name, "--materials")
+        asked_material(name, "materials")
     folder = Path(output) if output is not None else Path("runs") / f"{study.study}_laws"
     if (folder / FILE).exists() and not (resume or force):
         raise UserError(

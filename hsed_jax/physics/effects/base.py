@@ -31,17 +31,17 @@ ADDED = (
 
 
 class SpringPoint(NamedTuple):
-    r"""What an effect may look at: the spring at one instant.
+    r"""The state of the spring at one instant, as an effect in the spring sees it.
 
     Attributes:
         elongation: Δu [m].
         rate: Δu̇ [m/s].
-        hysteretic: z [N], the force of the law's element; of a law of paths, slots other than `force` see that of its last
-            commit.
+        hysteretic: z [N], the force of the element of the law.  In a law of paths, only `force` sees the current value; the other
+            slots see the value of the last commit.
         memory: further states by name, among them `energy` e [J].
         scales: characteristic values.
-        strength: force at which the virgin element yields, or its bound, $[A/(\beta+\gamma)]^{1/n}$ of Bouc–Wen [N]; of a law
-            without one what stands for it (`AbstractSpringLaw.yardstick`).
+        strength: yield force of the virgin element, or the bound $[A/(\beta+\gamma)]^{1/n}$ of Bouc–Wen [N].  A law without a
+            yield force gives a substitute (`AbstractSpringLaw.yardstick`).
         stiffness: of the virgin element [N/m].
     """
 
@@ -55,12 +55,12 @@ class SpringPoint(NamedTuple):
 
 
 class Setup(NamedTuple):
-    """What an effect outside the spring may look at.
+    """The structure, as an effect outside the spring sees it.
 
     Attributes:
         scales: characteristic values.
         masses: number of masses of the structure (none in a component test).
-        supports: number of its springs that go to the ground.
+        supports: number of its springs to the ground.
     """
 
     scales: Scales
@@ -73,14 +73,14 @@ class Form:
     """One formula of an effect.
 
     Attributes:
-        name: as in studies and reports, within the effect; empty where an effect has but one formula.
-        equation: LaTeX; empty where the effect's own description has it.
-        reference: where it comes from; empty where it is the effect's.
-        held: parameters that it holds, and at what.
-        free: shape parameters that it leaves free, besides those that the effect has in every form.
-        driver: what drives it; empty where there is no choice.
-        is_default: it is what a study means that names no form.
-        in_units: its numbers may be given in SI units, too; not where the unit would change with the shape.
+        name: its name in studies and reports, unique within the effect; empty if the effect has only one formula.
+        equation: LaTeX; empty if the description of the effect has it.
+        reference: its source; empty if it is the source of the effect.
+        held: parameters that it fixes, with their values.
+        free: shape parameters that are free in this form, in addition to those that are free in every form.
+        driver: the name of its driver; empty if there is no choice.
+        is_default: whether a study that names no form means this one.
+        in_units: whether its parameters may also be given in SI units.  They may not if the unit depends on the shape.
     """
 
     name: str = ""
@@ -93,7 +93,7 @@ class Form:
     in_units: bool = True
 
     def parameters(self, effect: "type[AbstractEffect]") -> dict[str, Parameter]:
-        """What is free of an effect in this form."""
+        """The free parameters of an effect in this form, by name."""
         return {
             name: known
             for name, known in parameters_of(effect).items()
@@ -101,37 +101,40 @@ class Form:
         }
 
     def physical(self, effect: "type[AbstractEffect]") -> dict[str, Parameter]:
-        """What of it has a physical form, by the name of that; nothing with another driver, as they are per the first one."""
+        """The parameters with a physical unit, by the name of their physical form.
+
+        The result is empty for another driver than the default one, because the units belong to the default driver.
+        """
         if self.driver or not self.in_units:
             return {}
         return {p.physical.name: p for p in self.parameters(effect).values() if p.physical is not None}
 
     @property
     def label(self) -> str:
-        """Name with its driver, where that is not the default one."""
+        """Its name, with its driver if that is not the default one."""
         return f"{self.name or 'standard'} of {self.driver}" if self.driver else self.name
 
 
 class AbstractEffect(eqx.Module):
-    """A physical effect: what every kind of it declares, so that a diagnosis selects candidates without knowing names.
+    """A physical effect.  Its declarations allow a diagnosis to select candidates without knowing their names.
 
     A subclass is final, declares its parameters as fields (`hsed_jax.physics.parameters.parameter`) and returns its
-    contributions to named slots.  Contributions of several effects to one slot multiply (or add), so effects commute.  At the
-    neutral value of its parameters an effect contributes exactly nothing.
+    contributions to named slots.  Contributions of several effects to one slot are multiplied or added, so the order of effects
+    does not matter.  At the neutral values of its parameters, an effect contributes exactly nothing.
 
     Attributes:
-        name: as it stands in studies and reports.
+        name: its name in studies and reports.
         family: the kind of physics.
-        reference: where it comes from.
-        negative: what it is where its amplitude is negative, if its name says the contrary.
-        place: where the physics sits.
-        needs_time: it depends on rates or on time, not on the path alone: a test without a time scale cannot show it.
-        histories_only: it changes channels but no quantity.
-        ground_only: it means nothing where the ground rests.
-        shaken_only: it means nothing in a component test, and does nothing there.
-        forms: its formulas, the default one first; none where it has but one.
-        drivers: what may drive it, the default one first; none where there is no choice.
-        registered: it is for a catalogue; `register` says so.
+        reference: its source.
+        negative: its name if the amplitude is negative, in case `name` says the opposite.
+        place: spring, structure or test rig.
+        needs_time: whether it depends on rates or time.  A test without a time scale cannot show such an effect.
+        histories_only: whether it changes channels but no quantity.
+        ground_only: whether it requires a ground motion.
+        shaken_only: whether it has no meaning in a component test; it then contributes nothing there.
+        forms: its formulas, the default one first; empty if it has only one.
+        drivers: its possible drivers, the default one first; empty if there is no choice.
+        registered: whether it belongs to a catalogue (`register`).
     """
 
     name: ClassVar[str]
@@ -149,17 +152,17 @@ class AbstractEffect(eqx.Module):
 
 
 class AbstractSpringEffect(AbstractEffect):
-    """An effect in the spring, at the slots of its law (`hsed_jax.physics.laws`) or beside it.
+    """An effect in the spring; it writes to slots of the law (`hsed_jax.physics.laws`) or adds a force in parallel.
 
     Slots: factors on `a`, `nu`, `eta`, `h`; addends to `force` [N], to `n`, to `gamma` (in units of β), to `compliance` (of
-    what is in series with the element [m/N]), to `plastic` (the elongation that a linear spring does not feel [m]) and to `slack`
-    (the elongation without force to either side [m]).  Every law has `force` and `slack`; which of the others, it says.
+    a spring in series with the element [m/N]), to `plastic` (the plastic elongation of a linear spring [m]) and to `slack` (the
+    elongation without force on each side [m]).  Every law has `force` and `slack`, and declares which other slots it has.
 
     Attributes:
-        needs: states of the spring that it looks at besides force and energy (`hsed_jax.physics.states`); two effects that need
-            one state share it.
-        states: names of states of its own, zero in a virgin spring; their rates are its `flow`, or a step commits them.
-        linear_only: it is what a spring that is not linear has already.
+        needs: states of the spring that it reads, in addition to force and energy (`hsed_jax.physics.states`).  Effects that need
+            the same state share it.
+        states: names of its own states, zero in a virgin spring.  `flow` gives their rates, or a step commits them.
+        linear_only: whether it applies to linear springs only, because all other laws include it already.
     """
 
     place: ClassVar[Literal["spring", "structure", "test rig"]] = "spring"
@@ -167,12 +170,12 @@ class AbstractSpringEffect(AbstractEffect):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """None, unless a subclass says so."""
+        """No further states by default."""
         return ()
 
     @property
     def needs(self) -> tuple[SharedState, ...]:
-        """None, unless a subclass says so."""
+        """No further states by default."""
         return ()
 
     @abstractmethod
@@ -185,7 +188,7 @@ class AbstractSpringEffect(AbstractEffect):
         return {}
 
     def settle(self, point: SpringPoint) -> dict[str, Scalar]:
-        """Its own states that a step commits, by name, after one that came to this point, or turned there."""
+        """The own states that a step commits, by name, at the end of a step or at a reversal inside it."""
         del point
         return {}
 
@@ -208,21 +211,21 @@ class AbstractSetupEffect(AbstractEffect):
 @final
 @dataclass(frozen=True)
 class Catalogue(Mapping[str, type[AbstractEffect]]):
-    """Effects by name, in order; that of one of several specimens has its place in front, as `storey2.slip`.
+    """Effects by name, in order.  If there are several specimens, the name begins with the specimen, such as `storey2.slip`.
 
-    A value: it never changes, and a compiled program is known by it, so that effects of two studies may share a name.
+    A catalogue never changes.  Compiled programs are identified by it, so effects of two studies may have the same name.
 
     Attributes:
         entries: names and classes.
 
     Raises:
-        ValueError: two of them have one name, or one has that of the structure.
+        ValueError: two effects have the same name, or one has the name of the structure.
     """
 
     entries: tuple[tuple[str, type[AbstractEffect]], ...] = ()
 
     def __post_init__(self):
-        """Refuse a name that stands twice."""
+        """Refuse duplicate names."""
         names = [name for name, _ in self.entries]
         if twice := [name for name in names if names.count(name) > 1]:
             raise ValueError(f"two effects are named {twice[0]!r}")
@@ -247,7 +250,7 @@ class Catalogue(Mapping[str, type[AbstractEffect]]):
         return iter(self._by_name)
 
     def __len__(self) -> int:
-        """How many there are."""
+        """The number of effects."""
         return len(self.entries)
 
     def only(self, names: Iterable[str]) -> "Catalogue":
@@ -260,12 +263,12 @@ class Catalogue(Mapping[str, type[AbstractEffect]]):
 
 
 def neutral(slot: str) -> float:
-    """What stands in a slot that nobody writes to."""
+    """The neutral value of a slot, if no effect writes to it."""
     return 1.0 if slot in MULTIPLIED else 0.0
 
 
 def merged(contributions: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """Contributions as one: slot name -> product or sum."""
+    """Merge contributions of several effects: slot name -> product or sum."""
     found: dict[str, Any] = {}
     for contribution in contributions:
         for slot, value in contribution.items():
@@ -279,6 +282,9 @@ def merged(contributions: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def combine(contributions: Iterable[Mapping[str, Any]]) -> Callable[[str], Any]:
-    """Merge contributions: slot name -> value, or the neutral Python number where nobody wrote (and XLA folds it away)."""
+    """Merge contributions: slot name -> value.
+
+    A slot without a contribution has its neutral Python number, which XLA folds away.
+    """
     found = merged(contributions)
     return lambda slot: found.get(slot, neutral(slot))

@@ -1,4 +1,4 @@
-"""What lies between the specimen and the structure: slack, and flexibility."""
+"""The connection between specimen and structure: slack and flexibility."""
 
 from typing import ClassVar, Literal, final
 
@@ -86,7 +86,7 @@ class Gap(AbstractSpringEffect):
 
     @property
     def needs(self) -> tuple[SharedState, ...]:
-        """The largest elongation, where it widens with that."""
+        """The largest elongation, if the slack widens with it."""
         return () if is_zero(self.of_largest) else (LARGEST_ELONGATION,)
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:

@@ -1,4 +1,4 @@
-"""What a force or a factor of a specimen may depend on: coordinates of the instant and of what has been gone through."""
+"""The coordinates of a free function: variables of the instant, and measures of the past of a test."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,18 +16,18 @@ _TURNING = 0.02
 
 @dataclass(frozen=True)
 class Coordinate:
-    """One number that a free function may be a function of.
+    """One variable of a free function.
 
     Attributes:
-        words: in a sentence.
-        text: of the dimensionless coordinate, as one types it.
+        words: its name in a sentence.
+        text: the dimensionless coordinate as plain text.
         symbol: the same in LaTeX.
-        unit: SI, of what it is.
+        unit: SI unit of the variable.
         scale: characteristic value, SI.
-        value: it over its characteristic value.
-        state: of the spring that it needs; None where every spring has it.
-        fades: with a time constant; it has then a state of its own.
-        needs_time: without a time scale it means nothing.
+        value: the variable over its characteristic value.
+        state: the state of the spring that it needs; None if every spring has it.
+        fades: whether it fades with a time constant; it then has its own state.
+        needs_time: whether it requires a time scale.
     """
 
     words: str
@@ -90,16 +90,16 @@ COORDINATES: Mapping[str, Coordinate] = {
         lambda p: p.memory["lagged_elongation"], fades=True, needs_time=True,
     ),
 }  # fmt: skip
-"""By the names of the formats."""
+"""The coordinates by name."""
 
 
 def within(name: str, point: SpringPoint, low: float, high: float) -> Scalar:
-    """A coordinate, dimensionless, held at the ends of its reach."""
+    """A coordinate, dimensionless and clipped to its reach."""
     return jnp.clip(COORDINATES[name].value(point), low, high)
 
 
 def states_of(names: Sequence[str]) -> tuple[str, ...]:
-    """States of its own that a function of these coordinates has."""
+    """The own states of a function of these coordinates."""
     return tuple(name for name in names if COORDINATES[name].fades)
 
 
@@ -109,8 +109,10 @@ def needs_of(names: Sequence[str]) -> tuple[SharedState, ...]:
 
 
 def fading(names: Sequence[str], point: SpringPoint, fade: Scalar) -> dict[str, Scalar]:
-    r"""Rates of the states that fade within $\tau u_c/v_c$, dimensionless: $\dot q = |\Delta\dot u|/u_c - q/\tau'$ of the recent
-    path, $\dot l = (\Delta u/u_c - l)/\tau'$ of the elongation as it was."""
+    r"""Rates of the states that fade within $\tau u_c/v_c$, dimensionless.
+
+    The recent path has $\dot q = |\Delta\dot u|/u_c - q/\tau'$, the delayed elongation $\dot l = (\Delta u/u_c - l)/\tau'$.
+    """
     pace = point.scales.rate / point.scales.elongation / fade
     scale = point.scales.elongation
     found: dict[str, Scalar] = {}

@@ -1,4 +1,4 @@
-"""Degradation with what a specimen has gone through: the loop loses stiffness, or strength, or both."""
+"""Degradation: stiffness, strength or both decrease with a driver."""
 
 from typing import ClassVar, final
 
@@ -63,7 +63,7 @@ class AbstractDegradation(AbstractDamagedEffect):
         return 1 + jnp.where(is_straight, y, (jnp.exp(jnp.minimum(bent * y, _GONE)) - 1) / bent)
 
     def _come(self, x: Scalar) -> Scalar:
-        """What has come of it at a driver x, over what has at x = 1: a power that may saturate."""
+        """The growth at a driver x over that at x = 1: a power that may saturate."""
         power = raised(x, self.power)
         if is_zero(self.soonness):
             return power

@@ -20,7 +20,7 @@ _SLID = 3.0
 
 
 def _sticking() -> Any:
-    """The parameter that says how sharply friction turns over."""
+    """The parameter of the transition of friction at a reversal."""
     return shape_parameter(
         "w", "rate at which the force changes sign, over characteristic rate", neutral=_STICKING, lower=0.005,
         upper=_SLOWEST, prior={"lognormal": [-3.5, 0.7]},
@@ -28,7 +28,7 @@ def _sticking() -> Any:
 
 
 def _length() -> Any:
-    """The parameter that says how long a bristle is."""
+    """The parameter that is the length of a bristle."""
     return shape_parameter(
         "b", "elongation at which it slides, over characteristic elongation", neutral=0.05, lower=0.0005,
         prior={"lognormal": [-3.0, 0.8]},
@@ -306,7 +306,7 @@ class StribeckFriction(AbstractBristledEffect):
         return {"force": self.delta * point.scales.force * slid}
 
     def slides_at(self, point: SpringPoint) -> Scalar:
-        """What remains of the friction at rest."""
+        """The share of the static friction that remains."""
         # What falls before it slides is friction that turns over slowly.
         falling = jnp.maximum(self.falling, _SLID * self.sticking)
         speed = jnp.abs(point.rate) / point.scales.rate

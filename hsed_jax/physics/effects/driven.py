@@ -1,4 +1,4 @@
-"""Effects that come with what a specimen has gone through: absorbed energy, length of path, largest elongation."""
+"""Effects that depend on the past of a test: absorbed energy, length of the path, largest elongation."""
 
 from typing import Any, ClassVar
 
@@ -12,21 +12,21 @@ from hsed_jax.physics.states import TRAVEL, SharedState
 
 
 def index_share() -> Any:
-    """The parameter that says what a driver of two measures is made of."""
+    """The parameter that weighs the two measures of a combined driver."""
     return share_parameter("w_d", "share of the largest elongation in the driver", neutral=0.5)
 
 
 def power_of(symbol: str, of: str) -> Any:
-    """The parameter that says how a measure counts in a driver of two."""
+    """The parameter that is the power of a measure in a combined driver."""
     return shape_parameter(symbol, f"power of {of} in the driver", neutral=1.0, lower=0.2, upper=4.0,
                            prior={"lognormal": [0.0, 0.7]})  # fmt: skip
 
 
 class AbstractDrivenEffect(AbstractSpringEffect):
-    """An effect with a choice of drivers; which it is, a form says.
+    """An effect with a choice of drivers; the form determines the driver.
 
     Attributes:
-        driver_1, driver_2: one for the driver that counts in place of the first.
+        driver_1, driver_2: 1 selects this driver instead of the default one.
     """
 
     drivers: ClassVar[tuple[str, ...]] = ("energy", "path", "largest_elongation")
@@ -36,7 +36,7 @@ class AbstractDrivenEffect(AbstractSpringEffect):
 
     @property
     def _shares(self) -> dict[str, Scalar]:
-        """What each driver counts for; without those that are known not to."""
+        """The share of each driver, without those that are known to be zero."""
         others = {
             name: getattr(self, chosen(number))
             for number, name in enumerate(self.drivers)
@@ -53,7 +53,7 @@ class AbstractDrivenEffect(AbstractSpringEffect):
         return tuple(state for name in self._shares for state in DRIVERS[name].states)
 
     def driven(self, point: SpringPoint) -> Scalar:
-        """What drives it at one instant, of order one."""
+        """The value of the driver at one instant, of order one."""
         shares = self._shares
         if len(shares) == 1:
             return self._driver(next(iter(shares)), point)
@@ -68,12 +68,12 @@ class AbstractDrivenEffect(AbstractSpringEffect):
 
 
 class AbstractDamagedEffect(AbstractDrivenEffect):
-    """An effect of damage, which is measured in more ways than one.
+    """An effect of damage, which has further drivers.
 
     Attributes:
-        driver_3, driver_4, driver_5, driver_6, driver_7: one for the driver that counts in place of the first.
-        driver_share: share of the largest elongation in a driver of two measures.
-        driver_power, driver_other: powers of the path and of the largest elongation there.
+        driver_3, driver_4, driver_5, driver_6, driver_7: 1 selects this driver instead of the default one.
+        driver_share: share of the largest elongation in a combined driver.
+        driver_power, driver_other: powers of the path and of the largest elongation in it.
     """
 
     drivers: ClassVar[tuple[str, ...]] = (
@@ -92,11 +92,12 @@ class AbstractDamagedEffect(AbstractDrivenEffect):
 
 
 class AbstractWornEffect(AbstractSpringEffect):
-    r"""An effect that a test changes: times $1 + \rho(1 - e^{-x/x_w})$, x the path for wear, the absorbed energy for heat.
+    r"""An effect that changes during a test by the factor $1 + \rho(1 - e^{-x/x_w})$; x is the path (wear) or the absorbed
+    energy (heat).
 
     Attributes:
-        worn: how much is gained in the end, or lost.
-        wears: the x by which two thirds of that have come.
+        worn: ρ, the final relative change.
+        wears: x_w, at which two thirds of this change are reached.
         heats: whether x is the absorbed energy.
     """
 
@@ -112,7 +113,7 @@ class AbstractWornEffect(AbstractSpringEffect):
 
     @property
     def needs(self) -> tuple[SharedState, ...]:
-        """The path, where it wears."""
+        """The path, if the effect wears."""
         return () if is_zero(self.worn) or is_number(self.heats, 1) else (TRAVEL,)
 
     def lasting(self, point: SpringPoint) -> Scalar:
@@ -137,5 +138,5 @@ def wearing(equation: str, reference: str) -> Form:
 
 
 def heating(equation: str, reference: str, name: str = "heating") -> Form:
-    """The form of what changes with the energy that was absorbed."""
+    """The form of a force that changes with the absorbed energy."""
     return Form(name, rf"{equation}{_FACTOR},\ x = e/E_c", reference, held={"heats": 1.0}, free=("worn", "wears"))

@@ -1,7 +1,7 @@
 """Forms of an effect: the published formulas of one kind of physics, which share its place in the specimen.
 
-A place is a slot and what drives it.  Every form of an effect is the same expression with some of its parameters held, so that
-one compiled program serves them all; where a parameter is the number that leaves an expression out, the compiler never sees it.
+A place is a slot and a driver.  Every form of an effect is the same expression with some parameters fixed, so one compiled
+program serves all forms.  A parameter that is fixed at its neutral number is folded at compile time.
 """
 
 # JAX gives its devices no type, so the functions that make arrays have none.
@@ -37,20 +37,20 @@ from hsed_jax.physics.states import (
 )
 
 FREE = "free"
-"""The form of several shape parameters at once: the same physics in a formula that nobody wrote down."""
+"""The form with several free shape parameters: the same physics in a formula that is not published."""
 # The characteristic number of reversals, which corresponds to the characteristic value of another driver: five cycles.
 _REVERSALS = 10.0
 
 
 class Driver(NamedTuple):
-    """What has been gone through, and makes a specimen another one: of order one, and never falling but for elastic energy.
+    """A measure of the past of a test, on which an effect depends: of order one, and not decreasing except for elastic energy.
 
     Attributes:
-        words: in a sentence.
-        measure: LaTeX; it over its characteristic value, the x of equations.
-        value: it at one instant, from the point and its own parameters.
-        states: of the spring that it looks at, besides the absorbed energy, which every spring has.
-        free: its own parameters, where it is made of two measures.
+        words: its name in a sentence.
+        measure: LaTeX of the dimensionless measure, the x of the equations.
+        value: the measure at one instant, from the point and its own parameters.
+        states: states of the spring that it reads, in addition to the absorbed energy, which every spring has.
+        free: its own parameters, if it combines two measures.
     """
 
     words: str
@@ -139,7 +139,7 @@ DRIVERS = {
 
 
 def raised(value: Scalar, power: Scalar) -> Scalar:
-    r"""Value to a power, $|x|^p \mathrm{sign}\,x$; below $|x| = 10^{-9}$ it is linear, as the power has no derivative at zero."""
+    r"""Value to a power, $|x|^p \mathrm{sign}\,x$; linear below $|x| = 10^{-9}$, because a power has no derivative at zero."""
     if is_number(power, 1):
         return value
     # What multiplies the value is one at the power of one: the same number then, whether that is known or traced.
@@ -147,8 +147,8 @@ def raised(value: Scalar, power: Scalar) -> Scalar:
 
 
 def near_no_force(force: Scalar, width: Scalar, abruptness: Scalar = 2.0) -> Scalar:
-    r"""A profile around no force, $e^{-|z/\sigma|^m/m}/[\sigma m^{1/m}\Gamma(1 + 1/m)]$, of one to either side: a normal one
-    for m = 2."""
+    r"""A profile around zero force, $e^{-|z/\sigma|^m/m}/[\sigma m^{1/m}\Gamma(1 + 1/m)]$, with unit area on each side; it is
+    normal for m = 2."""
     if is_number(abruptness, 2):
         return jnp.sqrt(2 / jnp.pi) * jnp.exp(-0.5 * (force / width) ** 2) / width
     m = jnp.asarray(abruptness, dtype=float)
@@ -157,7 +157,7 @@ def near_no_force(force: Scalar, width: Scalar, abruptness: Scalar = 2.0) -> Sca
 
 
 def one_side() -> Any:
-    """The parameter that says whether a force acts to both sides."""
+    """The parameter that restricts a force to one direction."""
     return shape_parameter(
         "w", "to both sides (0), or in tension (1) or compression (−1) only", neutral=0.0, lower=-1.0, upper=1.0,
         prior={"uniform": [-1.0, 1.0]},
@@ -165,7 +165,7 @@ def one_side() -> Any:
 
 
 def sided(value: Scalar, side: Scalar) -> Scalar:
-    """A value to both sides, or with ±1 to the positive or negative one only, and between them to one side more."""
+    """A value on both sides; for ±1 on the positive or negative side only; in between, larger on one side."""
     if is_zero(side):
         return value
     share = 1 + side * jnp.sign(value)
@@ -173,21 +173,21 @@ def sided(value: Scalar, side: Scalar) -> Scalar:
 
 
 def bend_parameter() -> Any:
-    """The parameter that says how soon a force saturates."""
+    """The parameter of the saturation of a force."""
     return shape_parameter(
         "b", "how soon the growth saturates", neutral=0.0, lower=0.0, upper=50.0, prior={"half_normal": 3.0}
     )
 
 
 def passing_parameter() -> Any:
-    """The parameter that says what a force goes on with once it has bent."""
+    """The parameter of the growth of a force beyond its saturation."""
     return share_parameter("r", "power after saturation over the first power")
 
 
 def saturated(value: Scalar, bend: Scalar, passing: Scalar = 0.0) -> Scalar:
-    r"""A value that grows ever more slowly, $x/(1 + b|x|)^{1-r}$: towards $1/b$, or on with the power r of it.
+    r"""A value that saturates, $x/(1 + b|x|)^{1-r}$: it tends to $1/b$, or grows with the power r if r > 0.
 
-    Of a power $|x|^p$ it makes one of $rp$: what is smooth and monotone is two powers, one before it bends and one after.
+    A power $|x|^p$ becomes a power $rp$ for large x.
     """
     if is_zero(bend):
         return value
@@ -221,18 +221,18 @@ def forms_of(effect: type[AbstractEffect]) -> dict[str, Form]:
 
 
 def default_form(effect: type[AbstractEffect]) -> Form:
-    """The form that is meant where none is named."""
+    """The default form."""
     return next(iter(forms_of(effect).values()))
 
 
 def chosen(number: int) -> str:
-    """The name of the parameter that says that the driver of this number, from 1, is the one."""
+    """The name of the parameter that selects driver k, counted from 1."""
     return f"driver_{number}"
 
 
 @cache
 def slots_of(effect: type[AbstractEffect], form: str | None = None) -> tuple[str, ...]:
-    """The slots that an effect writes to in a form, by default the default one: traced without computing anything."""
+    """The slots to which an effect writes in a form, by default in the default form; found by tracing, without a computation."""
     one = forms_of(effect)[form] if form is not None else default_form(effect)
 
     def contributions(value: Scalar) -> dict[str, Any]:
@@ -248,7 +248,7 @@ def slots_of(effect: type[AbstractEffect], form: str | None = None) -> tuple[str
 
 @cache
 def slots_of_any(effect: type[AbstractEffect]) -> tuple[str, ...]:
-    """The slots that an effect writes to in any of its forms."""
+    """The slots to which an effect writes in any of its forms."""
     return tuple(dict.fromkeys(slot for label in forms_of(effect) for slot in slots_of(effect, label)))
 
 

@@ -1,12 +1,12 @@
-r"""A free function at any place: what a specimen may do that no formula of the catalogue says.
+r"""A free function at any place, for behaviour that no formula of the catalogue describes.
 
 $$f(\xi_1,\xi_2)=\sum_{j,k} c_{jk}\,T_j(\xi_1)\,T_k(\xi_2)=\sum_{m,n} p_{mn}\,\xi_1^m\,\xi_2^n$$
 
-of one or two coordinates, each over its reach, $-1\le\xi\le 1$, and held beyond, with the polynomials of Chebyshev.  As
-$T_j(\cos\theta)=\cos j\theta$, coefficients that are normal with the roots of the spectral density of a stationary process for
-deviations make f a draw of that process in θ.  The effect is given powers, whose sum is one loop to the compiler where
-recurrences are fifty.  It is added to the force as $F_c f$, or multiplies a slot by $e^f$; which coordinates and which slot it
-has, parameters say, so that one compiled program serves all places.
+f has one or two coordinates, each scaled to its reach, $-1\le\xi\le 1$, and clipped beyond.  T are the polynomials of Chebyshev.
+Since $T_j(\cos\theta)=\cos j\theta$, f is a draw of a stationary process in θ if the coefficients are normal and their standard
+deviations are the roots of its spectral density.  The effect takes the coefficients of powers, because their sum compiles to one
+loop and the recurrences of the polynomials to fifty.  It adds $F_c f$ to the force, or multiplies a slot by $e^f$.  Parameters
+select the coordinates and the slot, so one compiled program serves all places.
 """
 
 import math
@@ -25,9 +25,9 @@ from hsed_jax.physics.scales import Scalar
 from hsed_jax.physics.states import SharedState
 
 COUNTS = (18, 8, 8, 8)
-"""Polynomials in the first coordinate, beside each of the second."""
+"""Number of polynomials in the first coordinate, for each polynomial in the second."""
 SLOTS = ("force", "a", "nu", "h")
-"""Where a free function may be."""
+"""The slots of a free function."""
 # A factor stays within e^±3.
 _FARTHEST = 3.0
 _NAMES = tuple(COORDINATES)
@@ -39,7 +39,7 @@ def power(m: int, n: int = 0) -> str:
 
 
 DEGREES = tuple((m, n) for n, count in enumerate(COUNTS) for m in range(count))
-"""The degrees of the polynomials, and of the powers, that a free function has."""
+"""The degrees of the polynomials, and of the powers, of a free function."""
 POWERS = tuple(power(m, n) for m, n in DEGREES)
 """The names of their coefficients."""
 
@@ -50,9 +50,9 @@ def powers_of(coefficients: Float[np.ndarray, "... m"]) -> Float[np.ndarray, "..
 
 
 def deviations(length: float, size: float, count: int) -> np.ndarray:
-    r"""Standard deviations of the coefficients of a process of this length in θ = arccos ξ and this size, (count,).
+    r"""Standard deviations of the coefficients, (count,), of a process in θ = arccos ξ with this length and size.
 
-    Matérn 5/2: $\propto\sqrt{1+[j>0]}\,(5/\ell^2+j^2)^{-3/2}$, scaled so that f has the size for deviation, on average over θ.
+    Matérn 5/2: $\propto\sqrt{1+[j>0]}\,(5/\ell^2+j^2)^{-3/2}$, scaled so that the mean deviation of f over θ is the size.
     """
     shape = (5 / length**2 + np.arange(count) ** 2.0) ** -1.5
     # A frequency stands for itself and its negative.
@@ -62,7 +62,7 @@ def deviations(length: float, size: float, count: int) -> np.ndarray:
 
 
 def _powers(count: int) -> np.ndarray:
-    """Coefficients of powers, by degree, of the polynomials, (count, count): what multiplies c to give those of f."""
+    """Coefficients of powers, by degree, of the polynomials, (count, count): the matrix that turns c into those of f."""
     made = np.zeros((count, count))
     for j in range(count):
         own = np.polynomial.chebyshev.cheb2poly([*[0.0] * j, 1.0])
@@ -75,10 +75,10 @@ _TO_POWERS = np.asarray([[_ONE[m, j] * _ONE[n, k] for j, k in DEGREES] for m, n 
 
 
 class AbstractFreeFunction(AbstractSpringEffect):
-    """A free function; `slots` are those of its law.
+    """A free function.
 
     Attributes:
-        slots: where it may be.
+        slots: the slots of its law to which it may write.
     """
 
     family: ClassVar[str] = "learned"
@@ -88,12 +88,12 @@ class AbstractFreeFunction(AbstractSpringEffect):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Those of coordinates that fade."""
+        """The states of the coordinates that fade."""
         return states_of(_NAMES)
 
     @property
     def needs(self) -> tuple[SharedState, ...]:
-        """Those of all coordinates."""
+        """The states that the coordinates need."""
         return needs_of(_NAMES)
 
     def flow(self, point: SpringPoint) -> dict[str, Scalar]:
@@ -136,7 +136,7 @@ def _sum(terms: Iterable[Any]) -> Any:
 
 
 def _declared(name: str, title: str, slots: tuple[str, ...]) -> type[AbstractFreeFunction]:
-    """The effect with these slots, its parameters declared as fields."""
+    """Make the class of the effect with these slots, with its parameters as fields."""
     one: dict[str, Any] = {"prior": {"normal": [0.0, 1.0]}}
     numbers = {f"in_{slot}": (0.0, f"share of the slot {slot}") for slot in slots}
     for number in (1, 2):

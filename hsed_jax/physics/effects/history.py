@@ -1,4 +1,4 @@
-"""Effects that remember more than absorbed energy: the largest elongation, the length of the path, a relaxing force."""
+"""Effects with a memory other than absorbed energy: the largest elongation, the length of the path, a relaxing force."""
 
 from typing import ClassVar, final
 
@@ -274,6 +274,6 @@ class Relaxation(AbstractSpringEffect):
 
 
 def _activated(y: Scalar) -> Scalar:
-    """sinh(y)/y, which ends where explicit steps could not follow."""
+    """sinh(y)/y, limited to a size that explicit steps can follow."""
     at = jnp.clip(y, _LINEAR, _FASTEST)
     return jnp.where(y < _LINEAR, 1.0, jnp.sinh(at) / at)

@@ -109,7 +109,7 @@ class LoopShape(AbstractSpringEffect):
         return {"gamma": grown} if is_zero(self.kept) else {"gamma": grown, "nu": 1 / (1 + self.kept * grown)}
 
     def _grown(self, point: SpringPoint) -> Scalar:
-        """What there is of it at a force, over what there is at the strength."""
+        """Its value at a force over its value at the strength."""
         if is_zero(self.power):
             return 1.0
         # The power of zero is one, at no force as well, where no γ matters.

@@ -1,4 +1,4 @@
-"""How a specimen comes back: self-centring, reloading that aims at a former peak, buckling."""
+"""Unloading and reloading: self-centring, reloading towards a former peak, buckling."""
 
 from typing import ClassVar, final
 
@@ -20,7 +20,7 @@ _AT_ONCE = 4.0
 
 
 def _towards_peak(point: SpringPoint) -> Scalar:
-    """Slope of the line from no force to the strength at the largest elongation ahead, over the stiffness; one beyond that."""
+    """Slope from zero force to the strength at the largest elongation on the side of loading, over the stiffness; 1 beyond it."""
     tension, compression = point.memory["largest_tension"], point.memory["largest_compression"]
     way = jnp.where(point.rate > 0, tension, compression) - jnp.sign(point.rate) * point.elongation
     yielding = point.strength / point.stiffness

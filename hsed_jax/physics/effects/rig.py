@@ -1,4 +1,4 @@
-"""Errors of the test rig: what was shaken is not what was wanted, what was measured is not what happened."""
+"""Errors of the test rig: in the imposed motion and in the measured signals."""
 
 from typing import Any, ClassVar, Literal, final
 
@@ -6,7 +6,7 @@ from hsed_jax.physics.effects.base import AbstractSetupEffect, Form, Scalar, Set
 from hsed_jax.physics.parameters import PhysicalForm, parameter, shape_parameter
 from hsed_jax.physics.scales import Scales, is_zero
 
-# A drift is told by what it adds up to over this many characteristic times.
+# The amplitude of a drift is its change over so many characteristic times.
 _DRIFTING = 100.0
 
 

@@ -1,4 +1,4 @@
-"""Plasticity: a spring that was assumed linear yields; a back-stress beside the law."""
+"""Plasticity: yielding of a spring that was assumed linear, and a back-stress in parallel to the law."""
 
 # A property stands for an abstract variable of equinox here.
 # pyright: reportIncompatibleVariableOverride=false
@@ -113,7 +113,7 @@ class KinematicHardening(AbstractBristledEffect):
 
     @property
     def of_bristle(self) -> Scalar:
-        """It always is one."""
+        """Always 1."""
         return 1.0
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
