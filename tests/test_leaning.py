@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from hsed_jax.diagnosis.diagnose import diagnose
 from hsed_jax.inference.leaning import ANYTHING, Leaning, caution, leaning
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Channel, Noise, write_campaign
-from hsed_jax.reporting.digest import verdict
+from hsed_jax.reporting.digest import verdict, warnings
 from hsed_jax.runs.reading import read_run
 from hsed_jax.study.build import Built
 
@@ -131,11 +132,24 @@ def check_what_is_written(folder) -> None:
     assert headline.startswith(f"{told['caution'][0].upper()}{told['caution'][1:]}. The noise does not explain")
 
 
+def check_headline_after_an_improvement(run) -> None:
+    """An effect may free an estimate from its bound: the first model's warning is no headline then."""
+    steps = [{"effects": [], "error_train": 0.2}, {"effects": ["slip"], "error_train": 0.02}]
+    improvement = {"steps": steps, "noise_floor": 0.02, "comparison": {"train": {}, "adequate": True, "p_value": 0.5}}
+    summary = run.summary | {"calibration": {"caution": "an estimate leans"}, "improvement": improvement}
+    improved = replace(run, summary=summary)
+    assert verdict(improved).startswith("With slip the error")
+    assert "Of the model as it was: an estimate leans." in list(warnings(improved))
+    improvement["caution"] = "another one leans"
+    assert verdict(improved).startswith("Of the improved model, another one leans. With slip")
+
+
 def test_summary_and_headline_begin_with_it(campaign, tmp_path):
     write_campaign(campaign, tmp_path / "data")
     study = content(beta={"uniform": [50.0, 200.0]}) | {"experiments": {"campaign": str(tmp_path / "data")}}
     hx.run(Study.model_validate(study), tmp_path / "run", progress=False, figures=False)
     check_what_is_written(tmp_path / "run")
+    check_headline_after_an_improvement(read_run(tmp_path / "run"))
 
 
 @pytest.mark.whole

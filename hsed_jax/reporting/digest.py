@@ -27,10 +27,17 @@ def behaviour(run: FinishedRun) -> list[str]:
 
 
 def _cautions(run: FinishedRun) -> Iterator[str]:
-    """The warnings to read before using the estimates, of the first model and of the improved one."""
-    for model, part in (("", "calibration"), ("of the improved model, ", "improvement")):
-        if caution := run.summary.get(part, {}).get("caution"):
-            yield sentence(f"{model}{caution}")
+    """The warning to read before using the estimates of the last model.
+
+    An effect may free an estimate of the model as it was from its bound, so the warning on that model stands with the others.
+    """
+    if caution := run.summary.get(_last_model(run), {}).get("caution"):
+        yield sentence(f"of the improved model, {caution}" if _last_model(run) == "improvement" else caution)
+
+
+def _last_model(run: FinishedRun) -> str:
+    """The part of the summary that has the estimates of the last model."""
+    return "improvement" if len(run.summary.get("improvement", {}).get("steps", [])) > 1 else "calibration"
 
 
 def _found(run: FinishedRun) -> str:
@@ -148,6 +155,8 @@ def warnings(run: FinishedRun) -> Iterator[str]:
     first = "the model as it was" if "improvement" in run.summary else "the model"
     for model, part in ((first, "calibration"), ("the improved model", "improvement")):
         found = run.summary.get(part, {})
+        if part != _last_model(run) and (caution := found.get("caution")):
+            yield f"Of {model}: {caution}."
         if text := found.get("warning"):
             yield f"The draws of the posterior of {model} have not converged: {text}."
         if doubt := found.get("doubt"):
