@@ -5,7 +5,7 @@ residual over the range of the priors; the error is that of the fitted experimen
 
     python benchmarks/opensees_laws.py FOLDER --output benchmarks/opensees_laws.json   # cases that FILE has are kept
 
-    python benchmarks/opensees_laws.py --coverage 4 --search 300 --output coverage.json
+    python benchmarks/opensees_laws.py --coverage 4 --search 300 --output benchmarks/opensees_coverage.json
 
 The second command calibrates so many further records of each material that OpenSees made, and counts how many true parameters
 the 90 % intervals hold.  FOLDER has the measured files of `MEASURED`; without it, only the records that OpenSees made are
@@ -34,6 +34,7 @@ from hsed_jax.study.build import Built
 # File, units of its columns, material, and what its study frees beyond the table.
 MEASURED = {
     "concrete column": ("rc_column/records/column.csv", {"displacement": "m", "force": "kN"}, "Pinching4", {}),
+    "concrete column, IMK": ("rc_column/records/column.csv", {"displacement": "m", "force": "kN"}, "IMKPinching", {}),
     "steel brace": ("steel_specimens/brace_Black_Strut-1.csv", {}, "HystereticSM", {"negative": {}}),
     "masonry wall CS01": ("stone_masonry/curves/FD_CS01_Magenes2010.csv", {}, "Pinching4", {}),
 }

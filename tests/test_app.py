@@ -370,7 +370,7 @@ def finished(tmp_path_factory):
     assert main(["init", str(run / "campaign"), "--output", str(run / "study.yaml")]) == 0
     (run / "provenance.json").write_text("{}")
     (run / "report.html").write_text("<!doctype html><title>made</title><p>a report</p>")
-    found = {"A": 1e6 * A, "beta": 1e3 * BETA, "error.force": 0.01}
+    found = {"A": 1e6 * A, "beta": 1e3 * BETA, "yield_sharpness.delta": 0.0, "error.force": 0.01}
     (run / "summary.json").write_text(
         json.dumps({"study": "column", "status": "complete", "calibration": {"map": found}})
     )
@@ -667,11 +667,11 @@ def test_a_run_that_there_is_can_be_played_with(server, opened):
     part(page, "3 Report")
     page.frame_locator("iframe").get_by_text("a report").wait_for()
     part(page, "4 Effects")
-    page.get_by_text("with no effect").wait_for()
-    assert error_of(page, "with no effect") < 0.002
+    page.get_by_text("with yield sharpness").wait_for()
+    assert error_of(page, "with yield sharpness") < 0.002
     page.get_by_label("stiffness degradation").check()
-    page.get_by_text("with stiffness degradation").wait_for()
-    before = error_of(page, "with stiffness degradation")
+    page.get_by_text("and stiffness degradation").wait_for()
+    before = error_of(page, "and stiffness degradation")
     assert before > 0.05
     page.locator(".noUi-handle").nth(2).press("ArrowLeft")
     page.wait_for_function("before => !document.body.innerText.includes(before)", arg=f"{before:.3f}")

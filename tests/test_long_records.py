@@ -48,7 +48,7 @@ def run(tmp_path_factory):
     assert main(["init", str(folder / "wall")]) == 0
     small = [f"measurements.samples={SAMPLES}", "calibration={sampler: laplace, starts: 1}"]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hsed_jax.study.own_parts.EFFECTS", EFFECTS.only(["cubic_stiffness"]))
+        patch.setattr("hsed_jax.study.own_parts.EFFECTS", EFFECTS.only(["cubic_stiffness", "yield_sharpness"]))
         words = ["run", str(folder / "wall" / "study.yaml"), *small, "--output", str(folder / "run")]
         with redirect_stdout(StringIO()) as told:
             assert main(words) == 0
