@@ -111,17 +111,17 @@ def worth_of(inference: Inference, campaign: Campaign) -> Worth:
         np.full(shape, np.inf),
         PLANNED,
     )
-    old, new = (_linearised(inference, d) for d in (data, planned))
-    middle = posterior.constrain(jnp.asarray(_middle(inference)[0]))
-    predicted, along = old
-    sigma = np.asarray(posterior.expected_sigma(middle, jnp.asarray(predicted), data))
+    middle, slope = _middle(inference)
+    predicted, along = _linearised(inference, data, middle, slope)
+    _, ahead = _linearised(inference, planned, middle, slope)
+    sigma = np.asarray(posterior.expected_sigma(posterior.constrain(jnp.asarray(middle)), jnp.asarray(predicted), data))
     root = np.where(np.asarray(data.weights) > 0, 1 / np.where(sigma > 0, sigma, np.inf), 0.0)
     scaled = along * root[..., None]
     information = np.einsum("njp,njq->npq", scaled, scaled)[: len(experiments)]
-    removed = [_removed(one, new[1], posterior.groups) for one in information]
+    removed = [_removed(one, ahead, posterior.groups) for one in information]
     total = information.sum(axis=0)
-    together = _removed(total, new[1], posterior.groups)
-    others = [_removed(total - one, new[1], posterior.groups).mean() for one in information]
+    together = _removed(total, ahead, posterior.groups)
+    others = [_removed(total - one, ahead, posterior.groups).mean() for one in information]
     return Worth(
         [experiment.id for experiment in experiments],
         np.asarray([one.mean() for one in removed]),
@@ -151,13 +151,14 @@ def _middle(inference: Inference) -> tuple[Float[np.ndarray, " p"], Float[np.nda
     return middle, (ahead - behind) / (2 * _STEP)
 
 
-def _linearised(inference: Inference, data: Data) -> tuple[Float[np.ndarray, "n J"], Float[np.ndarray, "n J p"]]:
+def _linearised(
+    inference: Inference, data: Data, middle: Float[np.ndarray, " p"], slope: Float[np.ndarray, " p"]
+) -> tuple[Float[np.ndarray, "n J"], Float[np.ndarray, "n J p"]]:
     """Outputs in the middle of the priors, SI, and their derivatives along standard normal coordinates.
 
     Raises:
         UserError: a simulation diverges.
     """
-    middle, slope = _middle(inference)
     outputs, ok, along = linearised_at(inference.posterior, data, middle[None], 1)
     count = int(data.count)
     if not np.all(ok[0][:count] > 0):

@@ -272,9 +272,8 @@ class Diagnosis(Tabular):
 
     @property
     def alternatives(self) -> list[list[str]]:
-        """The look-alikes as they are called; an effect alone stands against none."""
-        called = [[self.called(effect) for effect in group] for group in self.look_alikes]
-        return [group if len(group) > 1 else [*group, "no such effect"] for group in called]
+        """The look-alikes as they are called."""
+        return [[self.called(effect) for effect in group] for group in self.look_alikes]
 
     @property
     def is_explained(self) -> bool:

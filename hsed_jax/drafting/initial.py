@@ -197,16 +197,18 @@ def _of_gravity(frame: Frame) -> float:
 
 
 def _effects(frame: Frame, has_sharpness: bool = False) -> list[str]:
-    sharpness = [
-        "    yield_sharpness: {}                     # how sharply it yields is calibrated: the exponent is n plus this"
-    ]
-    gravity = [
-        f"    # P-Delta: the weight of all floors, {_round(sum(frame.masses) * _GRAVITY)} N, over the height of the storey, "
-        f"{frame.height:g} m, as a",
-        "    # stiffness that is known and not calibrated; where masses change, it changes with them",
-        f"    hardening: {{k: {-_of_gravity(frame):.4g}}}",
-    ]
-    lines = [*(sharpness if has_sharpness else []), *(gravity if frame.masses and frame.height else [])]
+    lines: list[str] = []
+    if has_sharpness:
+        lines.append(
+            "    yield_sharpness: {}                     # how sharply it yields is calibrated: the exponent is n plus this"
+        )
+    if reduction := _of_gravity(frame):
+        lines += [
+            f"    # P-Delta: the weight of all floors, {_round(sum(frame.masses) * _GRAVITY)} N, over the height of the storey, "
+            f"{frame.height:g} m, as a",
+            "    # stiffness that is known and not calibrated; where masses change, it changes with them",
+            f"    hardening: {{k: {-reduction:.4g}}}",
+        ]
     if not lines:
         return ["  effects: {}                               # none assumed; `hsed effects` lists the catalogue"]
     return [
