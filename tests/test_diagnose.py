@@ -909,17 +909,22 @@ def test_a_likely_effect_that_is_not_named_is_mentioned_with_its_reason(damped):
 
 @pytest.mark.whole
 def test_a_verdict_that_other_priors_turn_to_another_explanation_is_ambiguous(monkeypatch):
+    others = []
+
     def turned(search, models, best, verdict, otherwise, does_the_same):
+        others.append(next(m for m in models if m.effects and not m.effects & best.effects))
+        leader = tuple(others[0].effects)
         gains = {"viscous_damping": -1.0}
         narrow = PriorWidth(1 / 3, verdict, tuple(best.effects), gains, gains, True)
-        return [narrow, PriorWidth(10.0, otherwise, (), gains, gains, False, ())]
+        return [narrow, PriorWidth(10.0, otherwise, leader, gains, gains, False, leader)]
 
     monkeypatch.setattr("hsed_jax.diagnosis.diagnose.prior_widths", turned)
     found = diagnosed(C)
+    (other,) = others[0].effects
     assert found.verdict == "ambiguous" and found.effects == ["viscous_damping"]
-    assert found.look_alikes == [["viscous_damping"]] and found.averaged is not None
-    assert "missing is viscous_damping or no such effect, which these measurements cannot tell apart" in found.sentence
-    assert "it leads to no effect" in " ".join(found.summary()["notes"])
+    assert found.look_alikes == [["viscous_damping", other]] and found.averaged is not None
+    assert f"or {found.called(other)}, which these measurements cannot tell apart" in found.sentence
+    assert f"it leads to {found.called(other)}" in " ".join(found.summary()["notes"])
 
 
 def test_an_ambiguous_diagnosis_says_how_far_its_explanations_differ(damped):
