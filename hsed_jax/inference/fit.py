@@ -255,7 +255,7 @@ def fit(
     (there,) = expand(posterior, data, [np.asarray(maximum.u)])
     watch.fitted(np.asarray(there.predicted), data, posterior.groups)
     chains = draw(posterior, data, maximum, jnp.asarray(0.8), key, settings, watch, seconds)
-    standardised = np.asarray(_against_declared(declared, data, maximum.theta, there.predicted, there.ok))
+    standardised = np.asarray(_against_declared(declared, data, posterior, maximum.u, there.predicted, there.ok))
     chi2, p_value = _left_unexplained(
         standardised, data, declared, _noise_estimate(standardised, data, declared, errors)
     )
@@ -296,34 +296,15 @@ def _most_probable(
         from hsed_jax.inference.discrepancy.kinds import none_yet
 
         data = none_yet(posterior, data)
-    maximum = maximise(posterior, data, points)
     declared, process, is_centred = posterior, None, False
+    if len(points) == 1:
+        # Who knows where to start knows about what the model leaves, too.
+        posterior, data, process, _ = _judged(declared, posterior, data, points[0], errors, support, None)
+    maximum = maximise(posterior, data, points)
     for _ in range(_ROUNDS):
-        standardised = _standardised(declared, posterior, data, maximum)
-        noise_estimate = _noise_estimate(standardised, data, declared, errors)
-        inflated = declared.inflated(_left(standardised, data, declared, errors))
-        # A discrepancy has its own correlation of the residuals.
-        worth = (
-            np.where([error.discrepancy for error in errors], 1.0, noise_estimate.worth)
-            if errors
-            else noise_estimate.worth
-        )
-        weights = jnp.asarray((np.asarray(data.weights) > 0) * worth[posterior.groups])
-        learned = _learned(declared, data, maximum, errors, support, process)
-        found = (weights, noise_estimate.memory, inflated.declared, *(() if learned is None else learned.settling))
-        before = (data.weights, data.memory, posterior.declared, *(() if process is None else process.settling))
-        is_settled = len(found) == len(before) and all(
-            np.allclose(old, new, rtol=_SETTLED) for old, new in zip(before, found, strict=True)
-        )
+        posterior, data, process, is_settled = _judged(declared, posterior, data, maximum.u, errors, support, process)
         if is_settled and (is_centred or not posterior.population.levels):
             break
-        if not is_settled:
-            posterior, process = inflated, learned
-            data = data._replace(
-                weights=weights,
-                memory=jnp.asarray(noise_estimate.memory),
-                decorrelation=None if process is None else process.whitening,
-            )
         posterior, is_centred = centred(posterior, data, maximum.theta), True
         # With other errors the modes move; the starts over the whole prior were searched before.
         points = jnp.stack([posterior.unconstrain(mode.theta) for mode in maximum.modes])
@@ -331,10 +312,43 @@ def _most_probable(
     return posterior, data, maximum, process
 
 
+def _judged(
+    declared: Posterior,
+    posterior: Posterior,
+    data: Data,
+    u: Array,
+    errors: Sequence[Error],
+    support: "Support | None",
+    process: "AbstractDiscrepancy | None",
+) -> tuple[Posterior, Data, "AbstractDiscrepancy | None", bool]:
+    """The errors, the weights of the samples and the discrepancy by what the model leaves at u, and whether they are as before."""
+    standardised = _standardised(declared, posterior, data, u)
+    noise_estimate = _noise_estimate(standardised, data, declared, errors)
+    inflated = declared.inflated(_left(standardised, data, declared, errors))
+    # A discrepancy has its own correlation of the residuals.
+    worth = (
+        np.where([error.discrepancy for error in errors], 1.0, noise_estimate.worth) if errors else noise_estimate.worth
+    )
+    weights = jnp.asarray((np.asarray(data.weights) > 0) * worth[posterior.groups])
+    learned = _learned(declared, data, u, errors, support, process)
+    found = (weights, noise_estimate.memory, inflated.declared, *(() if learned is None else learned.settling))
+    before = (data.weights, data.memory, posterior.declared, *(() if process is None else process.settling))
+    if len(found) == len(before) and all(
+        np.allclose(old, new, rtol=_SETTLED) for old, new in zip(before, found, strict=True)
+    ):
+        return posterior, data, process, True
+    data = data._replace(
+        weights=weights,
+        memory=jnp.asarray(noise_estimate.memory),
+        decorrelation=None if learned is None else learned.whitening,
+    )
+    return inflated, data, learned, False
+
+
 def _learned(
     posterior: Posterior,
     data: Data,
-    maximum: Maximum,
+    u: Array,
     errors: Sequence[Error],
     support: "Support | None",
     process: "AbstractDiscrepancy | None",
@@ -344,18 +358,18 @@ def _learned(
         return None
     from hsed_jax.inference.discrepancy.kinds import learned
 
-    return learned(posterior, data, maximum.u, errors, support, process)
+    return learned(posterior, data, u, errors, support, process)
 
 
-def _standardised(declared: Posterior, posterior: Posterior, data: Data, maximum: Maximum) -> Float[np.ndarray, "n J"]:
-    """(f − y)/σ at the MAP with the declared errors, by the program that found it: another takes seconds to compile."""
-    (there,) = expand(posterior, data, [np.asarray(maximum.u)])
-    return np.asarray(_against_declared(declared, data, maximum.theta, there.predicted, there.ok))
+def _standardised(declared: Posterior, posterior: Posterior, data: Data, u: Array) -> Float[np.ndarray, "n J"]:
+    """(f − y)/σ at u with the declared errors, by the program that finds the MAP: another takes seconds to compile."""
+    (there,) = expand(posterior, data, [np.asarray(u)])
+    return np.asarray(_against_declared(declared, data, posterior, u, there.predicted, there.ok))
 
 
 @program
-def _against_declared(declared, data, theta, predicted, ok) -> Float[Array, "n J"]:
-    return declared.standardised(theta, predicted, ok, data)
+def _against_declared(declared, data, posterior, u, predicted, ok) -> Float[Array, "n J"]:
+    return declared.standardised(posterior.constrain(u), predicted, ok, data)
 
 
 def _noise_estimate(

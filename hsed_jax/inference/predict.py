@@ -15,11 +15,11 @@ import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float, Int, PyTree
 
-from hsed_jax.physics.batch import TILE, tiled_map
+from hsed_jax.physics.batch import tile_of, tiled_map
 from hsed_jax.physics.simulator import Conditions
 
-# A simulation with derivatives has several times the state of one without.
-_TILE_WITH_DERIVATIVES = TILE // 2
+# A simulation with derivatives has several times the state of one without, so fewer of them run together.
+_WITH_DERIVATIVES = 2
 
 Respond = Callable[[Float[Array, " p"], PyTree], tuple[Float[Array, " J"], Array]]
 
@@ -53,14 +53,14 @@ class Predictor(eqx.Module):
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _predict(rest, arrays, theta, conditions, count):
-    outputs, ok = _over_all(partial(_values, rest), TILE)(arrays, theta[None], conditions, count[None])
+    outputs, ok = _over_all(partial(_values, rest))(arrays, theta[None], conditions, count[None])
     return outputs[0], ok[0]
 
 
 @_predict.defjvp
 def _(rest, primals, tangents):
     arrays, theta, conditions, count = primals
-    over_all = _over_all(partial(_values_and_jacobian, rest), _TILE_WITH_DERIVATIVES)
+    over_all = _over_all(partial(_values_and_jacobian, rest), _WITH_DERIVATIVES)
     outputs, ok, jacobian = over_all(arrays, theta[None], conditions, count[None])
     along = tangents[1]
     moved = jacobian[0] @ along[0] if len(along) == 1 else jnp.einsum("njp,np->nj", jacobian[0], along)
@@ -100,13 +100,14 @@ def _values_and_jacobian(rest, arrays, batch):
     return outputs, ok, tangents
 
 
-def _over_all(tile_function: Callable, tile: int) -> Callable:
+def _over_all(tile_function: Callable, fewer: int = 1) -> Callable:
     """Turn a function of a tile into one of parameters (C, 1 or n, p), conditions (n, …) and the number of these that matter to
-    each of the C; its batch is flat, whatever is vmapped."""
+    each of the C; its batch is flat, whatever is vmapped.  A tile has so many times fewer simulations than one of values alone."""
 
     @custom_vmap
     def run(arrays, thetas, conditions, counts):
         size, chains = jax.tree.leaves(conditions)[0].shape[0], thetas.shape[0]
+        tile = tile_of(chains * size) // fewer
         by_experiment = jnp.broadcast_to(thetas, (chains, size, thetas.shape[-1]))
         # Simulations that count come first, for every chain; the last tile is filled by repeating one of them.
         ends = jnp.cumsum(counts)

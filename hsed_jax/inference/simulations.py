@@ -18,18 +18,20 @@ from hsed_jax.backend import cores
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.predict import Predictor
-from hsed_jax.physics.batch import TILE
+from hsed_jax.physics.batch import NARROW, TILE
 from hsed_jax.programs import program
 
-# Simulations of a call of the program; those that are not asked for cost nothing.
-_LANES = 4 * TILE
+# Simulations of a call of the program, and numbers that it gives at most: it writes them all, asked for or not.
+_LANES, _NUMBERS = 4 * TILE, 2**18
 # h: outputs of an external program have about six correct digits.  The truncation error is about a millionth.
 _DIFFERENCE = 1e-3
 
 
 def points_of_a_call(data: Data) -> int:
     """How many points are simulated side by side."""
-    return max(1, _LANES // jax.tree.leaves(data.conditions)[0].shape[0])
+    experiments, outputs = data.values.shape
+    lanes = min(_LANES, max(_NUMBERS // outputs, NARROW))
+    return max(1, lanes // experiments)
 
 
 def outputs_at(
@@ -55,8 +57,9 @@ def linearised_at(
     theta, steps, along = (np.asarray(values)[: len(points)] for values in stencils)
     offsets = steps[:, :, None, None] * np.eye(steps.shape[1])[:, None, :]
     stencil = np.concatenate([theta[:, None], theta[:, None] + offsets, theta[:, None] - offsets], axis=1)
-    thetas, each = stencil.reshape(-1, *stencil.shape[2:]), points_of_a_call(data)
+    thetas = stencil.reshape(-1, *stencil.shape[2:])
     # A call keeps one core busy.
+    each = min(-(-len(thetas) // cores()), points_of_a_call(data))
     with ThreadPoolExecutor(cores()) as threads:
         calls = threads.map(lambda at: _called(posterior, data, thetas[at : at + each]), range(0, len(thetas), each))
         simulated = [np.concatenate(values) for values in zip(*calls, strict=True)]

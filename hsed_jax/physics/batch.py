@@ -1,6 +1,7 @@
 """A batch of experiments: a flat axis, run in tiles.
 
-A tile of 64 keeps every state component in the first-level cache; memory grows with the tile, not with the batch.
+A tile of 64 keeps every state component in the first-level cache; memory grows with the tile, not with the batch.  A small
+batch is cut into narrow tiles: the last one of them is filled with simulations that nobody asks for.
 """
 
 # JAX gives its devices no type, so the functions that make arrays have none.
@@ -14,7 +15,14 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-TILE = 64
+TILE, NARROW = 64, 16
+# A batch of more simulations than this fills wide tiles.
+_SMALL = 2 * TILE
+
+
+def tile_of(simulations: int) -> int:
+    """How many simulations of a batch of so many run together."""
+    return NARROW if simulations <= _SMALL else TILE
 
 
 def tiled_map[T, R](many: Callable[[T], R], batch: T, *, count: ArrayLike | None = None, tile: int = TILE) -> R:
