@@ -88,7 +88,7 @@ def diagnose(
     is_adequate = is_explained(none.fit) and not problem.opened
     plain = "undecided" if p_value is None else "adequate" if is_adequate else "unexplained"
     before = plain if not best.effects else "ambiguous" if rivals else "missing_effects"
-    widths = prior_widths(search, models, best, before, plain, partial(_does_the_same, probe, best))
+    widths = prior_widths(search, models, best, before, plain, partial(_does_the_same, probe, dict(called), best))
     # With other priors of the effects another explanation leads: the data alone do not decide between both.
     leaders = [
         search.model(one.leader)._replace(probability=best.probability) for one in widths if one.leader is not None
@@ -140,9 +140,14 @@ def diagnose(
     )
 
 
-def _does_the_same(probe: Probe | None, best: Model, model: Model) -> bool:
-    """Whether two models differ by their formulas only."""
-    return probe is not None and probe.called(model) == probe.called(best)
+def _does_the_same(probe: Probe | None, called: dict[Set, Set], best: Model, model: Model) -> bool:
+    """Whether two models differ by their formulas only; `called` keeps what models were called."""
+    if probe is None:
+        return False
+    for one in (best, model):
+        if one.effects not in called:
+            called[one.effects] = probe.called(one)
+    return called[best.effects] == called[model.effects]
 
 
 def _rename(probe: Probe, search: Search) -> None:

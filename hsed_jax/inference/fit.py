@@ -11,18 +11,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from hsed_jax.inference.correlation import SIGNIFICANT, NoiseEstimate, correlation_notes, estimate_noise, size_p_value
+from hsed_jax.inference.correlation import SIGNIFICANT, correlation_notes
 from hsed_jax.inference.disagreement import Disagreement, disagreement
-from hsed_jax.inference.expansion import centred, expand
+from hsed_jax.inference.expansion import expand
 from hsed_jax.inference.leaning import Leaning, Range, caution, leaning
 from hsed_jax.inference.likelihood import Data, Error
-from hsed_jax.inference.maximum import Maximum, maximise
+from hsed_jax.inference.maximum import Maximum
+from hsed_jax.inference.most_probable import against_declared, left_unexplained, most_probable, noise_left, read_back
 from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence, statistics_of, summarise
 from hsed_jax.inference.population import Varying
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.samplers import SAMPLERS
 from hsed_jax.inference.sampling import draw
-from hsed_jax.inference.watch import Watch, arrays_of, fingerprint, tree_like
+from hsed_jax.inference.watch import Watch, arrays_of, fingerprint
 from hsed_jax.programs import program
 from hsed_jax.tables import Table, Tabular, cell
 
@@ -30,9 +31,6 @@ if TYPE_CHECKING:
     # A calibration without a discrepancy loads no Gaussian process.
     from hsed_jax.inference.discrepancy.base import AbstractDiscrepancy
     from hsed_jax.inference.discrepancy.inputs import Support
-
-# Correlation and weights of the samples follow from a residual, which depends on them a little: so many rounds.
-_ROUNDS, _SETTLED = 3, 0.02
 
 
 @dataclass(frozen=True, repr=False)
@@ -246,19 +244,17 @@ def fit(
     declared, said = posterior, [f"{error.correlated} {error.inflate} {error.discrepancy}" for error in errors]
     name = f"maximum-{fingerprint(posterior.names, eqx.filter(posterior, eqx.is_array), data, points, said, support)}"
     if (kept := watch.recall(name)) is not None:
-        posterior, data, maximum, process = _read_back(posterior, data, kept, errors)
+        posterior, data, maximum, process = read_back(posterior, data, kept, errors)
     else:
         watch.report("the most probable parameters")
-        posterior, data, maximum, process = _most_probable(posterior, data, points, errors, support)
+        posterior, data, maximum, process = most_probable(posterior, data, points, errors, support)
         kept = (posterior.declared, posterior.population, data.weights, data.memory, process, maximum)
         watch.keep(name, arrays_of(kept))
     (there,) = expand(posterior, data, [np.asarray(maximum.u)])
     watch.fitted(np.asarray(there.predicted), data, posterior.groups)
     chains = draw(posterior, data, maximum, jnp.asarray(0.8), key, settings, watch, seconds)
-    standardised = np.asarray(_against_declared(declared, data, posterior, maximum.u, there.predicted, there.ok))
-    chi2, p_value = _left_unexplained(
-        standardised, data, declared, _noise_estimate(standardised, data, declared, errors)
-    )
+    standardised = np.asarray(against_declared(declared, data, posterior, maximum.u, there.predicted, there.ok))
+    chi2, p_value = left_unexplained(standardised, data, declared, noise_left(standardised, data, declared, errors))
     is_inflated = any(error.inflate for error in errors)
     told: dict[str, Any] = {"chi2_per_datum": chi2, "p_value": p_value, "is_inflated": is_inflated}
     if is_inflated:
@@ -266,140 +262,6 @@ def fit(
     if process is not None:
         told |= {"discrepancy": process, "support": support}
     return Fit(posterior, data, maximum, chains, convergence(chains), units, possible=possible or {}, **told)
-
-
-def _read_back(
-    posterior: Posterior, data: Data, kept: Sequence[np.ndarray], errors: Sequence[Error]
-) -> tuple[Posterior, Data, Maximum, "AbstractDiscrepancy | None"]:
-    """What `_most_probable` found, from the arrays that were kept of it."""
-    size = len(arrays_of(posterior.population))
-    declared, rest = kept[0], kept[1 + size :]
-    posterior = posterior.inflated(declared / np.asarray(posterior.declared))
-    posterior = eqx.tree_at(lambda p: p.population, posterior, tree_like(posterior.population, kept[1 : 1 + size]))
-    weights, memory, *rest = map(jnp.asarray, rest)
-    data, process = data._replace(weights=weights, memory=memory), None
-    if any(error.discrepancy for error in errors):
-        from hsed_jax.inference.discrepancy.kinds import read_back
-
-        process, rest = read_back(posterior, rest)
-        data = data._replace(decorrelation=process.whitening)
-    each = len(Maximum._fields) - 1
-    best, *others = (Maximum._make([*rest[i : i + each], ()]) for i in range(0, len(rest), each))
-    return posterior, data, best._replace(others=tuple(others)), process
-
-
-def _most_probable(
-    posterior: Posterior, data: Data, points: Float[Array, "s p"], errors: Sequence[Error], support: "Support | None"
-) -> tuple[Posterior, Data, Maximum, "AbstractDiscrepancy | None"]:
-    """The MAP, with the weights of the samples, the errors and the discrepancy that belong to it."""
-    if any(error.discrepancy for error in errors):
-        from hsed_jax.inference.discrepancy.kinds import none_yet
-
-        data = none_yet(posterior, data)
-    declared, process, is_centred = posterior, None, False
-    if len(points) == 1:
-        # Who knows where to start knows about what the model leaves, too.
-        posterior, data, process, _ = _judged(declared, posterior, data, points[0], errors, support, None)
-    maximum = maximise(posterior, data, points)
-    for _ in range(_ROUNDS):
-        posterior, data, process, is_settled = _judged(declared, posterior, data, maximum.u, errors, support, process)
-        if is_settled and (is_centred or not posterior.population.levels):
-            break
-        posterior, is_centred = centred(posterior, data, maximum.theta), True
-        # With other errors the modes move; the starts over the whole prior were searched before.
-        points = jnp.stack([posterior.unconstrain(mode.theta) for mode in maximum.modes])
-        maximum = maximise(posterior, data, points)
-    return posterior, data, maximum, process
-
-
-def _judged(
-    declared: Posterior,
-    posterior: Posterior,
-    data: Data,
-    u: Array,
-    errors: Sequence[Error],
-    support: "Support | None",
-    process: "AbstractDiscrepancy | None",
-) -> tuple[Posterior, Data, "AbstractDiscrepancy | None", bool]:
-    """The errors, the weights of the samples and the discrepancy by what the model leaves at u, and whether they are as before."""
-    standardised = _standardised(declared, posterior, data, u)
-    noise_estimate = _noise_estimate(standardised, data, declared, errors)
-    inflated = declared.inflated(_left(standardised, data, declared, errors))
-    # A discrepancy has its own correlation of the residuals.
-    worth = (
-        np.where([error.discrepancy for error in errors], 1.0, noise_estimate.worth) if errors else noise_estimate.worth
-    )
-    weights = jnp.asarray((np.asarray(data.weights) > 0) * worth[posterior.groups])
-    learned = _learned(declared, data, u, errors, support, process)
-    found = (weights, noise_estimate.memory, inflated.declared, *(() if learned is None else learned.settling))
-    before = (data.weights, data.memory, posterior.declared, *(() if process is None else process.settling))
-    if len(found) == len(before) and all(
-        np.allclose(old, new, rtol=_SETTLED) for old, new in zip(before, found, strict=True)
-    ):
-        return posterior, data, process, True
-    data = data._replace(
-        weights=weights,
-        memory=jnp.asarray(noise_estimate.memory),
-        decorrelation=None if learned is None else learned.whitening,
-    )
-    return inflated, data, learned, False
-
-
-def _learned(
-    posterior: Posterior,
-    data: Data,
-    u: Array,
-    errors: Sequence[Error],
-    support: "Support | None",
-    process: "AbstractDiscrepancy | None",
-) -> "AbstractDiscrepancy | None":
-    """The discrepancy of the model with the most probable parameters, where the study asks for it."""
-    if not any(error.discrepancy for error in errors):
-        return None
-    from hsed_jax.inference.discrepancy.kinds import learned
-
-    return learned(posterior, data, u, errors, support, process)
-
-
-def _standardised(declared: Posterior, posterior: Posterior, data: Data, u: Array) -> Float[np.ndarray, "n J"]:
-    """(f − y)/σ at u with the declared errors, by the program that finds the MAP: another takes seconds to compile."""
-    (there,) = expand(posterior, data, [np.asarray(u)])
-    return np.asarray(_against_declared(declared, data, posterior, u, there.predicted, there.ok))
-
-
-@program
-def _against_declared(declared, data, posterior, u, predicted, ok) -> Float[Array, "n J"]:
-    return declared.standardised(posterior.constrain(u), predicted, ok, data)
-
-
-def _noise_estimate(
-    standardised: np.ndarray, data: Data, posterior: Posterior, errors: Sequence[Error]
-) -> NoiseEstimate:
-    used, gaps = np.asarray(data.weights) > 0, np.asarray(data.gaps)
-    said = [error.correlated for error in errors] or [False] * len(posterior.outputs)
-    return estimate_noise(standardised, gaps, used, posterior.groups, posterior.is_declared, said)
-
-
-def _left(standardised: np.ndarray, data: Data, posterior: Posterior, errors: Sequence[Error]) -> np.ndarray:
-    """Factor by which each declared error grows, (G,): the RMS of the residual, if it counts as error and exceeds one."""
-    factors = np.ones(len(posterior.outputs))
-    for output, error in enumerate(errors):
-        own = (np.asarray(data.weights) > 0) & (posterior.groups == output)
-        if error.inflate and error.is_declared and own.any():
-            factors[output] = max(1.0, float(np.sqrt(np.mean(standardised[own] ** 2))))
-    return factors
-
-
-def _left_unexplained(
-    standardised: np.ndarray, data: Data, posterior: Posterior, noise_estimate: NoiseEstimate
-) -> tuple[float | None, float | None]:
-    """χ² per datum, and its probability under the declared noise; None if no noise is declared."""
-    used = (np.asarray(data.weights) > 0) & posterior.is_declared[posterior.groups]
-    if not used.any():
-        return None, None
-    noises = {g: noise for g, noise in enumerate(noise_estimate.noises) if posterior.is_declared[g]}
-    p_value = size_p_value(standardised, used, noise_estimate.memory, noises, posterior.groups, posterior.fitted)
-    return float(np.mean(standardised[used] ** 2)), p_value
 
 
 @program
