@@ -59,6 +59,13 @@ class _Branch(NamedTuple):
         x = self.elongation[near] - self.elongation[near].mean()
         return float(x @ self.force[near] / (x @ x))
 
+    def tangent(self, at: float, reach: float) -> float:
+        """Slope at an elongation, by a parabola through what is no farther than `reach` and the nearest samples [N/m]."""
+        away = np.abs(self.elongation - at)
+        near = away <= max(reach, np.sort(away)[_NEAREST - 1])
+        x, scale = self.elongation[near] - at, away[near].max()
+        return float(np.polynomial.polynomial.polyfit(x / scale, self.force[near], 2)[1] / scale)
+
     def continued(self, to: float) -> float:
         """The force continued to an elongation beyond an end, by a parabola through the nearest samples [N]."""
         near = np.argsort(np.abs(self.elongation - to))[:_NEAREST]
@@ -115,7 +122,7 @@ def _read(histories: Histories, u: np.ndarray, force: np.ndarray) -> dict[str, f
     height = np.asarray([up.at(x) - down.at(x) for x in np.linspace(-0.9 * a, 0.9 * a, 37)])
     is_loop = height.max() > _HEIGHT * size
     return {
-        "initial_stiffness": 0.5 * (down.slope(zeros[0], close) + up.slope(zeros[1], close)),
+        "initial_stiffness": 0.5 * (down.tangent(zeros[0], close) + up.tangent(zeros[1], close)),
         "unloading_stiffness+": unloading[0],
         "unloading_stiffness-": unloading[1],
         "reloading_stiffness": 0.5 * (peaks[1] / max(zeros[0] + a, close) + peaks[0] / max(a - zeros[1], close)),
