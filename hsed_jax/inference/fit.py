@@ -247,7 +247,8 @@ def fit(
         posterior, data, maximum, process = read_back(posterior, data, kept, errors)
     else:
         watch.report("the most probable parameters")
-        posterior, data, maximum, process = most_probable(posterior, data, points, errors, support)
+        is_known = start is not None and len(points) == 1
+        posterior, data, maximum, process = most_probable(posterior, data, points, errors, support, is_known)
         kept = (posterior.declared, posterior.population, data.weights, data.memory, process, maximum)
         watch.keep(name, arrays_of(kept))
     (there,) = expand(posterior, data, [np.asarray(maximum.u)])

@@ -49,16 +49,29 @@ def read_back(
 
 
 def most_probable(
-    posterior: Posterior, data: Data, points: Float[Array, "s p"], errors: Sequence[Error], support: "Support | None"
+    posterior: Posterior,
+    data: Data,
+    points: Float[Array, "s p"],
+    errors: Sequence[Error],
+    support: "Support | None",
+    is_known: bool,
 ) -> tuple[Posterior, Data, Maximum, "AbstractDiscrepancy | None"]:
-    """The MAP, with the weights of the samples, the errors and the discrepancy that belong to it."""
+    """The MAP, with the weights of the samples, the errors and the discrepancy that belong to it.
+
+    Arguments:
+        posterior: with the declared errors.
+        data: measured outputs.
+        points: starts of the search.
+        errors: of the outputs.
+        support: what a discrepancy of quantities is a function of.
+        is_known: whether the first start is about the MAP: what the model leaves there tells the errors to begin with.
+    """
     if any(error.discrepancy for error in errors):
         from hsed_jax.inference.discrepancy.kinds import none_yet
 
         data = none_yet(posterior, data)
     declared, process, is_centred = posterior, None, False
-    if len(points) == 1:
-        # Who knows where to start knows about what the model leaves, too.
+    if is_known and not any(error.discrepancy for error in errors):
         posterior, data, process, _ = _judged(declared, posterior, data, points[0], errors, support, None)
     maximum = maximise(posterior, data, points)
     for _ in range(_ROUNDS):
