@@ -61,16 +61,19 @@ class _Branch(NamedTuple):
 
     def tangent(self, at: float, reach: float) -> float:
         """Slope at an elongation, by a parabola through what is no farther than `reach` and the nearest samples [N/m]."""
-        away = np.abs(self.elongation - at)
-        near = away <= max(reach, np.sort(away)[_NEAREST - 1])
-        x, scale = self.elongation[near] - at, away[near].max()
-        return float(np.polynomial.polynomial.polyfit(x / scale, self.force[near], 2)[1] / scale)
+        return self._parabola(at, reach)[1]
 
     def continued(self, to: float) -> float:
         """The force continued to an elongation beyond an end, by a parabola through the nearest samples [N]."""
-        near = np.argsort(np.abs(self.elongation - to))[:_NEAREST]
-        x = self.elongation[near] - to
-        return float(np.polynomial.polynomial.polyfit(x / np.abs(x).max(), self.force[near], 2)[0])
+        return self._parabola(to, 0.0)[0]
+
+    def _parabola(self, at: float, reach: float) -> tuple[float, float]:
+        """Force [N] and slope [N/m] at an elongation."""
+        away = np.abs(self.elongation - at)
+        near = away <= max(reach, np.sort(away)[_NEAREST - 1])
+        scale = away[near].max()
+        force, slope, _ = np.polynomial.polynomial.polyfit((self.elongation[near] - at) / scale, self.force[near], 2)
+        return float(force), float(slope / scale)
 
 
 def probed(histories: Histories, force: Float[np.ndarray, "B samples"], ok: Bool[np.ndarray, " B"]) -> Probed:

@@ -66,13 +66,13 @@ def most_probable(
         support: what a discrepancy of quantities is a function of.
         is_known: whether the first start is about the MAP: what the model leaves there tells the errors to begin with.
     """
+    declared, process, is_centred = posterior, None, False
     if any(error.discrepancy for error in errors):
         from hsed_jax.inference.discrepancy.kinds import none_yet
 
         data = none_yet(posterior, data)
-    declared, process, is_centred = posterior, None, False
-    if is_known and not any(error.discrepancy for error in errors):
-        posterior, data, process, _ = _judged(declared, posterior, data, points[0], errors, support, None)
+    elif is_known:
+        posterior, data, _, _ = _judged(posterior, posterior, data, points[0], errors, support, None)
     maximum = maximise(posterior, data, points)
     for _ in range(_ROUNDS):
         posterior, data, process, is_settled = _judged(declared, posterior, data, maximum.u, errors, support, process)
@@ -95,7 +95,9 @@ def _judged(
     process: "AbstractDiscrepancy | None",
 ) -> tuple[Posterior, Data, "AbstractDiscrepancy | None", bool]:
     """Errors, weights of the samples and discrepancy by what the model leaves at u, and whether they are as before."""
-    standardised = _standardised(declared, posterior, data, u)
+    # By the program that finds the MAP: another one takes seconds to compile.
+    (there,) = expand(posterior, data, [np.asarray(u)])
+    standardised = np.asarray(against_declared(declared, data, posterior, u, there.predicted, there.ok))
     noise_estimate = noise_left(standardised, data, declared, errors)
     inflated = declared.inflated(_left(standardised, data, declared, errors))
     # A discrepancy has its own correlation of the residuals.
@@ -103,7 +105,11 @@ def _judged(
         np.where([error.discrepancy for error in errors], 1.0, noise_estimate.worth) if errors else noise_estimate.worth
     )
     weights = jnp.asarray((np.asarray(data.weights) > 0) * worth[posterior.groups])
-    learned = _learned(declared, data, u, errors, support, process)
+    learned = None
+    if any(error.discrepancy for error in errors):
+        from hsed_jax.inference.discrepancy import kinds
+
+        learned = kinds.learned(declared, data, u, errors, support, process)
     found = (weights, noise_estimate.memory, inflated.declared, *(() if learned is None else learned.settling))
     before = (data.weights, data.memory, posterior.declared, *(() if process is None else process.settling))
     if len(found) == len(before) and all(
@@ -116,28 +122,6 @@ def _judged(
         decorrelation=None if learned is None else learned.whitening,
     )
     return inflated, data, learned, False
-
-
-def _learned(
-    posterior: Posterior,
-    data: Data,
-    u: Array,
-    errors: Sequence[Error],
-    support: "Support | None",
-    process: "AbstractDiscrepancy | None",
-) -> "AbstractDiscrepancy | None":
-    """The discrepancy of the model with the most probable parameters, where the study asks for it."""
-    if not any(error.discrepancy for error in errors):
-        return None
-    from hsed_jax.inference.discrepancy.kinds import learned
-
-    return learned(posterior, data, u, errors, support, process)
-
-
-def _standardised(declared: Posterior, posterior: Posterior, data: Data, u: Array) -> Float[np.ndarray, "n J"]:
-    """(f − y)/σ at u with the declared errors, by the program that finds the MAP: another takes seconds to compile."""
-    (there,) = expand(posterior, data, [np.asarray(u)])
-    return np.asarray(against_declared(declared, data, posterior, u, there.predicted, there.ok))
 
 
 @program
