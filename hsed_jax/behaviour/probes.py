@@ -34,46 +34,52 @@ class Probed(NamedTuple):
 
 
 class _Branch(NamedTuple):
-    """A leg of the loop where its speed is constant."""
+    """A leg of every loop where its speed is constant, (B, m) each."""
 
-    elongation: np.ndarray
-    force: np.ndarray
+    elongation: Float[np.ndarray, "B m"]
+    force: Float[np.ndarray, "B m"]
 
-    def at(self, elongation: float) -> float:
-        """The force at an elongation [N]."""
-        order = np.sign(self.elongation[-1] - self.elongation[0]).astype(int)
-        return float(np.interp(elongation, self.elongation[::order], self.force[::order]))
+    def at(self, elongation: Float[np.ndarray, "B p"]) -> Float[np.ndarray, "B p"]:
+        """The force at elongations of each loop [N]."""
+        order = np.sign(self.elongation[0, -1] - self.elongation[0, 0]).astype(int)
+        rows = zip(elongation, self.elongation[:, ::order], self.force[:, ::order], strict=True)
+        return np.stack([np.interp(*row) for row in rows])
 
-    def crossing(self, level: float = 0.0) -> float:
+    def crossing(self, level: Float[np.ndarray, " B"] | float = 0.0) -> Float[np.ndarray, " B"]:
         """Elongation where the force first passes a level; the end, where it does not [m]."""
-        changes = np.flatnonzero(np.sign(self.force[1:] - level) != np.sign(self.force[:-1] - level))
-        if not changes.size:
-            return float(self.elongation[-1])
-        (u, v), (f, g) = (values[changes[0] : changes[0] + 2] for values in self)
-        return float(u + (level - f) * (v - u) / (g - f))
+        above = self.force - np.reshape(level, (-1, 1))
+        changes = np.sign(above[:, 1:]) != np.sign(above[:, :-1])
+        row, first = np.arange(len(changes)), changes.argmax(axis=1)
+        (u, v), (f, g) = ((values[row, first], values[row, first + 1]) for values in (self.elongation, above))
+        passes = changes.any(axis=1)
+        return np.where(passes, u - f * (v - u) / np.where(passes, g - f, 1.0), self.elongation[:, -1])
 
-    def slope(self, at: float, reach: float) -> float:
+    def slope(self, at: Float[np.ndarray, " B"], reach: Float[np.ndarray, " B"]) -> Float[np.ndarray, " B"]:
         """Least-squares slope of what is no farther than `reach`, of three samples at least [N/m]."""
-        away = np.abs(self.elongation - at)
-        near = away <= max(reach, np.sort(away)[2])
-        x = self.elongation[near] - self.elongation[near].mean()
-        return float(x @ self.force[near] / (x @ x))
+        near = self._near(at, reach, 3)
+        x = np.where(near, self.elongation - self.elongation.mean(axis=1, where=near, keepdims=True), 0.0)
+        return (x * self.force).sum(axis=1) / (x * x).sum(axis=1)
 
-    def tangent(self, at: float, reach: float) -> float:
+    def tangent(self, at: Float[np.ndarray, " B"], reach: Float[np.ndarray, " B"]) -> Float[np.ndarray, " B"]:
         """Slope at an elongation, by a parabola through what is no farther than `reach` and the nearest samples [N/m]."""
         return self._parabola(at, reach)[1]
 
-    def continued(self, to: float) -> float:
+    def continued(self, to: Float[np.ndarray, " B"]) -> Float[np.ndarray, " B"]:
         """The force continued to an elongation beyond an end, by a parabola through the nearest samples [N]."""
-        return self._parabola(to, 0.0)[0]
+        return self._parabola(to, np.zeros_like(to))[0]
 
-    def _parabola(self, at: float, reach: float) -> tuple[float, float]:
+    def _near(self, at: np.ndarray, reach: np.ndarray, least: int) -> Bool[np.ndarray, "B m"]:
+        """The samples that are no farther than `reach`, at least so many."""
+        away = np.abs(self.elongation - at[:, None])
+        return away <= np.maximum(reach, np.sort(away, axis=1)[:, least - 1])[:, None]
+
+    def _parabola(self, at: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Force [N] and slope [N/m] at an elongation."""
-        away = np.abs(self.elongation - at)
-        near = away <= max(reach, np.sort(away)[_NEAREST - 1])
-        scale = away[near].max()
-        force, slope, _ = np.polynomial.polynomial.polyfit((self.elongation[near] - at) / scale, self.force[near], 2)
-        return float(force), float(slope / scale)
+        near, x = self._near(at, reach, _NEAREST), self.elongation - at[:, None]
+        scale = np.abs(x).max(axis=1, where=near, initial=0.0)
+        powers = np.where(near[..., None], (x / scale[:, None])[..., None] ** np.arange(3), 0.0)
+        force, slope, _ = np.moveaxis((np.linalg.pinv(powers) @ self.force[..., None])[..., 0], 1, 0)
+        return force, slope / scale
 
 
 def probed(histories: Histories, force: Float[np.ndarray, "B samples"], ok: Bool[np.ndarray, " B"]) -> Probed:
@@ -86,9 +92,10 @@ def probed(histories: Histories, force: Float[np.ndarray, "B samples"], ok: Bool
     """
     u = histories.elongation[:, ::2]
     force = np.where(ok[:, None], force, 0.0)
-    rows = [_read(histories, u[k], force[k]) if ok[k] else None for k in range(len(force))]
-    names = next(row for row in rows if row is not None)
-    quantities = {name: np.asarray([np.nan if row is None else row[name] for row in rows]) for name in names}
+    read = _read(histories.ends, u[ok], force[ok])
+    quantities = {name: np.full(len(ok), np.nan) for name in read}
+    for name, values in read.items():
+        quantities[name][ok] = values
     return Probed(quantities, _drivers(histories, u, force))
 
 
@@ -107,48 +114,50 @@ def _drivers(histories: Histories, u: np.ndarray, force: np.ndarray) -> dict[str
     }
 
 
-def _read(histories: Histories, u: np.ndarray, force: np.ndarray) -> dict[str, float]:
-    ends = histories.ends
+def _read(ends: tuple[int, ...], u: np.ndarray, force: np.ndarray) -> dict[str, Float[np.ndarray, " B"]]:
     rise, down, up = (_constant(u, force, *ends[k : k + 2]) for k in range(3))
-    a = float(u[ends[1]])
+    a = u[:, ends[1]]
     close = _NEAR * a
-    jumps = [
-        rise.continued(a) - down.continued(a),
-        up.continued(-a) - down.continued(-a),
-    ]
+    jumps = rise.continued(a) - down.continued(a), up.continued(-a) - down.continued(-a)
     zeros = down.crossing(), up.crossing()
-    peaks = up.force[-1], -down.force[-1]
-    size = 0.5 * (abs(peaks[0]) + abs(peaks[1]))
+    peaks = up.force[:, -1], -down.force[:, -1]
+    size = 0.5 * (np.abs(peaks[0]) + np.abs(peaks[1]))
     unloading = down.slope(a, close), up.slope(-a, close)
-    span = up.force[-1] - up.force[0]
-    corner = span / unloading[1] if unloading[1] > 0 else np.inf
-    height = np.asarray([up.at(x) - down.at(x) for x in np.linspace(-0.9 * a, 0.9 * a, 37)])
-    is_loop = height.max() > _HEIGHT * size
+    span = up.force[:, -1] - up.force[:, 0]
+    corner = np.divide(span, unloading[1], out=np.full_like(span, np.inf), where=unloading[1] > 0)
+    has_corner = corner < 1.9 * a
+    at_corner = up.at((np.where(has_corner, corner, 0.0) - a)[:, None])[:, 0]
+    middle = np.linspace(-0.9, 0.9, 37) * a[:, None]
+    height = up.at(middle) - down.at(middle)
+    highest = height.max(axis=1)
+    is_loop = highest > _HEIGHT * size
     return {
         "initial_stiffness": 0.5 * (down.tangent(zeros[0], close) + up.tangent(zeros[1], close)),
         "unloading_stiffness+": unloading[0],
         "unloading_stiffness-": unloading[1],
-        "reloading_stiffness": 0.5 * (peaks[1] / max(zeros[0] + a, close) + peaks[0] / max(a - zeros[1], close)),
+        "reloading_stiffness": 0.5
+        * (peaks[1] / np.maximum(zeros[0] + a, close) + peaks[0] / np.maximum(a - zeros[1], close)),
         "post_yield_stiffness": 0.5 * (down.slope(-a, _LATE * a) + up.slope(a, _LATE * a)),
-        "strength+": float(peaks[0]),
-        "strength-": float(peaks[1]),
-        "sharpness": (up.at(-a + corner) - up.force[0]) / span if corner < 1.9 * a else 1.0,
-        "pinching_ratio": height[len(height) // 2] / height.max() if is_loop else np.nan,
-        "recentring": 1 - 0.5 * (abs(zeros[0]) + abs(zeros[1])) / a,
+        "strength+": peaks[0],
+        "strength-": peaks[1],
+        "sharpness": np.where(has_corner, (at_corner - up.force[:, 0]) / span, 1.0),
+        "pinching_ratio": np.where(is_loop, height[:, 18] / np.where(is_loop, highest, 1.0), np.nan),
+        "recentring": 1 - 0.5 * (np.abs(zeros[0]) + np.abs(zeros[1])) / a,
         "play": _play(up, _HEIGHT * size, close),
         "rate_force": 0.25 * sum(jumps),
-        "relaxation": (force[ends[3]] - force[ends[4]]) / size,
+        "relaxation": (force[:, ends[3]] - force[:, ends[4]]) / size,
     }
 
 
-def _play(branch: _Branch, level: float, close: float) -> float:
+def _play(branch: _Branch, level: np.ndarray, close: np.ndarray) -> Float[np.ndarray, " B"]:
     """How far the elongation goes while there is hardly any force, less what the stiffness beside that takes [m]."""
     first, last = branch.crossing(-level), branch.crossing(level)
     stiffness = branch.slope(last + 0.5 * close, 0.5 * close)
-    return max(last - first - 2 * level / stiffness, 0.0) if stiffness > 0 else 0.0
+    rising = stiffness > 0
+    return np.where(rising, np.maximum(last - first - 2 * level / np.where(rising, stiffness, 1.0), 0.0), 0.0)
 
 
 def _constant(u: np.ndarray, force: np.ndarray, first: int, last: int) -> _Branch:
     ramp = (last - first) // 8
     inside = slice(first + ramp, last - ramp + 1)
-    return _Branch(u[inside], force[inside])
+    return _Branch(u[:, inside], force[:, inside])

@@ -24,6 +24,8 @@ from hsed_jax.programs import program
 _PER_YIELD, _FINEST = 0.2, 200
 # Simulations that run together.
 _CHUNK = 64
+# A force of so many characteristic forces is that of a model which diverges.
+_DIVERGED = 1e3
 
 
 class Answers(NamedTuple):
@@ -31,7 +33,7 @@ class Answers(NamedTuple):
 
     Attributes:
         force: at the start and at the ends of the steps [N], (M, B, n+1).
-        ok: whether the simulation is a number and its steps are short enough, (M, B).
+        ok: whether the simulation does not diverge and its steps are short enough, (M, B).
     """
 
     force: Float[np.ndarray, "M B samples"]
@@ -90,7 +92,7 @@ def answers(specimen: Simulator, models: Sequence[Mapping[str, float]], historie
 
     with ThreadPoolExecutor(cores()) as threads:
         list(threads.map(answer, range(0, len(simulations), _CHUNK)))
-    ok &= np.isfinite(force).all(axis=1)
+    ok &= np.abs(force).max(axis=1) <= _DIVERGED * float(specimen.scales.force)  # also False for NaN
     shape = (len(models), count)
     return Answers(force.reshape(*shape, steps + 1), ok.reshape(shape))
 

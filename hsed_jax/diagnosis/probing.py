@@ -63,9 +63,7 @@ class Probe(NamedTuple):
         """What each effect of a model does in the main, of those that a name stands for."""
         found: dict[str, Trait] = {}
         for element in self.simulator.elements:
-            for effect, (own, *_) in self._contributions(model, element, [self._fitted(model)]).items():
-                if (main := trait(own)) is not None:
-                    found[effect] = main
+            found |= self._traits_in(model, element)
         return found
 
     def behaviours(self, plain: Model, best: Model, sampled: Sampled) -> Behaviours:
@@ -169,11 +167,11 @@ class Probe(NamedTuple):
 
     def _added(self, model: Model, element: Element, draws: Drawn) -> list[Behaviour]:
         """Forces that effects add, which depend on the elongation or on the rate alone."""
+        mains = self._traits_in(model, element)
+        adding = [effect for effect, main in mains.items() if main.quantity in ("elastic_force", "rate_force")]
         found: list[Behaviour] = []
-        for own in self._contributions(model, element, draws).values():
-            main = trait(own[0])
-            if main is None or main.quantity not in ("elastic_force", "rate_force"):
-                continue
+        for effect, own in self._contributions(model, element, draws, adding).items():
+            main = mains[effect]
             curves = [one.elastic if main.quantity == "elastic_force" else one.by_rate for one in own]
             least = np.asarray([curve.force[np.argmin(np.abs(curve.at))] for curve in curves])
             most = np.asarray([curve.force[-1] for curve in curves])
@@ -194,9 +192,15 @@ class Probe(NamedTuple):
             )
         return found
 
-    def _contributions(self, model: Model, element: Element, draws: Drawn) -> dict[str, list[Contribution]]:
-        """What each effect of a model does in a specimen, by draw."""
-        own = self._effects(model, element)
+    def _traits_in(self, model: Model, element: Element) -> dict[str, Trait]:
+        """What each effect of a model does in the main in a specimen."""
+        found = self._contributions(model, element, [self._fitted(model)], self._effects(model, element))
+        return {effect: main for effect, (own, *_) in found.items() if (main := trait(own)) is not None}
+
+    def _contributions(
+        self, model: Model, element: Element, draws: Drawn, own: Sequence[str]
+    ) -> dict[str, list[Contribution]]:
+        """What effects of a model do in a specimen, by draw."""
         if not own:
             return {}
         histories = over_the_range(self.visited, self._step(draws[0], element))
