@@ -1,6 +1,7 @@
 """What the package changes in a user's process, and when: nothing by an import, what is said where work starts."""
 
 import pickle
+import platform
 import stat
 import subprocess
 import sys
@@ -50,6 +51,35 @@ def ran(code: str, **environment: str) -> str:
     done = subprocess.run([sys.executable, "-c", STATE + code], cwd=ROOT, env=settings, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
+
+
+HEAPS = """
+import ctypes, os, re, sys, threading
+def heaps():
+    libc, read, write = ctypes.CDLL(None), *os.pipe()
+    libc.fdopen.restype = ctypes.c_void_p
+    stream = libc.fdopen(write, b"w")
+    libc.malloc_info(0, ctypes.c_void_p(stream))
+    libc.fclose(ctypes.c_void_p(stream))
+    return len(re.findall("<heap nr=", os.read(read, 1 << 20).decode()))
+def allocate():
+    list(map(bytearray, [100] * 1000))
+    barrier.wait()
+barrier = threading.Barrier(9)
+def heaps_of_threads():
+    threads = [threading.Thread(target=allocate) for _ in range(8)]
+    [thread.start() for thread in threads]
+    barrier.wait()
+    return heaps()
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the number of heaps is a setting of glibc")
+def test_threads_share_one_heap_once_work_has_started_unless_the_environment_says_otherwise():
+    work = HEAPS + "from hsed_jax.backend import prepare\nprepare()\nprint(heaps_of_threads())"
+    assert int(ran(HEAPS + "print(heaps_of_threads())")) > 1
+    assert int(ran(work)) == 1
+    assert int(ran(work, MALLOC_ARENA_MAX="4")) > 1
 
 
 def test_importing_changes_nothing():
