@@ -8,8 +8,8 @@ candidates does not invent physics.
 
 **How wrong a model may be is learned, not assumed.**  A real specimen follows no textbook formula.  All models of a round are
 therefore judged with the errors that the best of them leaves: the error of an output is the declared one or that model's
-residual, whichever is larger, and samples of a correlated residual count for what they are worth
-(`hsed_jax.inference.correlation`).  Where the noise is all there is, both are as declared.
+residual, whichever is larger, and samples of a correlated residual count for less (`hsed_jax.diagnosis.measured`).  Where the
+noise is all there is, both are as declared.
 """
 
 import math
@@ -34,7 +34,7 @@ _STRICT = 1e-3
 # Standard deviations of the square of the noise that are no surprise.
 _DEVIATIONS = 3.0
 # So many sets of most evidence are scored, each in so many of its forms.
-_POOL, _FORMS = 6, 3
+_POOL, _FORMS = 12, 3
 # Of the models that rank first so many are considered to go on from.
 _TRIED = 5
 # An effect is replaced by so many others, the most probable ones; each is tried beside so many with the largest predicted gains.
@@ -130,6 +130,12 @@ class Search:
         if self.best != before:
             self._judge()
         self._score(is_over=True)
+
+    @property
+    def of_intervals(self) -> Target:
+        """The last target, with samples that count for what they are worth (`hsed_jax.inference.correlation`), as the width of a
+        posterior requires."""
+        return self.target._replace(weights=self.target.weights * np.sqrt(self.worth)[self.measured.groups])
 
     def adopt(self, coarse: "Search") -> None:
         """Judge what a search over some of the experiments has found: its best set, those on its way, and those that lead."""
