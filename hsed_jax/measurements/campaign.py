@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 MOTION = ("time", "ground_acceleration")
-"""Channels that impose a ground motion and so measure no response."""
+"""Channels that impose a ground motion and measure no response."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -42,7 +42,7 @@ class Campaign(Header, Tabular):
     source: str | None = field(default=None, compare=False)
 
     def __post_init__(self):
-        """Check the declaration, then move every value to one that its declared unit can write."""
+        """Check the declaration, then round every value to one that its declared unit can write."""
         super().__post_init__()
         records: dict[int, Record] = {}  # of experiments that share a record, one
         object.__setattr__(self, "experiments", tuple(self._settled(e, records) for e in self.experiments))

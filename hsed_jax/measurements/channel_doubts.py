@@ -27,13 +27,16 @@ PLAUSIBLE = {
 }
 """Range of the largest magnitude [SI] by dimension; outside, the unit is suspect.
 
-The largest testing machine of NIST, which calls it the largest of the world, has 53.4 MN; four times that is no test.
+The largest testing machine of NIST, according to NIST the largest of the world, has 53.4 MN. The limit is four times
+this force.
 """
 
 PLAUSIBLE_GROUND_ACCELERATION = (1e-2, 40.0)
 """The same for the ground [m/s²]; the strongest records reach about 4 g."""
 LEAST_GROUND_VELOCITY = 1.0
-"""Velocity [m/s] below which a larger acceleration is no doubt: a small model is shaken fast, and a unit would multiply both."""
+"""Velocity [m/s] below which a larger acceleration is accepted: small models are shaken with large accelerations, and a
+wrong unit would multiply both.
+"""
 
 PLATEAU = 4  # equal samples at an extreme
 STUCK = 20  # equal samples elsewhere
@@ -54,7 +57,7 @@ def quantity_doubts(campaign: Campaign, experiment: Experiment) -> Iterator[Find
 
 
 def channel_doubts(campaign: Campaign, id: str, record: Record) -> Iterator[Finding]:
-    """Doubts of every channel alone, and the error of a channel that measured nothing."""
+    """Doubts of every single channel, and the error of a channel that measured nothing."""
     for name, values in record.channels.items():
         if np.ptp(values) == 0:
             # A free vibration has a constant ground and no force; any other constant channel measured nothing.
@@ -115,7 +118,7 @@ def _magnitude(campaign: Campaign, id: str, record: Record, name: str) -> Iterat
 
 
 def _ground_velocity(record: Record) -> float:
-    """Largest velocity of the ground [m/s], without the line that an offset of the acceleration makes of it."""
+    """Largest velocity of the ground [m/s], without the linear trend from an offset of the acceleration."""
     steps = 0.5 * (record["ground_acceleration"][1:] + record["ground_acceleration"][:-1]) * np.diff(record.time)
     velocity = np.concatenate([[0.0], np.cumsum(steps)])
     line = np.polynomial.Polynomial.fit(record.time, velocity, 1)
@@ -147,7 +150,7 @@ def _noise(campaign: Campaign, id: str, record: Record, name: str) -> Iterator[F
 
 
 def _thousandfold(campaign: Campaign, id: str, record: Record, name: str) -> Iterator[Finding]:
-    """Steps that change a thousandfold from one sample to the next: another unit from there on."""
+    """Steps that change a thousandfold from one sample to the next: the unit changes there."""
     steps = np.diff(record.channels[name])
     if steps.size < 4 * AROUND:
         return

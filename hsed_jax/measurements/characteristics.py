@@ -1,4 +1,4 @@
-"""Characteristic values of a campaign, from its data; amplitudes are relative to them, and priors are placed by them."""
+"""Characteristic values of a campaign, from its data. Amplitudes are relative to them, and default priors use them."""
 
 from typing import NamedTuple
 

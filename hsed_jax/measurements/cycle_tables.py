@@ -24,7 +24,7 @@ class Columns(Tabular):
     """A table of texts and numbers.
 
     Attributes:
-        sentence: what it is.
+        sentence: its content in words.
         heads: of the columns, with their units.
         rows: cells; NaN where there is no number.
     """
@@ -53,7 +53,7 @@ def cycle_table(campaign: Campaign) -> Columns:
     """Every cycle of every completed record that has force and elongation, in the declared units.
 
     Arguments:
-        campaign: Not changed.  Of a record that is fitted or scored in part it is that part.
+        campaign: Not changed.  If only a part of a record is fitted or scored, the table has this part.
 
     Returns:
         A row per cycle: peaks, absorbed energy, equivalent viscous damping, stiffnesses, residual elongation and strength loss
@@ -152,7 +152,7 @@ def _heads(campaign: Campaign) -> list[str]:
 
 
 def _units(campaign: Campaign) -> tuple[str, str, str, str]:
-    """Of elongation, force, energy and stiffness; of several specimens those of the first."""
+    """Units of elongation, force, energy and stiffness; with several specimens those of the first."""
     owners = loops(campaign.channels)
     if not owners:
         return "m", "N", "J", "N/m"

@@ -42,7 +42,7 @@ class Finding:
         message: What was found.
         kind: What is doubted; None of an error.
         has_time: Whether the records have a time.
-        spans: Samples of the record that are meant, each first and one behind last; empty where it is the whole record.
+        spans: Affected samples of the record, each the first and one after the last; empty for the whole record.
     """
 
     level: Literal["error", "doubt"]

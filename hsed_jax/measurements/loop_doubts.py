@@ -1,7 +1,7 @@
 """Doubts of a loop, from force and elongation together, with a time or without.
 
-* A specimen unloads when its elongation turns.  The largest force lies at that turn or before it.  A force whose extreme
-  comes after the turn is late; one that always comes before it by as many samples is early.
+* A specimen unloads when its elongation turns.  The largest force lies at that turn or before it.  A force is late if
+  its extreme comes after the turn, and early if it always comes the same number of samples before it.
 * Drifting zeros move the middle of every cycle in proportion to the rows, beyond what the amplitude explains.
 * A step back that is faster than the loading is a slip; an elongation that rests while the force relaxes is a hold.
 """
@@ -46,7 +46,7 @@ def loop_doubts(campaign: Campaign, id: str, record: Record) -> Iterator[Finding
             continue
         sign = [*_energy(campaign, id, record, owner, found)]
         yield from sign
-        if not sign:  # a late force that explains negative work is said there
+        if not sign:  # a late force that explains negative work is reported by the doubt `sign`
             yield from _timing(campaign, id, record, owner, found)
         yield from _drifts(campaign, id, record, owner, found)
         yield from _slips(campaign, id, record, owner)
@@ -68,7 +68,8 @@ def _one_branch(elongation: np.ndarray, found: np.ndarray) -> str | None:
 
 
 def timing(force: np.ndarray, elongation: np.ndarray, found: np.ndarray) -> np.ndarray:
-    """By how many samples the extreme of the force comes after each turn of the elongation, (h,); negative before it.
+    """Number of samples from each turn of the elongation to the extreme of the force, (h,); negative if the extreme
+    comes first.
 
     Arguments:
         force, elongation: (m,) each, any unit.
@@ -185,7 +186,7 @@ def _drifts(campaign: Campaign, id: str, record: Record, owner: str, found: np.n
     at = found[1:-1]
     values = elongation[at]
     if at.size < CYCLES + 2 or 4 * np.count_nonzero(values[:-1] * values[1:] < 0) < 3 * (at.size - 1):
-        return  # what does not go about zero has no zero to drift
+        return  # without cycles about zero there is no drift of the zero
     crossings = np.asarray([_at_zero(force, elongation, a, b) for a, b in pairwise(at.tolist())])
     for name, ends, where, scale in (
         ("elongation", values, at, float(np.abs(values).max())),
@@ -241,7 +242,7 @@ class _Line(NamedTuple):
 def _line(
     rows: np.ndarray, ends: np.ndarray, amplitude: np.ndarray, samples: int, weights: tuple[float, ...], step: int
 ) -> _Line | None:
-    """The line through the middles of ends with these weights; None of too few."""
+    """The line through the middles of ends with these weights; None if there are too few."""
     x, y, size = (np.convolve(values, weights[::-1], "valid")[::step] for values in (rows, ends, amplitude))
     known = np.isfinite(y)
     if known.sum() < CYCLES:
@@ -281,7 +282,7 @@ def _slips(campaign: Campaign, id: str, record: Record, owner: str) -> Iterator[
 
 
 def _holds(campaign: Campaign, id: str, record: Record, owner: str, found: np.ndarray) -> Iterator[Finding]:
-    """Rests in which the force relaxes."""
+    """Rests during which the force relaxes."""
     name = named(owner, "elongation")
     force, elongation = record.channels[named(owner, "force")], record.channels[name]
     if campaign.protocol != "displacement" or found.size < 3:

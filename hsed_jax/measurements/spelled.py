@@ -71,7 +71,7 @@ _LAST = re.compile(r"(.*\w)[\s_]+(\S+)\s*")
 def spelled_unit(text: str) -> str | None:
     """The unit that a text spells, as `parse_unit` reads it; None where it spells none of a channel of a record.
 
-    A unit that differs from another one by its case alone (mN and MN) is read as it stands.
+    The case matters if it distinguishes two units (mN and MN).
     """
     bare = _bare(text)
     if bare in _EXACT:

@@ -53,7 +53,7 @@ class Table:
     units: Mapping[str, str] = field(default_factory=dict)
 
     def where(self, row: int, column: str | None = None) -> str:
-        """Say where the cell in `rows[row]` stands, for a message."""
+        """Return the position of the cell in `rows[row]` stands, for a message."""
         return f"{self.path}, row {self.row_numbers[row]}" + ("" if column is None else f", column {column!r}")
 
     def position(self, column: str) -> int:
@@ -86,7 +86,7 @@ class Table:
         """Return whether the numbers in these columns are written with a decimal comma.
 
         Raises:
-            UserError: The mark in them may separate thousands as well, and no number of the file tells.
+            UserError: The mark in them may also separate thousands, and no number of the file decides.
         """
         if not self.decimal_comma:
             return False
@@ -121,7 +121,7 @@ class Table:
         """Return a cell as a number; `comma` says that the decimal mark is a comma.
 
         Raises:
-            UserError: The cell is not a number; the message says what it looks like.
+            UserError: The cell is not a number; the message describes its content.
         """
         return self._number(row, column, self.rows[row][self.position(column)].strip(), comma)
 
@@ -182,7 +182,7 @@ _NAMED = 25
 
 
 def can_head_record(name: str) -> bool:
-    """Return whether a text as a column's name is told from numbers, comments and separators."""
+    """Return whether a text can be the name of a column: no number, comment or separator."""
     return any(c.isalnum() for c in name) and not is_number(name) and not name.startswith(("#", "%", "//", "sep="))
 
 
@@ -224,7 +224,7 @@ def read_record_table(path: Path, wanted: Iterable[str]) -> Table:
 
     Arguments:
         path: The file.
-        wanted: Columns that the record should have: they decide which separator is meant, and where the header is.
+        wanted: Columns that the record should have: they determine the separator and the position of the header.
 
     Raises:
         UserError: With file and row: not text, empty, ragged rows, numbers above the header.
@@ -264,10 +264,10 @@ def read_record_table(path: Path, wanted: Iterable[str]) -> Table:
 
 
 def _ask_of_names(path: Path, columns: list[str], wanted: Set[str]) -> None:
-    """Refuse a text of which no row names a wanted column, with the names that it has instead.
+    """Refuse a text in which no row names a wanted column, with the names that it has instead.
 
     Raises:
-        UserError: with the names, of whichever row has them.
+        UserError: with the names.
     """
     if not wanted or wanted & {*columns} or all(column.isdecimal() for column in wanted):
         return

@@ -13,12 +13,12 @@ from hsed_jax.measurements.experiment import Experiment
 def write_campaign(campaign: Campaign, folder: str | Path) -> None:
     """Write a campaign as a folder that `read_campaign` reads back to the same numbers.
 
-    Records are CSV in the declared units; experiments that share a record share its file.  Every file is complete before it
-    takes its name, and experiments.csv comes last, so that a reader never sees half a campaign.
+    Records are CSV in the declared units; experiments that share a record share its file.  Every file is complete
+    before it takes its name, and experiments.csv comes last, so that a reader never finds an incomplete campaign.
 
     Arguments:
         campaign: What to write.
-        folder: Where to; made if it is not there.  Files of the same names are replaced.
+        folder: The folder; it is created if it does not exist.  Files of the same names are replaced.
 
     Example:
         >>> hx.write_campaign(hx.read_files("wall.csv"), "my_campaign")
