@@ -1,4 +1,4 @@
-r"""How many independent samples a history counts for, if its noise is autocorrelated or its model is wrong.
+r"""The effective number of samples of a history, if its noise is autocorrelated or its model is wrong.
 
 Two causes correlate the residual of a history. **Autocorrelated noise** is a property of the sensor, because sensors are
 filtered.  The likelihood has it as a first-order autoregression $\rho_k = e^{-\Delta t_k/\ell}$ with a correlation time ℓ per
@@ -7,9 +7,9 @@ units of the declared noise.  The residual of a wrong model is smooth and adds l
 the two causes cannot be distinguished, and ℓ is inferred only if the study asks for it.
 
 **A wrong model** leaves a residual that is correlated in addition.  If a thousand such samples counted as independent, the
-posterior would be far too narrow.  With the integrated autocorrelation time τ of the residual, n samples are equivalent to n/τ
-independent ones (Sokal 1997).  So each counts with weight 1/τ in the likelihood.  This is a power likelihood: for one output,
-it keeps the maximum and corrects the width.
+posterior would be far too narrow.  With the integrated autocorrelation time τ of the residual, n samples are equivalent to
+n/τ independent ones (Sokal 1997).  Each sample therefore has the weight 1/τ in the likelihood.  This is a power likelihood:
+for one output, it keeps the maximum and corrects the width.
 """
 
 from collections.abc import Sequence
@@ -45,7 +45,7 @@ class NoiseEstimate(NamedTuple):
 
     Attributes:
         memory: ρ of every sample with the one before, (n, J).
-        worth: by output, how many independent samples each counts for, (G,).
+        worth: by output, the effective number of each sample, (G,).
         noises: by output.
     """
 
@@ -70,7 +70,7 @@ def estimate_noise(
         used: where there is a measurement, (n, J) bool.
         groups: output of each column, (J,).
         declared: by output, whether the size of its noise is declared, (G,).
-        correlated: by output, what is said of its noise (`Error.correlated`).
+        correlated: by output, the setting for its noise (`Error.correlated`).
     """
     noises = []
     for output, said in enumerate(correlated):

@@ -44,12 +44,12 @@ class Fit(Tabular):
         chains: draws of the posterior.
         convergence: R-hat, bulk ESS, divergences.
         units: SI unit of each parameter, by name.
-        chi2_per_datum: mean square of what the model leaves, in units of the declared noise; None where none is declared.
-        p_value: probability that the declared noise alone leaves so much.
-        is_inflated: whether what the model leaves beyond the declared noise was counted as error.
-        inflation: by how much that made the error of each output larger than what is declared, (G,); None: not at all.
-        discrepancy: of the model, where it was learned with the parameters.
-        support: what that is a function of.
+        chi2_per_datum: mean square of the residual in units of the declared noise; None without a declared noise.
+        p_value: probability that the declared noise alone causes so large a residual.
+        is_inflated: whether the residual beyond the declared noise counts as error.
+        inflation: factor by which this increases the declared error of each output, (G,); None: no increase.
+        discrepancy: of the model, if it is learned with the parameters.
+        support: the variables of the discrepancy.
         possible: what is physically possible of each parameter of the model, SI, by name (`hsed_jax.inference.leaning`).
     """
 

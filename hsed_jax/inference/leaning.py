@@ -1,8 +1,9 @@
-"""Estimates that lean on a bound of their prior.  If the bound is no physical limit, the prior excludes what the data ask for.
+"""Estimates on a bound of their prior. If the bound is not a physical limit, the prior excludes the values that fit the data
+best.
 
-A truncated posterior does not show how wrong the bound is, and an effect that replaces the excluded values gains evidence from
-it.  So the warning comes before every other result of a calibration, and a diagnosis names an effect only after the bound was
-opened.
+A truncated posterior does not show how wrong the bound is, and an effect that replaces the excluded values gains evidence
+from it.  Therefore the warning is the first result of a calibration, and a diagnosis names an effect only after it has
+removed the bound.
 """
 
 import math
@@ -15,7 +16,7 @@ from hsed_jax.inference.priors import Prior
 
 Range = tuple[float, float]
 ANYTHING: Range = (-math.inf, math.inf)
-"""What is possible of a parameter of which nothing is known."""
+"""The possible range of a parameter without known limits."""
 
 # As shares of the width of the prior: an estimate on a bound, to the accuracy of a search; and an estimate near a bound, if the
 # posterior reaches the bound within so many of its standard deviations.
@@ -25,7 +26,7 @@ _WIDTH = 0.9
 
 
 class Leaning(NamedTuple):
-    """An estimate on a bound of its prior that is no physical limit.
+    """An estimate on a bound of its prior that is not a physical limit.
 
     Attributes:
         parameter: its name.
@@ -57,8 +58,8 @@ def leaning(
 
     Arguments:
         priors: of the parameters, by name.
-        possible: what is physically possible of each, SI; of what is not in it nothing is known, and zero is taken for a limit
-            of a prior that has no other bound.
+        possible: physically possible range of each, SI. A parameter without an entry has no known limits, and zero counts as
+            a limit of a prior without another bound.
         estimates: θ_MAP by name, SI, of the parameters to look at.
         posterior: `sd` of each, the standard deviation, SI.
     """
@@ -109,7 +110,7 @@ def caution(
     posterior: Mapping[str, Mapping[str, float]],
     units: Mapping[str, str],
 ) -> str | None:
-    """The warnings before any use of the estimates: which of them lean, and which lie outside their own 90 % interval.
+    """The warnings before any use of the estimates: those on a bound, and those outside their own 90 % interval.
 
     Arguments:
         leaning: the estimates that lean.

@@ -51,10 +51,10 @@ class Error(NamedTuple):
         size: s, declared (a number) or inferred (its prior).
         is_relative: whether c is the size of the quantity or the RMS of the history; else 1, and s is in SI.
         correlated: whether the noise of a history is autocorrelated; None: only if its size is declared.
-        inflate: where the model leaves more than the declared error, that counts as error, too.
-        discrepancy: whether how wrong the model is beyond the error is learned.
-        of_measured: whether c of a relative error is given by what was measured (Gaussian); else a quantity's error is one of the
-            logarithm of what is predicted.
+        inflate: whether a residual beyond the declared error counts as error, too.
+        discrepancy: whether the model discrepancy beyond the error is learned.
+        of_measured: whether the measurement gives c of a relative error (Gaussian); otherwise a quantity has an error of the
+            logarithm of the prediction.
     """
 
     size: Union[float, "Prior"]
@@ -85,12 +85,12 @@ class Columns(NamedTuple):
 
     @property
     def is_quantity(self) -> Bool[np.ndarray, " J"]:
-        """Which columns are outputs by themselves, and not samples of a history."""
+        """The columns that are quantities instead of samples of a history."""
         return self.members.sum(axis=0)[self.members.argmax(axis=1)] == 1
 
     @property
     def is_logarithmic(self) -> Bool[np.ndarray, " J"]:
-        """Which columns have an error of their logarithm."""
+        """The columns with an error of the logarithm."""
         return self.is_relative & self.is_quantity & ~self.of_measured
 
 
@@ -119,7 +119,7 @@ class Data(NamedTuple):
         memory: ρ, correlation of the noise with that of the sample before, shape (n, J).
         count: how many experiments there are; rows beyond are padding.
         members: of each experiment its member of every level of a population, shape (n, L).
-        decorrelation: of the residuals where the model's discrepancy is learned, in place of memory and weights.
+        decorrelation: of the residuals where the model's discrepancy is learned, instead of memory and weights.
     """
 
     conditions: PyTree
@@ -225,7 +225,7 @@ def compared(
 
 
 def sd_of_logarithm(errors: Float[Array, " J"]) -> Float[Array, " J"]:
-    """Standard deviation of the logarithm of what is measured with relative errors s."""
+    """Standard deviation of the logarithm of a measurement with relative error s."""
     return _moments(errors)[1]
 
 

@@ -34,9 +34,9 @@ def log_densities(
         posterior: of a study.
         data: measured outputs.
         points: u.
-        watch: hears how far it is.
-        name: to keep it under; what was kept under it is not calculated again.
-        seconds: budget, what was kept included.
+        watch: receives the progress.
+        name: of the stored results; results that are stored under it are reused.
+        seconds: time budget, including earlier sessions.
     """
     watch = watch or Watch()
     spent, found = 0.0, np.full(len(points), np.nan)

@@ -57,7 +57,7 @@ class Maximum(NamedTuple):
         start: unconstrained coordinates of the mode of the density in u, where a sampler of u starts, shape (p,).
         whitening: L with u = start + L w, w nearly standard normal, shape (p, p).
         converged: whether the descent ended where no step has a predicted gain.
-        others: modes besides this one that hold a share of the posterior that matters; without others of their own.
+        others: further modes with a relevant share of the posterior; their own `others` are empty.
     """
 
     u: Float[Array, " p"]
@@ -81,7 +81,7 @@ class Maximum(NamedTuple):
         return np.asarray(jax.nn.softmax(jnp.asarray([mode.log_evidence for mode in self.modes])))
 
     def warning(self, names: tuple[str, ...]) -> str | None:
-        """One sentence that says which modes there are, or None if there is one."""
+        """One sentence that lists the modes, or None if there is only one."""
         if not self.others:
             return None
         places = [
@@ -189,7 +189,7 @@ def _descend(posterior: Posterior, data: Data, searches: Sequence[_Search], most
 
 
 def _has_met(one: _Search, other: _Search) -> bool:
-    """Whether a descent has come to the place of a better one."""
+    """Whether a descent has reached a better one."""
     # A bound lies at infinity of u, where distances have no meaning.
     apart = _held(other.u) - _held(one.u)
     behind = float(other.here.log_posterior - one.here.log_posterior)

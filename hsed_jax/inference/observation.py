@@ -1,7 +1,7 @@
 """The outputs of an experiment that are compared with the model: its quantities, or its histories.
 
-An observation knows how to predict its outputs for one experiment, and how to turn measured experiments into padded `Data`.
-Outputs are columns; columns that share an error (all samples of a channel) form a group.
+An observation predicts its outputs for one experiment, and converts measured experiments into padded `Data`. Outputs are
+columns; columns that share an error (all samples of a channel) form a group.
 """
 
 import dataclasses
@@ -45,7 +45,8 @@ class Grid:
         change: of an imposed elongation, the largest change in one step [m]: each interval then has steps of its own number, and
             `every` is 1; None where every interval has as many.
         steps: of the integration; a record that needs fewer is padded with steps of length zero.
-        from_zero: whether an imposed record that begins loaded gets a sample before it; a model that is called gets it as it is.
+        from_zero: whether an imposed record that begins loaded gets a sample before it; a model that is a function gets the
+            unchanged record.
     """
 
     samples: int
@@ -64,7 +65,7 @@ class Grid:
         if self.change is None:
             return np.full(len(record) - 1, self.every)
         if not (len(record) > 1 and np.isfinite(record["elongation"]).all() and np.all(np.diff(record.time) > 0)):
-            return np.ones(len(record) - 1, dtype=int)  # who asks for the motion is told
+            return np.ones(len(record) - 1, dtype=int)  # an error is raised if the motion is requested
         shares = np.arange(_AT_A_TURN + 1) / _AT_A_TURN
         moved = np.diff(_curve(record)(record.time[:-1, None] + np.diff(record.time)[:, None] * shares), axis=1)
         path = np.abs(moved).sum(axis=1)
@@ -83,8 +84,8 @@ class Quantities:
     Attributes:
         names: of the quantities.
         grid: where the excitation is recorded; None where the inputs define it.
-        excitation: from inputs to what drives an experiment, for records that do not tell.
-        masses: how many the structure has.
+        excitation: from inputs to the excitation of an experiment, for records without it.
+        masses: number of masses of the structure.
     """
 
     names: tuple[str, ...]
@@ -179,12 +180,12 @@ Observation = Quantities | Histories
 class Outputs(eqx.Module):
     """From a parameter vector and the conditions of one experiment to its outputs: what a study observes of its model.
 
-    What differs between two studies of the same kind (masses, scales) is an array in it, and so an operand of the programs that
-    are compiled for it; a process that looks at a hundred campaigns compiles once.
+    The differences between two studies of the same kind (masses, scales) are arrays in it, and thus operands of its compiled
+    programs: a process with a hundred campaigns compiles once.
 
     Arguments:
         model: the computational model.
-        observation: what of a response is predicted.
+        observation: selects the outputs of a response.
         names: of the parameters, in the order of a parameter vector.
     """
 
@@ -317,8 +318,8 @@ def _driven(record: Record, times: np.ndarray, measured: Sequence[str]) -> Any:
 
 
 def _between(record: Record, times: np.ndarray, name: str) -> np.ndarray:
-    """A measured channel between its samples: a cubic spline.  A line would cut off the peaks, by 2 % at 16 samples to a
-    period.
+    """A measured channel between its samples: a cubic spline.  Straight lines would reduce the peaks by 2 % at 16 samples to
+    a period.
     """
     from scipy.interpolate import CubicSpline
 

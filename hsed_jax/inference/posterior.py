@@ -100,7 +100,7 @@ class Posterior(eqx.Module):
 
     @property
     def reported(self) -> tuple[str, ...]:
-        """The names of the first parameters, which have a meaning of their own; the standardised offsets after them do not."""
+        """The names of the first parameters, which have a physical meaning; the standardised offsets after them have none."""
         return self.names[: len(self._priors)]
 
     @property

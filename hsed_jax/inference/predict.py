@@ -101,8 +101,10 @@ def _values_and_jacobian(rest, arrays, batch):
 
 
 def _over_all(tile_function: Callable, fewer: int = 1) -> Callable:
-    """Turn a function of a tile into one of parameters (C, 1 or n, p), conditions (n, …) and the number of these that matter to
-    each of the C; its batch is flat, whatever is vmapped.  Its tiles have so many times fewer simulations."""
+    """Convert a function of a tile into one of parameters (C, 1 or n, p), conditions (n, …) and the number of relevant
+    conditions for each of the C. Its batch is flat for any use of `vmap`.  Its tiles have so many times fewer
+    simulations.
+    """
 
     @custom_vmap
     def run(arrays, thetas, conditions, counts):
