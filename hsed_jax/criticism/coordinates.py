@@ -21,7 +21,7 @@ class Samples:
     Attributes:
         share: squared standardised residual of each sample, summing to 1, (m,).
         expected: the same of a residual in proportion to the motion, and of the noise: nothing is worse than elsewhere, (m,).
-        signed: predicted less measured in the direction of what was measured (positive: the model is too strong), over the
+        signed: predicted minus measured in the direction of what was measured (positive: the model is too strong), over the
             RMS of its output about its mean, less what the noise explains of it, (m,).
         experiment: index of the experiment, (m,).
         numbers: ordered coordinates by name, SI, each (m,); NaN where unknown.

@@ -3,7 +3,7 @@ r"""The places of the misfit, as a ranked list of plain sentences.
 For every coordinate the part of the data is sought that tells most about the residual: how large it is there, and which way it
 goes, of parts that hold more of the error than their share of the motion.  With p the share of the squared error in a part, q
 the share of the samples or the share that a misfit in proportion to the motion would have there, whichever is closer to p, and
-R² the share of the squared error that the two means of the signed residual (predicted less measured, in the direction of what
+R² the share of the squared error that the two means of the signed residual (predicted minus measured, in the direction of what
 was measured) inside and outside the part explain beyond their common mean, the part is worth
 
 $$I = \tfrac12\Big[p\log\frac pq + (1-p)\log\frac{1-p}{1-q}\Big] - \tfrac12\log(1-R^2)$$
@@ -48,7 +48,7 @@ class Place:
         motion_share: share of the squared error that a misfit in proportion to the motion, beside the noise, would have in it; of
             quantities the share of the measured values.
         information: I, in nats per sample: how much it tells.
-        bias: mean of predicted less measured in it, in the direction of what was measured, over the RMS residual of the
+        bias: mean of predicted minus measured in it, in the direction of what was measured, over the RMS residual of the
             part: 1 where the model is always too strong, -1 where it is always too weak.
         bias_elsewhere: the same of all other samples.
         of_force: whether strength is the word for what was measured; else size.

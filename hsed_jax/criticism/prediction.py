@@ -104,7 +104,7 @@ class Prediction:
 
     @cached_property
     def residual(self) -> np.ndarray:
-        """Predicted less measured, SI, (n, J); zero where there is no measurement, or no prediction since it diverged."""
+        """Predicted minus measured, SI, (n, J); zero where there is no measurement, or no prediction since it diverged."""
         return np.where(self.used & np.isfinite(self.shown), self.shown - self.measured, 0.0)
 
     @cached_property

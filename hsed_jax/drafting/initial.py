@@ -27,14 +27,14 @@ _GRAVITY = 9.80665
 
 
 class Frame(NamedTuple):
-    """What is known of a frame: masses of its floors from the lowest up [kg], height of a storey [m]; zero where it is not."""
+    """Known data of a frame: masses of its floors from the lowest up [kg], height of a storey [m]; zero if unknown."""
 
     masses: tuple[float, ...] = ()
     height: float = 0.0
 
 
 class _Guess(NamedTuple):
-    """A number for the first model, and where it comes from."""
+    """A number for the first model, and its source."""
 
     value: float
     source: str
@@ -53,7 +53,7 @@ def text_of_study(
     Arguments:
         campaign: the measurements.
         folder: where they are.
-        output: where the study will be; the path to the campaign is written relative to it.
+        output: folder of the study; the path to the campaign is written relative to it.
         frame: what is known of a frame that was shaken.
         taken: what the campaign was made of, lines for its head.
         model: lines of a model that has no effects, in the place of a spring law.
@@ -114,8 +114,8 @@ def text_of_study(
 
 
 def _spring(campaign: Campaign, stiffness: _Guess, strength: _Guess, frame: Frame) -> list[str]:
-    """The spring law that fits the records, with priors around what they show."""
-    # It loads JAX, for which a study with another model need not wait.
+    """The spring law that fits the records, with priors around their estimates."""
+    # It loads JAX, which a study with another model does not need.
     from hsed_jax.drafting.first_law import residuals
 
     pair, initial = campaign.pair, stiffness.value + _of_gravity(frame)
@@ -169,7 +169,7 @@ def _check_frame(campaign: Campaign, folder: Path, frame: Frame) -> None:
     """Refuse masses and a height that do not fit the measurements.
 
     Raises:
-        UserError: with what is allowed.
+        UserError: with the allowed values.
     """
     if not frame.masses and not frame.height:
         return
@@ -227,7 +227,7 @@ def _guesses(campaign: Campaign, folder: Path, frame: Frame) -> tuple[_Guess, _G
     """Stiffness [N/m] and strength [N] of the specimen, and the mass of a floor [kg].
 
     Raises:
-        UserError: nothing tells stiffness and strength.
+        UserError: stiffness and strength cannot be estimated.
     """
     found = characteristics(campaign)
     stiffness = _Guess(

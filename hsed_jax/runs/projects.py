@@ -34,7 +34,7 @@ class Kind(NamedTuple):
     """A type of project.
 
     Attributes:
-        levels: from the tests as a whole to one test; the model and the sensors stand between.
+        levels: from the tests as a whole to one test; the model and the sensors are between them.
         model, sensors: places of these among the levels.
         analysis, report: names of these.
     """
@@ -160,7 +160,7 @@ def _file(folder: Path, node: Any, entity: str, name: str) -> Path | None:
 
 
 def _values(node: Any, entity: str) -> list[dict[str, Any]]:
-    """What is said of all entities of a kind."""
+    """The metadata of all entities of a kind."""
     if not isinstance(node, dict):
         return []
     own = [node["value"]] if node.get("name") == entity and isinstance(node.get("value"), dict) else []

@@ -20,7 +20,7 @@ def material_lines(model: str, campaign: Campaign) -> list[str]:
         campaign: the measurements that the priors come from.
 
     Raises:
-        UserError: there is no such material, the elongation was not imposed, or the records tell no prior.
+        UserError: there is no such material, the elongation was not imposed, or the records do not determine a prior.
     """
     if not model.startswith(PREFIX):
         raise UserError(f"--model {model}: write {PREFIX} and a material, such as {PREFIX}Pinching4")

@@ -1,4 +1,4 @@
-"""A study whose model is a function or a program: its parameters and its calls."""
+"""A study with a function or a program as the model: its parameters and its calls."""
 
 # A cached property stands for an abstract property here.
 # pyright: reportIncompatibleMethodOverride=false, reportIncompatibleVariableOverride=false
@@ -39,7 +39,7 @@ class FunctionMechanics(CalledMechanics):
 
     @property
     def words(self) -> str:
-        """What the model is, for messages."""
+        """The kind of the model, for messages."""
         return "a function"
 
     def known(self, name: str) -> Parameter | None:
@@ -95,7 +95,7 @@ class FunctionSimulation(CalledSimulation):
         It is called once, in the middle of the priors, for the first experiment or in the middle of the inputs.
 
         Raises:
-            UserError: the file or function is missing, or what it returned cannot be used.
+            UserError: the file or function is missing, or its output cannot be used.
         """
         limit_threads()
         self._check_names()
@@ -164,7 +164,7 @@ class FunctionSimulation(CalledSimulation):
 
 
 def _entry_of(study: Study) -> FunctionEntry:
-    """What a study says of a model that is a function."""
+    """The entry of a study for a model that is a function."""
     assert isinstance(study.model, FunctionEntry)
     return study.model
 

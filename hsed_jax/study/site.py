@@ -30,7 +30,7 @@ class Site:
     (`hsed_jax.laboratories.kinds.base.Site`).
 
     Attributes:
-        study: what the user said.
+        study: of the user.
         experiments: that are planned.
         mechanics: of the model.
         observed: what is observed.
