@@ -1,4 +1,4 @@
-"""Global sensitivity: which inputs and parameters the quantities of a study vary with (Sobol' indices)."""
+"""Global sensitivity: the influence of inputs and parameters on the quantities of a study (Sobol' indices)."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ class Sensitivity(Tabular):
     Attributes:
         indices: `first_order` and `total_order`, each with its 90 % bootstrap interval (`first_order_low`,
             `first_order_high`, `total_order_low`, `total_order_high`), all (quantity, variable).
-        simulations: how many it took.
+        simulations: their number.
     """
 
     indices: xr.Dataset
@@ -82,11 +82,11 @@ def sensitivity(study: Study, samples: int = 1024) -> Sensitivity:
     """Sobol' indices of a study's quantities over its inputs and its model's free parameters.
 
     The variables follow their distributions in the study (inputs, priors of parameters), independently of each other. The
-    first-order index is the share of a quantity's variance that a variable explains by itself, the total-order index the share
-    that would be left if everything else were known (Saltelli et al. 2010, by `scipy.stats.sobol_indices`).
+    first-order index is the share of a quantity's variance that a variable explains alone. The total-order index is the
+    remaining share if all other variables are known (Saltelli et al. 2010, by `scipy.stats.sobol_indices`).
 
     Arguments:
-        study: with a ground motion; to hold a variable fixed, give it a number in place of its distribution.
+        study: with a ground motion; to hold a variable fixed, give it a number instead of its distribution.
         samples: N, a power of two; N (d + 2) simulations are made for d variables.
 
     Raises:

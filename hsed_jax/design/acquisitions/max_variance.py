@@ -14,7 +14,7 @@ from hsed_jax.registry import register
 @final
 @register
 class MaxVariance(AbstractAcquisition):
-    """Where the discrepancy is known least (Eq. 11)."""
+    """Where the variance of the discrepancy is largest (Eq. 11)."""
 
     use: ClassVar[str] = "a map of the discrepancy"
 
