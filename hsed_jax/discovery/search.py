@@ -1,7 +1,7 @@
 """The search for a place: every place is screened, the best ones are fitted in the simulation, and the winner is tested.
 
-The parameters of the law have flat priors here, those of the function do not: of all functions that fit alike the smallest is
-taken, so that whatever the law's own parameters can do, they do.
+The parameters of the law have flat priors here, those of the function do not: of all functions with equal fits the smallest
+is taken, so that the parameters of the law explain as much as possible.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -102,7 +102,7 @@ class HeldOutError(NamedTuple):
 
     Attributes:
         error: normalised error on the test experiments, or on those left out in turn.
-        gain: squared errors taken away from predictions of these experiments, of a single one from those left out in turn.
+        gain: reduction of the squared errors in these experiments; for a single experiment, in those left out in turn.
     """
 
     error: float
@@ -118,7 +118,7 @@ class PlaceSearch:
         report: called with what is being done.
 
     Attributes:
-        models, base: the model as it is, and its fit.
+        models, base: the first model, and its fit.
         target: what fits were judged with last.
         predicted_gains: of all places, the largest first.
         fitted: the places that were fitted, the most probable first.
@@ -167,11 +167,11 @@ class PlaceSearch:
 
     @property
     def log_evidence(self) -> float:
-        """Of the model as it is."""
+        """The fit of the first model."""
         return laplace(self.base, self.models)
 
     def held_out_error(self, one: Fitted | None) -> HeldOutError:
-        """What a fitted place, or the model as it is, predicts of what was not used."""
+        """The predictions of held-out data with a fitted place, or by the first model."""
         models, fit = (self.models, self.base) if one is None else (one.models, one.fit)
         return held_out_error(self._problem, self.target, (models, fit), (self.models, self.base))
 
@@ -232,7 +232,9 @@ class PlaceSearch:
 
 
 def _without_negative(strength: np.ndarray) -> np.ndarray:
-    """A matrix of information: differences at a fit that has not ended leave directions of less than none, which are none."""
+    """A matrix of information: at an unfinished fit, differences give directions of negative information, which are set
+    to zero.
+    """
     values, vectors = np.linalg.eigh(strength)
     return (vectors * np.maximum(values, 0.0)) @ vectors.T
 

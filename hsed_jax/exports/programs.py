@@ -1,4 +1,4 @@
-r"""A calibrated law as input of SAP2000, SeismoStruct and Abaqus, where their law is equal to ours; nowhere else.
+r"""A calibrated law as input of SAP2000, SeismoStruct and Abaqus, only if they have an equal law.
 
 *Bilinear with kinematic hardening* is `bl_kin` of SeismoStruct, a link MultiLinear Plastic of the type Kinematic of SAP2000, and
 connector plasticity of Abaqus with linear kinematic hardening, $\dot\alpha = C\,\dot u_p$ with $C = bk/(1-b)$.

@@ -31,7 +31,7 @@ class PythonLaboratory:
         """Call the function for experiment `number` (from 0) at `inputs` (SI).
 
         Raises:
-            ExperimentFailed: the function raised an exception, or returned something else than was declared.
+            ExperimentFailed: the function raised an exception, or its output differs from the declaration.
         """
         request = self.programme.request(number, inputs)
         source = getattr(self.function, "__name__", repr(self.function))

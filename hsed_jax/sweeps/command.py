@@ -171,7 +171,7 @@ def _range(given: list[Any]) -> Any:
 
 
 def _grid(path: str) -> dict[str, Any]:
-    """A file that says what to sweep, in the words of `hsed_jax.sweep`."""
+    """A file with the points of a sweep, in the words of `hsed_jax.sweep`."""
     from hsed_jax.config.load import parse_yaml
 
     try:
