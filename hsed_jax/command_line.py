@@ -178,7 +178,7 @@ def _effects(options: Any) -> int:
     if not options.name:
         print(catalogue(effects))
         return 0
-    # A picture of forms needs their priors, which the list does not wait for.
+    # A picture of forms needs their priors, which the list does not load.
     from hsed_jax.analysis.form_curves import curves_of
 
     print(entry(options.name, effects, curves_of))
@@ -194,7 +194,7 @@ def _check(options: Any) -> int:
     from hsed_jax.config.load import load_trusted
 
     study = load_trusted(options.study, options.overrides, trust=options.trust)
-    # A wrong key is told before what calculates is loaded.
+    # A wrong key is reported before the numerical packages are loaded.
     from hsed_jax.runs.checking import check_study
 
     predict, worth = getattr(options, "predict", False), getattr(options, "worth", None)
@@ -227,7 +227,7 @@ def _run(options: Any) -> int:
     if steps:
         only.append(f"steps=[{', '.join(steps)}]")
     study = load_study(options.study, [*options.overrides, *only])
-    # A wrong key is told before what calculates is loaded.
+    # A wrong key is reported before the numerical packages are loaded.
     from hsed_jax.runs.workflow import run
 
     output = Path(options.output) if options.output else Path("runs") / study.study

@@ -30,7 +30,7 @@ _SECOND = 10.0
 _LEAST = 1e-6
 # Half the distance between the 16 % and 84 % quantiles of a normal distribution, which is the unit of a coordinate.
 _SPREAD = float(ndtri(0.84))
-# Of the time of fading over u_c/v_c.
+# Prior of the time constant of fading, over u_c/v_c.
 _FADING = Prior("lognormal", [0.9, 1.0])
 
 
@@ -69,7 +69,7 @@ class Fitted:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Of the coefficients, with the law as unsure as it is, (m, m)."""
+        """Covariance of the coefficients, including the uncertainty of the law, (m, m)."""
         law, own = self._blocks
         covariance = np.linalg.inv(self.fit.hessian + 1e-9 * np.eye(len(law) + len(own)))[np.ix_(own, own)]
         return covariance * np.outer(self._scale, self._scale)
@@ -176,7 +176,7 @@ class PlaceSearch:
         return held_out_error(self._problem, self.target, (models, fit), (self.models, self.base))
 
     def _fit(self, predicted_gain: PlaceGain) -> Fitted:
-        """Fit a place, from the coefficients of the screening and from a fifth of them."""
+        """Fit a place, starting from the coefficients of the screening and from a fifth of them."""
         self._report(predicted_gain.place.words)
         starts = [predicted_gain.coefficients, 0.2 * predicted_gain.coefficients]
         return self._fits(predicted_gain, predicted_gain.place, predicted_gain.deviations, starts, self.base.x)
@@ -189,7 +189,7 @@ class PlaceSearch:
         starts: Sequence[np.ndarray],
         x: np.ndarray,
     ) -> Fitted:
-        """Fit a place with the length and size, and the reach of what fades, that each fit asks for in the next."""
+        """Fit a place repeatedly; each fit gives the length, the size and the range of fading coordinates of the next fit."""
         found: Fitted | None = None
         fade = self._problem.names.index("learned.fade")
         for _ in range(_ROUNDS):
@@ -251,8 +251,8 @@ def held_out_error(
 ) -> HeldOutError:
     """The predictions of a model for unused data, beside those of the first model.
 
-    That is what was held out; where nothing was, what is left out in turn, which a function sees beyond its reach.  A single
-    experiment has no standard error, and the gain is that of what is left out in turn.
+    These are the held-out data; without them, the data that are left out in turn, some of them outside the range of the
+    function. A single held-out experiment has no standard error, and the gain is that of the data that are left out in turn.
     """
     folds = folds_of(problem.train.used, problem.train.groups)
 

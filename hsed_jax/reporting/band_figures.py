@@ -33,8 +33,8 @@ def band_parts(comparison: Comparison, campaign: Campaign) -> Picture | None:
         campaign: the experiments.
 
     Returns:
-        Quantities less what the model alone predicts, an experiment beside the other; of histories those with the
-        largest error.  None where nothing is said of the model.
+        Quantities less what the model alone predicts, an experiment beside the other; of histories those with the largest
+        error.  None without a statement on the error of the model.
     """
     split, part, prediction = list(comparison.splits())[-1]
     if "model" not in prediction.parts:

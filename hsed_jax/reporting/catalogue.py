@@ -33,7 +33,7 @@ def entry(name: str, effects: Catalogue, curves_of: Callable[[type[AbstractSprin
     Arguments:
         name: of the effect.
         effects: the catalogue.
-        curves_of: what forms look like (`hsed_jax.analysis.form_curves`).
+        curves_of: curves of the forms (`hsed_jax.analysis.form_curves`).
 
     Raises:
         UserError: there is no such effect.

@@ -16,7 +16,7 @@ def histories(channel: str, times: Float[np.ndarray, "n m"], values: Float[np.nd
 
     Arguments:
         channel: what is drawn.
-        times: [s], the first row at the central inputs; how long an imposed elongation lasts depends on its inputs.
+        times: [s], the first row at the central inputs; the duration of an imposed elongation depends on its inputs.
         values: SI.
         pair: that the specimens are measured in.
     """

@@ -1,7 +1,7 @@
 """The figures of a study, numbered as in Abbiati & Marelli.
 
-Each function takes plain arrays in SI units and returns a `Picture`: the figure, its caption, and its content in a sentence for
-readers who cannot see it.  Nothing here reads a file or changes matplotlib's global state.
+Each function takes plain arrays in SI units and returns a `Picture`: the figure, its caption, and its content in a sentence
+for readers who cannot see it.  These functions read no files and do not change the global state of matplotlib.
 """
 
 from collections.abc import Mapping, Sequence
@@ -61,8 +61,8 @@ def ground_motions(
             [np.column_stack([x, y]) for y in realisations],
             colors=style.DARK_GREY,
             linewidths=0.5,
-            alpha=min(1.0, max(0.08, 30 / max(count, 1))),  # many curves show where they are dense
-            rasterized=realisations.size > _MANY_POINTS,  # an SVG of a million vertices opens nowhere
+            alpha=min(1.0, max(0.08, 30 / max(count, 1))),  # many curves show their density
+            rasterized=realisations.size > _MANY_POINTS,  # viewers cannot open an SVG with a million vertices
         )
         panel.add_collection(curves)
         panel.plot([], [], color=style.GREY, label=f"{count} random realisations")
@@ -382,7 +382,7 @@ def _smooth_order(inputs: np.ndarray, bounds: np.ndarray, x: np.ndarray, y: np.n
     width = 0.5 / np.sqrt(len(inputs))  # half the distance of neighbours in the unit square
     grid = np.stack(np.meshgrid(x, y), axis=-1)
     distance = (((grid[..., None, :] - inputs) / span / width) ** 2).sum(-1)
-    # Relative to the nearest experiment: far from all of them every weight would be zero.
+    # Relative to the nearest experiment: otherwise every weight would be zero far from all experiments.
     weights = np.exp(-0.5 * (distance - distance.min(-1, keepdims=True)))
     return (weights * order).sum(-1) / weights.sum(-1)
 

@@ -1,4 +1,4 @@
-"""A finished run as its folder holds it: the content of its report."""
+"""A finished run from its folder: the content of its report."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -56,7 +56,7 @@ class FinishedRun(Tabular):
 
     @property
     def comparisons(self) -> dict[str, dict[str, Any]]:
-        """`comparison` of the model as it was (`before`) and of the improved one (`after`), where they were made."""
+        """`comparison` of the first model (`before`) and of the improved one (`after`), if they exist."""
         found = {
             "before": self.summary.get("comparison"),
             "after": self.summary.get("improvement", {}).get("comparison"),
@@ -70,7 +70,7 @@ class FinishedRun(Tabular):
 
     @property
     def observes_histories(self) -> bool:
-        """Whether histories were fitted; else quantities."""
+        """Whether histories were fitted; otherwise quantities."""
         return self.study.get("observe") == "histories"
 
     def predictions(self, split: str) -> dict[str, xr.DataTree]:

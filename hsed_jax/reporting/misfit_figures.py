@@ -38,7 +38,7 @@ _COLUMNS: dict[str, tuple[str, float, str]] = {
 def misfit_drawings(
     comparison: Comparison, location: Location | None, errors_over_inputs: xr.Dataset | None, campaign: Campaign
 ) -> Iterator[Drawing]:
-    """Every figure of the misfit for which there are data.
+    """Every figure of the misfit that has data.
 
     Arguments:
         comparison: a calibrated model against its measurements.

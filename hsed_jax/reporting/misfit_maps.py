@@ -84,7 +84,7 @@ def _coordinate(place: Place) -> str:
 
 
 def _numbers(samples: Samples, campaign: Campaign) -> dict[str, tuple[np.ndarray, np.ndarray, str]]:
-    """Values, which of them are known, and axis label of every ordered coordinate, the inputs among them."""
+    """Values, their known ones, and axis label of every ordered coordinate, including the inputs."""
     found, pair = {}, campaign.pair
     for name, values in samples.numbers.items():
         values = np.asarray(values, dtype=float)

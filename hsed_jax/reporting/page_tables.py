@@ -23,7 +23,7 @@ _IN_A_BIN = 8
 _WORDS = {"amplitude": "elongation", "energy": "absorbed energy", "speed": "elongation rate"}
 
 SERIES = {"measured": "measured", "before": "as it was", "after": "improved"}
-"""What is drawn, by its key in the tables, in words."""
+"""Names of the drawn series by their keys in the tables."""
 
 Table = dict[str, list]
 """Columns by name, all of one length; None where there is no number."""

@@ -57,7 +57,7 @@ def report_page(run: FinishedRun, left_out: LeftOut | None = None) -> str:
 
     Arguments:
         run: what its folder holds.
-        left_out: notes the charts and tables that cannot be made; the page says them among its warnings.
+        left_out: notes the charts and tables that cannot be made; the page lists them among its warnings.
     """
     left_out = left_out or LeftOut()
 
@@ -108,12 +108,12 @@ def report_page(run: FinishedRun, left_out: LeftOut | None = None) -> str:
 
 
 Chart = tuple[dict[str, Any] | None, dict[str, tables.Table]]
-"""A specification, and the tables that it draws; None where there is no material for it."""
+"""A specification, and the tables that it draws; None without data for it."""
 
 
 def _where_chart(run: FinishedRun) -> Chart:
     """The error of every experiment over the varying inputs."""
-    from hsed_jax.reporting import charts  # Altair takes seconds to load: only who writes a page waits for it
+    from hsed_jax.reporting import charts  # Altair takes seconds to load, so it is imported only for a page
 
     shown = tables.experiments_table(run)
     if not shown:

@@ -1,4 +1,4 @@
-"""Several runs on one page: verdicts, figures, parameters, and what differs in their settings."""
+"""Several runs on one page: verdicts, figures, parameters, and the differences of their settings."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -13,7 +13,7 @@ from hsed_jax.reporting.page_tables import SERIES, columns
 
 def comparison_page(runs: Sequence[FinishedRun]) -> str:
     """The page of several runs side by side."""
-    from hsed_jax.reporting import charts  # Altair takes seconds to load: only who writes a page waits for it
+    from hsed_jax.reporting import charts  # Altair takes seconds to load, so it is imported only for a page
 
     names = _distinct(runs)
     named = list(zip(names, runs, strict=True))

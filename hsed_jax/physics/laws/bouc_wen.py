@@ -53,9 +53,8 @@ class BoucWen(AbstractSpringLaw):
 
     @property
     def yardstick(self) -> Scalar:
-        """The strength, or where the law hardens the force at which its stiffness on loading has doubled [N].
-
-        Where it is elastic on loading, a large number stands for neither, so that derivatives are numbers.
+        """The strength, or for a hardening law the force at which its stiffness on loading has doubled [N]. If it is elastic
+        on loading, the value is a large number, so that derivatives are finite.
         """
         # β scales as a force to the power of −n.
         force = self.A / jnp.maximum(jnp.abs(self.beta + self.gamma), 1e-12 * self.beta + 1e-300)
