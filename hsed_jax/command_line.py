@@ -287,7 +287,7 @@ def _tell_measured(options: Any) -> int:
 
 
 def _numbers(option: str, given: Sequence[str] | None) -> dict[str, float] | None:
-    """NAME=VALUE of an option that was said several times."""
+    """NAME=VALUE of a repeated option."""
     found = {}
     for word in given or ():
         name, _, value = word.partition("=")

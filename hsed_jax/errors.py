@@ -7,7 +7,7 @@ from typing import Any
 class UserError(Exception):
     """A mistake in a study, a campaign or a command: one message with the fault, its place, and the allowed values.
 
-    The command line prints the message alone and exits with status 2; from Python it is raised as it is.
+    The command line prints the message alone and exits with status 2; Python raises it unchanged.
     """
 
 

@@ -39,7 +39,7 @@ def ended(parser: Callable[[], argparse.ArgumentParser], arguments: Sequence[str
     except KeyboardInterrupt:
         return _interrupted()
     except BrokenPipeError:
-        # The reader has closed the pipe, as `| head` has; what is left to say goes nowhere.
+        # The reader has closed the pipe, as `| head` has; the remaining output is dropped.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 3
     except OSError as error:

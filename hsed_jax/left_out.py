@@ -19,9 +19,9 @@ class LeftOut:
         """Make one item; if this fails, record the reason and continue.
 
         Arguments:
-            name: what it is, in words.
+            name: of the item, in words.
             make: makes it.
-            otherwise: returned where it fails.
+            otherwise: returned if it fails.
 
         Raises:
             OSError: for example a full disk, which is not a fault of the item.

@@ -1,8 +1,8 @@
 """Pictures of the results for a notebook or a script: each function draws one figure and returns its axes.
 
-The axes are matplotlib's own, to go on editing; the figure behind them is `axes.figure`, and of several axes
-`axes[0].figure`.  A notebook shows it by itself, a script after `matplotlib.pyplot.show()`.  The house style
-applies to these figures alone.
+The axes are those of matplotlib, for further editing; the figure behind them is `axes.figure`, and of several axes
+`axes[0].figure`.  A notebook shows it by itself, a script after `matplotlib.pyplot.show()`.  The house style applies to these
+figures alone.
 """
 
 from collections.abc import Mapping
@@ -114,7 +114,7 @@ def cycles(calibration: Calibration, campaign: Campaign | None = None, before: C
     Arguments:
         calibration: a model calibrated on time histories with force and elongation.
         campaign: the experiments; by default those of the calibration.  Held-out ones come first; at most three are shown.
-        before: a model to lie beneath in red, as `improvement.original`.
+        before: a model drawn beneath in red, as `improvement.original`.
 
     Returns:
         Axes, three per experiment.
@@ -191,7 +191,7 @@ def posterior(
 
     Arguments:
         calibration: the calibrated model; of more than six parameters the first six are shown.
-        before: a model to lie beneath in red, as `improvement.original`.
+        before: a model drawn beneath in red, as `improvement.original`.
         truth: values to be drawn as dashed lines, by name, SI.
 
     Returns:
@@ -206,7 +206,7 @@ def population(calibration: Calibration, level: str | None = None) -> np.ndarray
 
     Arguments:
         calibration: of a study with `model.levels`.
-        level: the column that tells specimens apart; by default the last one of the study.
+        level: the column that distinguishes the specimens; by default the last one of the study.
 
     Returns:
         Axes, one for each parameter that varies with the level, (K,).

@@ -34,7 +34,8 @@ _PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "num
 _SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_dtype_promotion", "jax_debug_nans")
 # Functions and classes of these are known by their names, as long as the versions are.
 _KNOWN = {"hsed_jax", "builtins", "functools", *_PACKAGES}
-# LAPACK's routines that JAX promises no other version of, which is nothing here: a version has programs of its own.
+# Routines of LAPACK without a promise of JAX for other versions. This does not matter here: each version has its own
+# programs.
 _ROUTINES = ("lapack_dormqr_ffi",)
 # Number of states of the sources whose programs are kept.
 _STATES = 4

@@ -42,8 +42,8 @@ class Parts[T](Mapping[str, type[T]]):
 
     Arguments:
         folder: dotted name of the folder; each of its files is a part.
-        noun: what a part is called in a message.
-        helpers: files of the folder that are no parts.
+        noun: name of a part in a message.
+        helpers: files of the folder that are not parts.
     """
 
     def __init__(self, folder: str, noun: str, helpers: Collection[str] = ("base",)):

@@ -135,7 +135,7 @@ class Calibration(Tabular):
 
 
 def campaign_of(study: Study) -> Campaign:
-    """The experiments of a study: the campaign it names, or what its virtual laboratory measures at the initial design."""
+    """The experiments of a study: its campaign, or the measurements of its virtual laboratory at the initial design."""
     built = Built(study)
     return built.site.perform() if built.experiments.measured is None else built.experiments.measured
 

@@ -33,11 +33,11 @@ class Curves(NamedTuple):
     """The contributions of the forms of an effect.
 
     Attributes:
-        what: the values are, in words.
-        across: what they are told apart by, in words, with its range.
+        what: meaning of the values, in words.
+        across: the variable that distinguishes them, in words, with its range.
         places: along it, over the characteristic value, (n,).
-        values: by the name of the form: the sum of what it adds and of what it multiplies by, less one; of an effect with
-            states of its own, their rates, (n,).
+        values: by the name of the form: the sum of its addends and of its factors minus one; for an effect with its own
+            states, their rates, (n,).
     """
 
     what: str

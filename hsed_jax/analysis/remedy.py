@@ -188,7 +188,8 @@ def improve(
         forms: labels of their forms, where these are not the default ones: `Diagnosis.forms`.
         start: parameters of the model with them, by name, SI, to start one of the searches from: `Diagnosis.optimum`, so that
             the improvement reaches the fit of the diagnosis.
-        own_effects: Python files with effects of your own that the study does not name yet, such as what `Discovery.write` left.
+        own_effects: Python files with your effects that the study does not name yet, such as the file that `Discovery.write`
+            left.
         watch: follows the fits and the calibration.
 
     Raises:

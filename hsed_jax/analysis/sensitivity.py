@@ -90,7 +90,7 @@ def sensitivity(study: Study, samples: int = 1024) -> Sensitivity:
         samples: N, a power of two; N (d + 2) simulations are made for d variables.
 
     Raises:
-        UserError: nothing varies, the ground motion is missing, N is no power of two or more than memory holds, or a
+        UserError: nothing varies, the ground motion is missing, N is not a power of two or more than memory holds, or a
             simulation diverges.
     """
     built = Built(study)
@@ -126,19 +126,19 @@ def indices_of(
     Arguments:
         function: from N points of the d variables, (d, N), to the s quantities, (s, N).
         variables: distribution by name.
-        quantities: names of what the function gives.
+        quantities: names of the outputs of the function.
         samples: N, a power of two.
         seed: of the points and of the bootstrap.
 
     Raises:
-        UserError: there are no variables, N is no power of two, or more than memory holds.
+        UserError: there are no variables, N is not a power of two, or more than memory holds.
     """
     if not variables:
         raise UserError("nothing varies: the study has neither inputs nor free parameters")
     if samples < 2 or samples.bit_count() != 1:
         raise UserError(f"samples: this must be a power of two, such as 1024, but it is {samples}")
     random, d = np.random.default_rng(seed), len(variables)
-    # The points three times (both samples, mixed, as values of the variables), what is simulated, and the bootstrap.
+    # The points three times (both samples, mixed, as values of the variables), the simulations, and the bootstrap.
     numbers = 3 * d * (d + 2) + len(quantities) * (d + 2) + _RESAMPLES
     check_memory(f"samples: {samples}", 8 * samples * numbers)
     cube = qmc.Sobol(2 * d, rng=random).random(samples).T

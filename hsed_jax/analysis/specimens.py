@@ -36,7 +36,7 @@ def over_specimens(
         problem_of_some: the same of some of the experiments.
         built: the study.
         campaign: the experiments.
-        report: called with what is being done.
+        report: called with the current activity.
     """
     if not built.inference.levels:
         return found

@@ -103,10 +103,10 @@ def _put(where: Path, target: Path) -> None:
 
 
 def read_within(folder: Folder, name: str) -> tuple[Path, Campaign]:
-    """A campaign that lies in the folder, and where.
+    """A campaign in the folder, and its path.
 
     Raises:
-        UserError: it is damaged, or one of its records lies outside the folder.
+        UserError: it is damaged, or one of its records is outside the folder.
     """
     where = folder.inside(name)
     table = read_experiment_table(folder.inside(where, "experiments.csv"))

@@ -139,7 +139,7 @@ class Explorer:
         run: the run folder.
 
     Attributes:
-        starts: models to start from, by what the page calls them.
+        starts: models to start from, by their names on the page.
         experiments: those with a loop, by id.
 
     Raises:

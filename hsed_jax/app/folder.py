@@ -29,7 +29,7 @@ class Folder:
             raise UserError(f"{root}: no such folder")
 
     def inside(self, *parts: str | Path) -> Path:
-        """The path of something within the folder, symbolic links resolved.
+        """A path within the folder, with resolved symbolic links.
 
         Raises:
             UserError: it lies elsewhere.
@@ -77,7 +77,7 @@ class Folder:
         """A file of a run that the page provides.
 
         Raises:
-            UserError: it is no such file, or not within the folder.
+            UserError: there is no such file, or not within the folder.
         """
         folder = self.inside(run)
         if name not in OFFERED or not (folder / "study.yaml").is_file():

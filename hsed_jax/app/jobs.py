@@ -1,4 +1,4 @@
-"""Commands of `hsed` in processes of their own, followed and stopped from the page."""
+"""Commands of `hsed` in separate processes, followed and stopped from the page."""
 
 import fcntl
 import os

@@ -23,7 +23,7 @@ from hsed_jax.physics.pairs import ELONGATION_AND_FORCE
 GRAVITY = 9.80665
 """[m/s²]"""
 KINDS = {"cycles imposed on the specimen": "displacement", "shaken by the ground": "ground_motion"}
-"""Kinds of test as the page says them."""
+"""Kinds of test, in the words of the page."""
 UNITS = {
     "time": ["s", "ms", "min", "hour"],
     "ground_acceleration": ["g", "m/s^2", "cm/s^2", "mm/s^2"],
@@ -306,7 +306,7 @@ def _numbers(text: str) -> tuple[float, ...] | None:
     """Numbers that mark missing samples; None without a statement.
 
     Raises:
-        UserError: a word is no number.
+        UserError: a word is not a number.
     """
     words = text.replace(",", " ").split()
     try:

@@ -42,7 +42,7 @@ def error(message: str) -> str:
 
 
 def warnings(lines: Iterable[str]) -> str:
-    """Doubts, listed; nothing where there are none."""
+    """A list of doubts; nothing without doubts."""
     said = "".join(f"<li>{escape(line)}</li>" for line in lines)
     return f'<div class="warnings" role="status"><ul>{said}</ul></div>' if said else ""
 
@@ -97,7 +97,7 @@ class Loops:
         )
         plot.toolbar.logo = None
         plot.line("x", "y", source=self._predicted, color=BLUE, line_width=2.2, legend_label="model")
-        # As in the figures of a report, a measurement lies dashed on the line of a model.
+        # As in the figures of a report, a measurement is a dashed line above the line of a model.
         looks: dict[str, Any] = {"line_dash": [5, 2]} if has_model else {}
         plot.multi_line("x", "y", source=self._measured, color=BLACK, line_width=1.2, legend_label="measured", **looks)
         plot.legend.visible = has_model

@@ -38,7 +38,7 @@ class RunFile(RequestHandler):
     """Serves files of runs."""
 
     def initialize(self, folder: Folder) -> None:
-        """Take what the server knows."""
+        """Receive the state of the server."""
         self._folder = folder
 
     async def get(self, run: str, name: str) -> None:

@@ -42,8 +42,8 @@ class Contribution(NamedTuple):
     Attributes:
         size: root mean square of ΔF over that of the force.
         elastic, by_rate: ΔF as a function of the elongation, and of the rate.
-        changes: of quantities, over what they are without the effect (ratios as they are), (B,) each; NaN for histories that
-            were not simulated.
+        changes: of quantities, relative to their values without the effect (ratios: absolute changes), (B,) each; NaN for
+            histories that were not simulated.
         drivers: as of `Probed`, of the specimen with the effect.
     """
 
@@ -70,9 +70,9 @@ def contribution(
     """What an effect does.
 
     Arguments:
-        histories: what was imposed.
+        histories: the imposed ones.
         force: with and without the effect [N].
-        probed: what was read of both.
+        probed: the quantities of both.
         rate: characteristic rate of the elongation [m/s].
     """
     u, v = histories.elongation[:, ::2], histories.rate[:, ::2] / rate

@@ -61,10 +61,10 @@ class Behaviour:
     Attributes:
         quantity: a key of `QUANTITIES`.
         change: `falls`, `grows`, or `is there` where it is the same all the time; `differs` where it stays, and is not that of
-            the model as it was.
+            the first model.
         drivers: the variables with which it changes, with the predictivity of each alone, from 0 to 1; the best first.
         before, after: of the virgin specimen and after the whole test; of a force that an effect adds, at the least and at the
-            largest elongation or rate; where it differs, of the model as it was and with the effects.
+            largest elongation or rate; where it differs, of the first model and with the effects.
         unit: SI, of the pair that the specimen is measured in.
         sides: `both`, `tension` or `compression`.
         specimen: its name, where there are several.

@@ -63,8 +63,8 @@ class Trait(NamedTuple):
 
     Attributes:
         quantity, change: as in `diagnosis.behaviour` of `summary.json`.
-        driver: with what it changes; empty where with nothing.
-        names: of effects with this behaviour, the plain one first; none where a name says nothing of it.
+        driver: the variable with which it changes; empty without one.
+        names: of effects with this behaviour, the plain one first; empty if no name describes it.
     """
 
     quantity: str

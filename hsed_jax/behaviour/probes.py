@@ -53,14 +53,14 @@ class _Branch(NamedTuple):
         return float(u + (level - f) * (v - u) / (g - f))
 
     def slope(self, at: float, reach: float) -> float:
-        """Least-squares slope of what is no farther than `reach`, of three samples at least [N/m]."""
+        """Least-squares slope of samples within `reach`, of three samples at least [N/m]."""
         away = np.abs(self.elongation - at)
         near = away <= max(reach, np.sort(away)[2])
         x = self.elongation[near] - self.elongation[near].mean()
         return float(x @ self.force[near] / (x @ x))
 
     def tangent(self, at: float, reach: float) -> float:
-        """Slope at an elongation, by a parabola through what is no farther than `reach` and the nearest samples [N/m]."""
+        """Slope at an elongation, by a parabola through the samples within `reach` and the nearest samples [N/m]."""
         return self._parabola(at, reach)[1]
 
     def continued(self, to: float) -> float:
@@ -80,8 +80,8 @@ def probed(histories: Histories, force: Float[np.ndarray, "B samples"], ok: Bool
     """Evaluate the loops.
 
     Arguments:
-        histories: what was imposed.
-        force: the answer at the start and at the ends of the steps [N], (B, n+1).
+        histories: the imposed ones.
+        force: the response at the start and at the ends of the steps [N], (B, n+1).
         ok: the simulated histories; the quantities of the others are NaN.
     """
     u = histories.elongation[:, ::2]

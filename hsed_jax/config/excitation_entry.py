@@ -38,7 +38,7 @@ class ExcitationEntry(create_model("ExcitationEntry", __base__=Section, **_KINDS
     """The excitation of the experiments, the duration of the simulation [s], and the step of the integration [s] (by default
     from the periods).
 
-    Of its settings a name refers to an input, a number is fixed.
+    A setting that is a name refers to an input; a number is fixed.
     """
 
     duration: Positive | None = None

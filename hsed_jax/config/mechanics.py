@@ -98,7 +98,7 @@ class StructureEntry(Section):
     springs: list[LinearSpringEntry] = []
     specimen: SpecimenEntry | None = None
     specimens: Annotated[dict[str, OneSpecimenEntry], Field(min_length=1)] | None = None
-    """Several by name, which stands before what belongs to each: storey2.A, storey2.force."""
+    """Several specimens have names, which precede their parameters and outputs: storey2.A, storey2.force."""
     damping: Damping
 
     @model_validator(mode="after")

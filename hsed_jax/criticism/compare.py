@@ -70,8 +70,8 @@ class Comparison(Tabular):
         adequate: whether the noise explains the residual: p_value at least 0.01, or an immaterial excess of the error over
             the noise.
         worst: experiment, output and error of the largest errors.
-        notes: sentences on how the comparison was made.
-        train_prediction, test_prediction: what the errors are of.
+        notes: sentences on the method of the comparison.
+        train_prediction, test_prediction: the compared predictions.
     """
 
     train: Split
@@ -300,7 +300,7 @@ def _scale(measured: np.ndarray) -> float:
 
 
 def normalised_error(measured: np.ndarray, predicted: np.ndarray, used: np.ndarray, groups: np.ndarray) -> float:
-    """The error of predictions (n, J), over all outputs; NaN where nothing was measured."""
+    """The error of predictions (n, J), over all outputs; NaN without a measurement."""
     squares = []
     for group in np.unique(groups):
         own = used & (groups == group)

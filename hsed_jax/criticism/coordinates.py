@@ -22,7 +22,7 @@ class Samples:
         share: squared standardised residual of each sample, summing to 1, (m,).
         expected: the same for a residual in proportion to the motion, plus the noise: the misfit is then not concentrated,
             (m,).
-        signed: predicted minus measured in the direction of what was measured (positive: the model is too strong), over the
+        signed: predicted minus measured in the direction of the measurement (positive: the model is too strong), over the
             RMS of its output about its mean, minus the part that the noise explains, (m,).
         experiment: index of the experiment, (m,).
         numbers: ordered coordinates by name, SI, each (m,); NaN where unknown.

@@ -57,7 +57,9 @@ def error_map(comparison: Comparison, campaign: Campaign) -> xr.Dataset | None:
 
 
 def _squared_errors(comparison: Comparison) -> Iterator[tuple[Experiment, str, float]]:
-    """Every experiment, its split and its squared error, averaged over the outputs; where there is one."""
+    """Every experiment, its split and its squared error, averaged over the outputs; experiments without an error are
+    left out.
+    """
     reference = comparison.train.per_output
     for name, split, prediction in comparison.splits():
         histories = prediction.groups.size > len(prediction.outputs)

@@ -16,7 +16,7 @@ class Step:
 
     Attributes:
         effects: added so far.
-        error_train, error_test: normalised errors; test: of experiments that were not used, None where there are none.
+        error_train, error_test: normalised errors; test: of experiments that were not used, None without them.
         parameters: θ_MAP by name, SI.
     """
 

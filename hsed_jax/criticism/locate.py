@@ -1,10 +1,10 @@
 r"""The places of the misfit, as a ranked list of plain sentences.
 
 For every coordinate, the part of the data with the largest information about the size and the sign of the residual is found.
-Only parts count whose share of the error exceeds their share of the motion.  With p the share of the squared error in a part,
-q the share of the samples or the share that a misfit in proportion to the motion would have there, whichever is closer to p,
-and R² the share of the squared error that the two means of the signed residual (predicted minus measured, in the direction of
-what was measured) inside and outside the part explain beyond their common mean, the part is worth
+Only parts count whose share of the error exceeds their share of the motion.  Let p be the share of the squared error in a
+part. q is the share of the samples or the share that a misfit in proportion to the motion would have there, whichever is
+closer to p. R² is the share of the squared error that the two means of the signed residual (predicted minus measured, in the
+direction of the measurement) inside and outside the part explain beyond their common mean. The part has the information
 
 $$I = \tfrac12\Big[p\log\frac pq + (1-p)\log\frac{1-p}{1-q}\Big] - \tfrac12\log(1-R^2)$$
 
@@ -48,7 +48,7 @@ class Place:
         motion_share: share of the squared error that a misfit in proportion to the motion, beside the noise, would have in it; of
             quantities the share of the measured values.
         information: I, in nats per sample: its information.
-        bias: mean of predicted minus measured in it, in the direction of what was measured, over the RMS residual of the
+        bias: mean of predicted minus measured in it, in the direction of the measurement, over the RMS residual of the
             part: 1 where the model is always too strong, -1 where it is always too weak.
         bias_elsewhere: the same of all other samples.
         of_force: whether the measured output has a strength, otherwise a size.
@@ -252,7 +252,7 @@ def _best(name: str, unit: str, parts: list, known: np.ndarray, samples: Samples
         if p <= even:
             continue  # its share of the motion is large, so it is not a place of the misfit
         explained = signed.size * q * (1 - q) * (one.mean() - other.mean()) ** 2 / total
-        # A share that the samples or the motion explain is no finding.
+        # A share that the samples or the motion explain is not a finding.
         where = min(_divergence(p, q), _divergence(p, even)) if p > q else 0.0
         # Rounded, because a part and its complement carry the same information.
         information = round(0.5 * where - 0.5 * float(np.log1p(-min(explained, 1 - 1e-12))), 9)

@@ -146,7 +146,7 @@ class Prediction:
 
     @cached_property
     def gaps(self) -> np.ndarray:
-        """Time since the sample before of the same history [s], infinite where there is none, (n, J)."""
+        """Time since the previous sample of the same history [s], infinite without one, (n, J)."""
         gaps = np.full(self.used.shape, np.inf)
         for row, experiment in enumerate(self.experiments):
             for output in range(len(self.outputs)):

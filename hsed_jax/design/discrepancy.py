@@ -36,7 +36,7 @@ def discrepancy(
     weights: Float[Array, "n J"],
     groups: Int[np.ndarray, " J"],
 ) -> Float[Array, " n"]:
-    """The norm of Eq. 12 per experiment; NaN where nothing was measured.
+    """The norm of Eq. 12 per experiment; NaN without a measurement.
 
     It is the number of outputs times the mean over the measured outputs, each the mean over its measured samples. Missing
     values (weight 0) therefore neither increase nor decrease the misfit.
@@ -44,7 +44,7 @@ def discrepancy(
     Arguments:
         measured, predicted: columns are quantities, or the samples of histories.
         variance: of each column (`variance_over`).
-        weights: of what was measured; 0 where it is missing.
+        weights: of the measurement; 0 where it is missing.
         groups: output of each column.
     """
     members = jnp.asarray(groups[:, None] == np.arange(groups.max() + 1)[None], float)

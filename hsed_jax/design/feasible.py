@@ -74,7 +74,7 @@ class Limits:
     """The limits of specimen and actuator.
 
     Attributes:
-        most: largest value allowed, SI, by name of what `respond` gives.
+        most: largest allowed value, SI, by name of the outputs that `respond` gives.
         probability: accepted probability of exceeding any of them.
         respond: from parameters of the model (p,) and a point of the unit cube (d,) to the peaks by name and whether the
             simulation converged.

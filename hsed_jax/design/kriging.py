@@ -58,7 +58,7 @@ def trend_functions(x: Float[Array, "M d"], trend: TrendName) -> Float[Array, "M
 
 @final
 class Kriging(eqx.Module):
-    """A fitted universal Kriging model: all that `predict` needs, and what a report wants to show.
+    """A fitted universal Kriging model: all that `predict` and a report need.
 
     Shapes: N rows of (padded) training data, d inputs, p trend functions.  Inputs live in the unit cube, `lengths` are
     in its units; `process_variance` (σ², Eq. 9) and `trend_coefficients` (β, Eq. 8) are in the response's units.
@@ -95,7 +95,7 @@ class Kriging(eqx.Module):
         """
         points = x.shape[0]
         size = min(_CHUNK, points)
-        # One input after the other, so that the correlations of a block read them as they lie.
+        # One input after the other, in the order of their storage.
         coordinates = jnp.pad(x.T, ((0, 0), (0, -points % size)), mode="edge")
 
         def at(first: Int[Array, ""]) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
@@ -344,7 +344,7 @@ _restricted_objective.defvjp(_objective_forward, _objective_backward)
 
 
 def _masked_correlation(x, mask, lengths, nugget, kernel) -> Float[Array, "N N"]:
-    """R with the nugget on its diagonal, and rows of the identity where there are no data."""
+    """R with the nugget on its diagonal, and rows of the identity without data."""
     matrix = jnp.where(mask[:, None] & mask, correlation(x, x, lengths, kernel), 0.0)
     return matrix + jnp.diag(jnp.where(mask, nugget, 1.0))
 
@@ -374,7 +374,7 @@ def _check_training_set(inputs: np.ndarray, responses: np.ndarray, mask: np.ndar
     x, y = inputs[mask], responses[mask]
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise ValueError("Arguments `inputs` and `responses` must be finite where `mask` is true, but are not.")
-    # Of all rows: an array that grew with the data would be compiled anew at each step.
+    # For all rows: an array that grows with the data would need a new compilation at each step.
     functions = np.asarray(trend_functions(jnp.asarray(inputs), trend))[mask]
     n, p = functions.shape
     if n < p + 1:

@@ -117,7 +117,7 @@ class SequentialDesign:
         posterior: of the study.
         space: of the inputs.
         size: planned number of experiments, initial ones included.
-        gaps: of the columns, time since the sample before of the same history [s], (J,).
+        gaps: of the columns, time since the previous sample of the same history [s], (J,).
         settings: of the sample at each step.
         starts: of the MAP.
         candidates: size of the candidate set.
@@ -321,7 +321,7 @@ class SequentialDesign:
         """The Kriging of a step, from its entry in the journal.
 
         Arguments:
-            norms: discrepancies of the step, (count then,); NaN where there is none.
+            norms: discrepancies of the step, (count then,); NaN without one.
             lengths, nugget: hyper-parameters of its Kriging.
         """
         responses = np.full(self.size_of(state), np.nan)

@@ -72,7 +72,7 @@ class InputSpace:
         """Inputs by name, in their declared units, with their point of the unit cube.
 
         Raises:
-            UserError: they are not the inputs of this space, or lie outside.
+            UserError: they are not the inputs of this space, or are outside.
         """
         if declared.keys() != set(self.names):
             raise UserError(f"its inputs are {', '.join(self.names)}; given are {', '.join(declared)}")

@@ -26,8 +26,8 @@ def stop_reason(rules: StopRules, steps: Sequence[dict[str, Any]]) -> str | None
     """The name of the rule that is met by the last step, or None.
 
     Arguments:
-        rules: those asked for.
-        steps: what each step found, as in the journal.
+        rules: the requested ones.
+        steps: the results of each step, as in the journal.
     """
     if not steps:
         return None

@@ -78,7 +78,7 @@ def source_of(formula: Formula, reaches: Sequence[tuple[float, float]], name: st
         name: of the effect.
     """
     place = formula.place
-    # What it contributes is of order one, whatever the size of the shapes.
+    # Its contribution is of order one, for any size of the shapes.
     ends = [np.linspace(low, high, _POINTS) for low, high in reaches]
     largest = math.prod(
         float(np.abs(term.shape.at(x, term.numbers)).max()) for term, x in zip(formula.terms, ends, strict=True)

@@ -18,7 +18,7 @@ from hsed_jax.physics.scales import Scales
 from hsed_jax.tables import Table, Tabular, cell
 
 EFFECT = "learned_effect"
-"""Name of what is learned first."""
+"""Name of the first learned effect."""
 _POINTS = 101
 # Standard deviations on both sides hold 90 %.
 _90 = 1.6448536
@@ -46,9 +46,9 @@ class Line(NamedTuple):
 
     Attributes:
         x: the coordinate, (n,).
-        at: value of the second one; None where there is none.
+        at: value of the second one; None without one.
         mean, low, high: of the Gaussian process, with its 90 % band: a force [N], or a factor, (n,).
-        formula: the same of the formula; None where there is none.
+        formula: the same of the formula; None without one.
     """
 
     x: Float[np.ndarray, " n"]
@@ -107,9 +107,9 @@ class Discovery(Tabular):
         reason: the reason if nothing was learned, in a sentence; otherwise empty.
         place: the place; None if nothing was learned.
         formula: in one line.
-        probability: of the place among those that were fitted.
+        probability: of the place among the fitted ones.
         error: normalised errors (train, test) before it.
-        error_train, error_test: after; test: of experiments that were not used, else of those left out in turn.
+        error_train, error_test: after; test: of held-out experiments, otherwise of those left out in turn.
         noise_floor: of the training experiments.
         ranking: the places that were fitted, the most probable first.
         curve: the function.

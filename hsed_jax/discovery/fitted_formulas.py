@@ -43,7 +43,7 @@ class FormulaFits:
         tried: the formulas.
         reaches: of their coordinates.
         problem_of: makes the problem with these effects as candidates.
-        target: what is fitted.
+        target: the fitted data.
         law: parameters of the first model, by name, SI.
     """
 

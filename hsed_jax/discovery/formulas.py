@@ -41,7 +41,7 @@ class Formula:
     Attributes:
         place: where it is.
         terms: a shape for every coordinate, whose product it is.
-        size: what that is multiplied by: over F_c; of a factor, `form` says how it comes in.
+        size: factor of the product, over F_c; for a factor, `form` determines its use.
         form: `force`: the addend F_c a s; `exponential`: the factor e^{a s}; `linear`: the factor 1 + a s; `reciprocal`:
             1/(1 + a s).
         cost: loss against the curve [nats], plus the cost of its numbers.

@@ -33,7 +33,7 @@ class Shape:
         code: Python, of `{x}` and the symbols of its numbers in braces.
         latex: the same in LaTeX.
         text: the same in plain words of mathematics.
-        numbers: what it has besides x.
+        numbers: its further arguments.
     """
 
     code: str

@@ -146,7 +146,7 @@ class Reaches:
     """Ranges of coordinates over several motions, dimensionless.
 
     Arguments:
-        motions: what a specimen went through.
+        motions: of a specimen.
         scales: characteristic values.
     """
 

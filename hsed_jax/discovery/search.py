@@ -115,11 +115,11 @@ class PlaceSearch:
     Arguments:
         problem: the model with the free function as its one candidate.
         reaches: of its coordinates.
-        report: called with what is being done.
+        report: called with the current activity.
 
     Attributes:
         models, base: the first model, and its fit.
-        target: what fits were judged with last.
+        target: the last data and errors of the fits.
         predicted_gains: of all places, the largest first.
         fitted: the places that were fitted, the most probable first.
     """

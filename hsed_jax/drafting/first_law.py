@@ -33,7 +33,7 @@ _PARTS = 4
 _KNOTS = 11
 # Another law replaces the simplest one if its squared residual is at most this share of that of the simplest one.
 _LEFT = 0.3
-# Of a derivative, in units of a guess.
+# Step of a derivative, relative to the initial estimate.
 _STEP = 1e-5
 
 

@@ -29,7 +29,7 @@ class Floors(NamedTuple):
 
 
 def floor_count(campaign: Campaign) -> int:
-    """The highest floor with a sensor; 1 where there is none."""
+    """The highest floor with a sensor; 1 without one."""
     return max((number for number, _ in map(_floor, campaign.channels)), default=1)
 
 

@@ -54,13 +54,13 @@ def text_of_study(
         campaign: the measurements.
         folder: where they are.
         output: folder of the study; the path to the campaign is written relative to it.
-        frame: what is known of a frame that was shaken.
-        taken: what the campaign was made of, lines for its head.
-        model: lines of a model that has no effects, in the place of a spring law.
+        frame: known data of a shaken frame.
+        taken: sources of the campaign, lines for the head of the file.
+        model: lines of a model that has no effects, instead of a spring law.
 
     Raises:
-        UserError: the campaign has no completed training experiment, or nothing that tells stiffness and strength; or it was
-            shaken, and the specimen measured in another pair than elongation and force; or the frame does not fit the sensors.
+        UserError: the campaign has no completed training experiment, or no data for stiffness and strength; or it was shaken,
+            and the pair of the specimen is not elongation and force; or the frame does not fit the sensors.
     """
     pair, frame = campaign.pair, frame or Frame()
     _check_frame(campaign, folder, frame)

@@ -42,12 +42,12 @@ class Calibrated:
 
     @property
     def name(self) -> str:
-        """Of the study."""
+        """Name of the study."""
         return self.built.study.study
 
     @property
     def priors(self) -> dict[str, Prior]:
-        """Of the free parameters."""
+        """Priors of the free parameters."""
         return self.built.mechanics.parameters[0]
 
     def known(self, name: str) -> Parameter | None:

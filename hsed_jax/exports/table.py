@@ -14,7 +14,7 @@ class Row(NamedTuple):
 
     Attributes:
         name: as in the study.
-        symbol: LaTeX, without dollars; empty where there is none.
+        symbol: LaTeX, without dollars; empty without one.
         unit: SI.
         mean, low, high: of the posterior; the 5 % and the 95 % quantile.
         prior: in words.

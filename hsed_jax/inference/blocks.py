@@ -27,7 +27,7 @@ def follow(
     name: str,
     seconds: float | None = None,
 ) -> list[ChainState]:
-    """Let chains go to their end, each chain_state on a thread of its own.
+    """Let chains go to their end, each chain_state on a separate thread.
 
     Arguments:
         advance: advances a chain_state by a number of leapfrog steps.

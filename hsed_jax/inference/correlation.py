@@ -66,7 +66,7 @@ def estimate_noise(
 
     Arguments:
         standardised: residuals in units of the noise, (n, J).
-        gaps: time since the sample before [s], infinite where there is none, (n, J).
+        gaps: time since the previous sample [s], infinite without one, (n, J).
         used: where there is a measurement, (n, J) bool.
         groups: output of each column, (J,).
         declared: by output, whether the size of its noise is declared, (G,).
@@ -88,8 +88,8 @@ def correlation_notes(outputs: Sequence[str], groups: np.ndarray, weights: np.nd
     Arguments:
         outputs: their names.
         groups: the output that each column of the data belongs to, (J,).
-        weights: what each sample is worth, zero where nothing is used, (n, J).
-        memory: share of its noise that it has in common with the one before, (n, J).
+        weights: effective number of each sample, zero for unused samples, (n, J).
+        memory: correlation of its noise with that of the previous sample, (n, J).
     """
     notes = []
     for output, name in enumerate(outputs):
@@ -112,9 +112,9 @@ def noise_of(standardised: np.ndarray, gaps: np.ndarray, used: np.ndarray, corre
 
     Arguments:
         standardised: residuals of the output in units of its noise, (n, m).
-        gaps: time since the sample before [s], infinite where there is none, (n, m).
+        gaps: time since the previous sample [s], infinite without one, (n, m).
         used: where there is a measurement, (n, m) bool.
-        correlated: whether there is a memory; None: where the residual tells one.
+        correlated: whether the noise is autocorrelated; None: if the residual shows it.
     """
     pairs = np.isfinite(gaps) & used
     if pairs.sum() < _LEAST_SAMPLES or not standardised[used].any():

@@ -109,7 +109,7 @@ def disagreement(
 
     Arguments:
         posterior: of a study without levels.
-        data: what was fitted.
+        data: the fitted data.
         u: the MAP.
         units: SI units of the parameters.
     """

@@ -48,7 +48,7 @@ class Emulator(eqx.Module):
     """Predictions of all experiments, polynomials of the parameters of the model.
 
     Attributes:
-        center, spread: of the parameters, for x = (θ − center)/spread, (m, p), m being 1, or n where each experiment has its own.
+        center, spread: of the parameters, for x = (θ − center)/spread, (m, p), m being 1, or n if each experiment has its own.
         coefficients: of the principal components, (m, q, n/m, K).
         middle, components: predictions are middle + amounts · components, (n, J) and (n, K, J).
         error: sd over the posterior of the log density's error [nats].

@@ -88,7 +88,7 @@ class Weighted(NamedTuple):
 
     Attributes:
         points: where, (S, p).
-        log_density: there; -inf where there is none, (S,).
+        log_density: there; -inf without one, (S,).
         weights: summing to one, (S,).
         log_evidence: log Z; -inf where no draw has a density.
         shape: Pareto shape of the largest weights.
@@ -137,7 +137,7 @@ def weigh(
     """Draw around a mode, and weight the draws.
 
     Arguments:
-        log_densities: of many points; -inf or nan where there is none.
+        log_densities: of many points; -inf or nan without one.
         proposal: to begin with.
         draws: least number, and up to twice as many while they are unreliable.
         random: the source of the draws.

@@ -33,7 +33,7 @@ class Leaning(NamedTuple):
         value: θ_MAP, SI.
         bound: that it leans on, SI.
         side: `lower` or `upper`.
-        prior: both bounds, SI; infinite where there is none.
+        prior: both bounds, SI; infinite without one.
     """
 
     parameter: str
@@ -54,7 +54,7 @@ def leaning(
     estimates: Mapping[str, float],
     posterior: Mapping[str, Mapping[str, float]],
 ) -> tuple[Leaning, ...]:
-    """The estimates that lean on a bound of their prior which is no physical limit.
+    """The estimates on a bound of their prior that is not a physical limit.
 
     Arguments:
         priors: of the parameters, by name.
@@ -113,7 +113,7 @@ def caution(
     """The warnings before any use of the estimates: those on a bound, and those outside their own 90 % interval.
 
     Arguments:
-        leaning: the estimates that lean.
+        leaning: the estimates on bounds.
         priors: by name.
         estimates: θ_MAP of the model's own parameters by name, SI.
         posterior: `sd`, `q05` and `q95` of each, SI.

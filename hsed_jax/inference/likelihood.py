@@ -75,7 +75,7 @@ class Columns(NamedTuple):
 
     Attributes:
         is_relative: whether the error of a column is relative, (J,).
-        of_measured: whether it is relative to what was measured, (J,).
+        of_measured: whether it is relative to the measurement, (J,).
         members: 1 where a column belongs to an output, (J, G).
     """
 
@@ -99,7 +99,7 @@ class Decorrelation(Protocol):
 
     @property
     def log_determinant(self) -> Float[Array, ""]:
-        """Of the covariance C of z."""
+        """Log determinant of the covariance C of z."""
         ...
 
     def __call__(self, z: Float[Array, "n J"]) -> Float[Array, " k"]:
@@ -113,9 +113,9 @@ class Data(NamedTuple):
     Attributes:
         conditions: conditions of the experiments, leading axis n.
         values: measured outputs, SI, shape (n, J).
-        weights: 1 where measured and used, 0 where missing or padding, shape (n, J); between them where samples repeat
-            one another, so that they count for as many as they are worth.
-        gaps: time since the sample before of the same history [s], infinite where there is none, shape (n, J).
+        weights: 1 where measured and used, 0 where missing or padding, shape (n, J); between 0 and 1 for correlated samples,
+            so that they count for their effective number.
+        gaps: time since the previous sample of the same history [s], infinite without one, shape (n, J).
         memory: ρ, correlation of the noise with that of the sample before, shape (n, J).
         count: how many experiments there are; rows beyond are padding.
         members: of each experiment its member of every level of a population, shape (n, L).
@@ -139,7 +139,7 @@ def data_of(conditions: PyTree, measured: np.ndarray, used: np.ndarray, gaps: np
         conditions: of the experiments, leading axis n.
         measured: SI, (n, J); anything where not used.
         used: where there is a measurement to use, (n, J) bool.
-        gaps: time since the sample before of the same history [s], (n, J); infinite where there is none.
+        gaps: time since the previous sample of the same history [s], (n, J); infinite without one.
         count: how many experiments there are; rows beyond are padding.
     """
     used = used & (np.arange(len(measured)) < count)[:, None]
@@ -179,7 +179,7 @@ def sigma_of(
     ok: Float[Array, " n"],
     data: Data,
 ) -> Float[Array, "n J"]:
-    """σ = s·c of every column, SI; one where nothing is used or the simulation diverged."""
+    """σ = s·c of every column, SI; one without a used sample, and for a diverged simulation."""
     used = (data.weights > 0).astype(float)
     counts = (used > 0) & (ok[:, None] > 0)
     if not columns.is_relative.any():
@@ -210,7 +210,7 @@ def compared(
     ok: Float[Array, " n"],
     data: Data,
 ) -> tuple[Float[Array, "n J"], Float[Array, "n J"]]:
-    """z, and log σ of the density of y; both zero where nothing is used, and where the simulation diverged."""
+    """z, and log σ of the density of y; both zero without a used sample, and where the simulation diverged."""
     counts = (data.weights > 0) & (ok[:, None] > 0)
     sigma = sigma_of(errors, columns, predicted, ok, data)
     z, log_sigma = (predicted - data.values) / sigma, jnp.log(sigma)

@@ -49,8 +49,8 @@ class Maximum(NamedTuple):
     """The best of several starts: a mode of the posterior, and the others.
 
     Attributes:
-        u, theta: unconstrained and physical (SI) coordinates of the MAP (Eq. 6), shape (p,).  Of a population they are those of
-            `start`: the joint density of spreads and offsets has its mode at spreads that no measurement supports.
+        u, theta: unconstrained and physical (SI) coordinates of the MAP (Eq. 6), shape (p,).  For a population they are those
+            of `start`: the joint density of spreads and offsets has its mode at spreads that the measurements do not support.
         log_posterior: log π(θ)L(θ) there.
         covariance: Gauss–Newton covariance of θ there, prior included, shape (p, p).
         log_evidence: log Z by Laplace's method (Tierney & Kadane 1986), of this mode alone.
@@ -127,7 +127,7 @@ class _Search:
         u: where it is, (p,).
         here: the posterior there.
         is_settled: whether no step has a predicted gain.
-        is_over: whether it met a better one, or came where there is no step.
+        is_over: whether it met a better one, or has no further step.
     """
 
     def __init__(self, u: Float[np.ndarray, " p"], here: Expansion):

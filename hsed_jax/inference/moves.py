@@ -80,7 +80,7 @@ def moved(
     """Move draws until they have settled, or the budget of time or of sweeps ends.
 
     Arguments:
-        log_densities: log density of many points, -inf where there is none.
+        log_densities: log density of many points, -inf without one.
         wander: the ends of emulator steps from some draws, given other draws, and the increase of its log density
             (`wandered`).
         points, log_density: draws in u, and their log density.

@@ -42,8 +42,8 @@ class Grid:
     Attributes:
         samples: of a history; shorter records are padded.
         every: integration steps from one sample to the next.
-        change: of an imposed elongation, the largest change in one step [m]: each interval then has steps of its own number, and
-            `every` is 1; None where every interval has as many.
+        change: for an imposed elongation, the largest change in one step [m]: each interval then has its own number of steps,
+            and `every` is 1; None where every interval has as many.
         steps: of the integration; a record that needs fewer is padded with steps of length zero.
         from_zero: whether an imposed record that begins loaded gets a sample before it; a model that is a function gets the
             unchanged record.
@@ -103,7 +103,7 @@ class Quantities:
         return lambda parameters, conditions: model.quantities(parameters, conditions, self.names)
 
     def measured(self, experiment: Experiment) -> np.ndarray:
-        """The measured outputs of one experiment, SI, (J,); NaN where there is none."""
+        """The measured outputs of one experiment, SI, (J,); NaN without one."""
         return np.asarray([experiment.quantity(name, self.masses) for name in self.names])
 
     def weights(self, experiment: Experiment) -> np.ndarray:
@@ -111,7 +111,7 @@ class Quantities:
         return np.isfinite(self.measured(experiment)).astype(float)
 
     def gaps(self, time: np.ndarray | None) -> np.ndarray:
-        """Time since the sample before [s], (J,): none, a quantity has no sample before it."""
+        """Time since the previous sample [s], (J,): none, a quantity has no sample before it."""
         return np.full(len(self.names), np.inf)
 
 
@@ -124,7 +124,7 @@ class Histories:
         samples: of the longest record.
         grid: where the excitation is recorded; None where the inputs define it and all records share the times of the
             model's timeline.
-        excitation: from inputs to what drives an experiment, for records that do not tell.
+        excitation: from inputs to the excitation of an experiment, for records without it.
     """
 
     names: tuple[str, ...]
@@ -162,7 +162,7 @@ class Histories:
         return np.isfinite(self.measured(experiment)) * np.tile(inside, len(self.names))
 
     def gaps(self, time: np.ndarray | None) -> np.ndarray:
-        """Time since the sample before of the same channel [s], (J,), infinite for the first and beyond the record.
+        """Time since the previous sample of the same channel [s], (J,), infinite for the first and beyond the record.
 
         Arguments:
             time: of the record's samples; None where all have the timeline's own.
@@ -178,7 +178,7 @@ Observation = Quantities | Histories
 
 @final
 class Outputs(eqx.Module):
-    """From a parameter vector and the conditions of one experiment to its outputs: what a study observes of its model.
+    """From a parameter vector and the conditions of one experiment to its observed outputs.
 
     The differences between two studies of the same kind (masses, scales) are arrays in it, and thus operands of its compiled
     programs: a process with a hundred campaigns compiles once.
@@ -214,7 +214,7 @@ def assemble(
     """Measured experiments as padded data.
 
     Arguments:
-        observation: what is observed.
+        observation: of the study.
         campaign: where the experiments come from (its protocol and units).
         experiments: which of them, in order.
         relative: per output, whether its error is relative.

@@ -3,10 +3,9 @@ r"""Parameters that vary between specimens: every member of a level has its own,
 $$\theta_m = \bar\theta\,e^{d_m} \;\text{(positive ones)}\quad\text{or}\quad \theta_m = \bar\theta + d_m, \qquad
   d_m = \sum_{\text{levels}} \tau\,z_m,\qquad z_m\sim N(0,1)$$
 
-The centre $\bar\theta$ has the prior that the study gives the parameter; the spread τ of every level has a prior of its own.
-Levels may lie within each other (bars of a mill): their offsets add up.  A population is therefore an ordinary posterior.
-Its further parameters are spreads and standardised offsets, and each experiment is simulated with the parameters of its own
-members.
+The centre $\bar\theta$ has the prior that the study gives the parameter; the spread τ of every level has its own prior.
+Levels may be nested (bars of a mill): their offsets add up.  A population is therefore an ordinary posterior. Its further
+parameters are spreads and standardised offsets, and each experiment is simulated with the parameters of its own members.
 
 The coordinates z are unsuitable for a sampler if the measurements determine $d_m$ better than the population does: then every
 change of τ changes all z.  Therefore the sampler moves $c_m = z_m\sqrt{(s_m^2 + \tau^2)/(s_m^2 + \tau_0^2)}$, where $s_m$ is
@@ -100,7 +99,7 @@ class Population(eqx.Module):
         first: number of parameters before those of the population.
 
     Attributes:
-        told: s of each offset, of the scale of its spread; infinite where nothing is told, (K, M) a level.
+        told: s of each offset, of the scale of its spread; infinite without information, (K, M) a level.
         reference: τ₀ of every spread, one array (K,) a level.
     """
 
@@ -188,7 +187,7 @@ class Population(eqx.Module):
         Arguments:
             theta: all parameters.
             center: those of the model, at the centre of the population.
-            members: of each experiment its member of every level, (n, L); they say which outer member one lies within.
+            members: of each experiment its member of every level, (n, L); they determine the outer member of each member.
         """
         rows = jnp.asarray(np.concatenate(self._of_each(members)))
         none = tuple(jnp.zeros((level.shape[0], 1)) for level in self.levels)

@@ -1,7 +1,7 @@
 """Priors: a distribution by name, and the functions that calibration needs of it.
 
-A check of a study needs bounds and single quantiles.  For the usual families these have a closed form. numpyro takes as long to
-load as the rest of a check, so it is loaded only for other functions, or to explain what is wrong.
+A check of a study needs bounds and single quantiles.  For the usual families these have a closed form. numpyro takes as long
+to load as the rest of a check, so it is loaded only for other functions, or to explain a fault.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -125,7 +125,7 @@ class Prior:
         return _usual(self.name, self.arguments)
 
     def __post_init__(self):
-        # The distribution itself reports what is wrong.
+        # The distribution itself reports the fault.
         assert self._member is not None or self.distribution is not None
 
     def log_density(self, value: Float[Array, "..."]) -> Any:

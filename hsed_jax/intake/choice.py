@@ -71,7 +71,7 @@ def column_named(found: Found, said: str) -> str:
     """The column that a user means, by its name with or without unit; columns that are added or subtracted, as `d1 - d0`.
 
     Raises:
-        UserError: there is none, or there are several.
+        UserError: there is no such column, or there are several.
     """
     name = _one_column(found, said)
     if name is not None:
@@ -118,8 +118,8 @@ def campaign_of(name: str, tables: Mapping[str, Found], choice: Choice) -> Made:
     """The campaign from tables and a choice.
 
     Raises:
-        UserError: a column or unit is missing, a column holds something other than numbers, lacks samples inside the record, or
-            stands for two things, or the units do not belong together.
+        UserError: a column or unit is missing, a column holds something other than numbers, lacks samples inside the record,
+            or is used for two channels, or the units do not belong together.
     """
     needed = CHANNELS[choice.protocol]
     order = [*needed, *(channel for channel in choice.columns if channel not in needed)]
@@ -276,7 +276,7 @@ def with_units(choice: Choice, units: Mapping[str, str]) -> Choice:
     """The choice with units that the user gave, by channel.
 
     Raises:
-        UserError: a text is no unit.
+        UserError: a text is not a unit.
     """
     for unit in units.values():
         parse_unit(spelled_unit(unit) or unit)

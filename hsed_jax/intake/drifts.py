@@ -25,7 +25,7 @@ def height_doubts(id: str, table: Found, choice: Choice) -> Iterator[Finding]:
     Arguments:
         id: of the record.
         table: the columns of its file.
-        choice: what they are.
+        choice: their meaning.
     """
     column, unit = choice.columns.get("elongation"), choice.units.get("elongation")
     if column is None or unit is None or column not in table.columns or not measures(unit, LENGTH):

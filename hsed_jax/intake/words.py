@@ -23,7 +23,7 @@ time zeit temps tempo tiempo timestamp elapsed seconds sekunden secondes segundo
 datum date 時間 时间
 """
 _GROUND = "ground table base bodenbeschleunigung tisch"
-# Words of a motion or of a control, not of the response: a name with one of these is no elongation, force or time of a test.
+# Words of a motion or of a control, not of the response: a name with one of these is not an elongation, force or time of a test.
 _NEVER = """
 command cmd soll sollwert sollweg sollkraft setpoint target demand desired consigne consigna riferimento rate velocity
 velocita vitesse velocidad velocidade speed geschwindigkeit temperature temperatur temperatura count counter cycle

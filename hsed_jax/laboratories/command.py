@@ -41,8 +41,8 @@ class CommandLaboratory:
 
     Attributes:
         template: the program and its arguments; {folder}, {id}, {python} and {NAME} of an input stand for their values.
-        programme: what experiments have in common.
-        sensors: what it measures.
+        programme: common properties of the experiments.
+        sensors: its measurements.
         timeout: [s] for one experiment.
         workspace: folder of the experiments' folders; None: a temporary one, until the end of the process.
         files: further files for the program, name and text.

@@ -55,7 +55,7 @@ Its materials are first order in the step; peaks of BoucWen are then good to 0.0
 
 @dataclass(frozen=True)
 class OpenSeesLaboratory:
-    """Shakes a structure in OpenSees, with noise on what is measured.
+    """Shakes a structure in OpenSees, with noise on the measurements.
 
     Attributes:
         command: runs the model.

@@ -74,7 +74,7 @@ def define(material: dict) -> None:
     if file.endswith(".py"):
         runpy.run_path(file)["specimen"](ops, _SPECIMEN, **parameters)
         return
-    # openseespy has no Tcl of its own; the commands that define a material are the same.
+    # openseespy has no Tcl interpreter; the commands that define a material are the same.
     import tkinter
 
     tcl = tkinter.Tcl()

@@ -39,8 +39,8 @@ class Request:
         inputs: the variable inputs by name, in the units of the study.
         units: those units.
         si: the inputs in SI.
-        kind: what drives it.
-        time: times of what drives it [s], shape (n,), from 0; at equal steps for a ground motion or a force.
+        kind: its excitation.
+        time: times of its excitation [s], shape (n,), from 0; at equal steps for a ground motion or a force.
         driver: the excitation by its channel, SI, shape (n,), linear between the samples.
         sample_times: times at which the study compares histories [s], shape (m,); a record at these times need not be
             interpolated.
@@ -71,10 +71,10 @@ class Request:
         """Write `request.json` and the file of the excitation into a folder.
 
         Arguments:
-            folder: where to.
-            channels: what the record is to hold.
-            quantities: the numbers that are wanted.
-            more: what else stands in `request.json`.
+            folder: of the files.
+            channels: of the required record.
+            quantities: the required numbers.
+            more: further entries of `request.json`.
         """
 
         def wanted(declared: Mapping[str, Channel]) -> dict[str, dict[str, str]]:
@@ -107,7 +107,7 @@ class Programme:
 
     Attributes:
         units: of the inputs.
-        excitation: from inputs (SI) to what drives an experiment.
+        excitation: from inputs (SI) to the excitation of an experiment.
         timeline: of the study's simulator.
     """
 

@@ -22,7 +22,7 @@ class Sensors:
         channels: of its records, with the time; empty without records.
         quantities: numbers that it returns besides records.
         columns: by channel, the column of its record files: a name, or a position from 1 where they have no header.
-        driver: the channel that measures what drives the experiments.
+        driver: the channel that measures the excitation of the experiments.
         at_sample_times: interpolate records linearly to the times at which the study compares histories.
 
     Raises:
@@ -54,7 +54,7 @@ class Sensors:
         """A record in SI.
 
         Arguments:
-            request: what was asked for.
+            request: of the experiment.
             columns: by channel, its samples (n,) in the declared unit.
             source: where they come from, for a message.
             partial: the record of a failed experiment: it is kept unchanged, even if it is short or clipped.

@@ -18,7 +18,7 @@ class VirtualLaboratory:
     Attributes:
         simulator: with the effects of the true specimen.
         parameters: the true parameters (SI).
-        quantities: what is measured, one number per experiment.
+        quantities: the measured ones, one number per experiment.
         channels: histories that are measured instead, including the excitation, at the samples of the simulator's timeline.
         noise: per quantity; none where absent.
         seed: of the noise; the noise of an experiment depends on its number alone.

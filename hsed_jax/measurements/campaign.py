@@ -25,7 +25,7 @@ class Campaign(Header, Tabular):
     """Experiments that share a specimen, a protocol, inputs and channels.  Values are SI, units as declared.
 
     Attributes:
-        name: What was tested.
+        name: Name of the tested object.
         protocol: `ground_motion`, or `displacement`: the elongation was imposed and the force measured.
         inputs: Unit of each variable input.
         channels: Channels of the records by canonical name.  Without `time` the row number is the time.
@@ -165,7 +165,7 @@ class Campaign(Header, Tabular):
             experiments: A table with the columns of experiments.csv (`id`, inputs, quantities, `status`, ...): a pandas
                 DataFrame, a dict of columns, or a list of dicts.  Without it, the ids are those of `records`.
             records: By id, a table of the channels: a DataFrame or a dict of arrays (n,).
-            name: What was tested.
+            name: Name of the tested object.
             protocol: `ground_motion` or `displacement`.
             inputs: Unit of each input column.
             channels: Unit of each channel, or a `Channel` where the column is named otherwise or noise is known.

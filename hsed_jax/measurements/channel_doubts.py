@@ -156,11 +156,11 @@ def _thousandfold(campaign: Campaign, id: str, record: Record, name: str) -> Ite
         return
     windows = np.lib.stride_tricks.sliding_window_view(steps, AROUND)
     typical = np.median(np.abs(windows), axis=1)
-    # Noise changes its direction, and a motion keeps it: a rest before a motion is no change of unit.
+    # Noise changes its direction, and a motion keeps it: a rest before a motion is not a change of unit.
     moves = np.abs(windows.sum(axis=1)) > 0.5 * np.abs(windows).sum(axis=1)
     before, after = typical[: -AROUND - 1], typical[AROUND + 1 :]  # the step between is that of the change
     counts = moves[: -AROUND - 1] & moves[AROUND + 1 :] & (before > 0) & (after > 0)
-    # With another unit, the values change as much as their steps: a motion that comes to rest is no change of unit.
+    # With another unit, the values change as much as their steps: a motion that comes to rest is not a change of unit.
     values = np.abs(record.channels[name])
     here, there = values[AROUND : AROUND + before.size], values[AROUND + 1 : AROUND + 1 + before.size]
     counts &= np.abs(there - here) > 0.5 * np.maximum(np.maximum(here, there), 1e-300)

@@ -26,7 +26,7 @@ class Columns(Tabular):
     Attributes:
         sentence: its content in words.
         heads: of the columns, with their units.
-        rows: cells; NaN where there is no number.
+        rows: cells; NaN without a number.
     """
 
     sentence: str
@@ -42,7 +42,7 @@ class Columns(Tabular):
         return text.getvalue()
 
     def cells(self) -> list[list[str]]:
-        """The rows as they are shown: four digits, a dash where there is no number."""
+        """The rows as they are shown: four digits, a dash without a number."""
         return [[_shown(cell) for cell in row] for row in self.rows]
 
     def _table(self) -> Table:

@@ -108,8 +108,8 @@ def cycles_of(force, elongation, along=None) -> Cycles:
     Arguments:
         force: [N], (m,).
         elongation: [m], (m,).
-        along: The elongation whose cycles they are [m], (m,); by default `elongation`.  A prediction is read over the cycles of
-            what was measured.
+        along: The elongation whose cycles they are [m], (m,); by default `elongation`.  A prediction is evaluated over the
+            cycles of the measurement.
 
     Returns:
         The measures of each cycle.  Slips, holds and missing rows do not make a cycle; a record that begins in the
@@ -160,7 +160,7 @@ def absorbed_energy(force: np.ndarray, elongation: np.ndarray) -> np.ndarray:
 def returned(cycles: Cycles, elongation: np.ndarray, force: np.ndarray) -> list[int]:
     """Numbers, from 1, of the whole cycles that return more energy than they received, which no specimen does.
 
-    The noise of the samples gives a cycle an energy of either sign; an energy within this noise is no doubt.
+    The noise of the samples gives a cycle an energy of either sign; an energy within this noise is not a doubt.
 
     Arguments:
         cycles: of the loop.

@@ -16,7 +16,7 @@ Split = Literal["train", "test"]
 
 @dataclass(frozen=True)
 class Noise:
-    """Measurement noise: a standard deviation, `absolute` [SI] or `relative` to the RMS of what was measured."""
+    """Measurement noise: a standard deviation, `absolute` [SI] or `relative` to the RMS of the measurement."""
 
     absolute: float | None = None
     relative: float | None = None
@@ -178,11 +178,11 @@ class Experiment:
             raise UserError(f"{where}no sample lies in the window from {start:g} to {end:g}; widen 'from' and 'to'")
 
     def quantity(self, name: str, masses: int = 0) -> float:
-        """Return a quantity [SI] as it was given, or else as the record tells it; NaN where neither does.
+        """Return a quantity [SI] from the table, otherwise from the record; NaN without both.
 
         Arguments:
             name: Of the quantity (`hsed_jax.physics.outputs`).
-            masses: How many masses the structure has; without them, no quantity of the masses is available.
+            masses: Number of masses of the structure; without them, no quantity of the masses is available.
         """
         if name in self.quantities:
             return self.quantities[name]

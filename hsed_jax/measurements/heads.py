@@ -28,7 +28,7 @@ def titles_above(
         text: from its first row that is neither blank nor a comment.
         wanted: columns that the record should have.
         skipped: lines before the text.
-        cells: what a line holds between separators.
+        cells: the parts of a line between separators.
 
     Raises:
         UserError: a row of numbers stands above the names.
@@ -74,7 +74,7 @@ def named_columns(
 
 
 def row_of_units(row: Sequence[str], positions: Sequence[int]) -> dict[int, str]:
-    """The units in a row by the position of their column; none where it is no row of units.
+    """The units in a row by the position of their column; empty if it is not a row of units.
 
     Arguments:
         row: cells below the names.

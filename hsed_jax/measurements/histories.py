@@ -1,4 +1,4 @@
-"""One history from a file that is no campaign: the excitation of the experiments of a study."""
+"""One history from a file that is not a campaign: the excitation of the experiments of a study."""
 
 from pathlib import Path
 

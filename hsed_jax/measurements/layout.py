@@ -177,7 +177,7 @@ def _header(sheet: Sheet, start: int, columns: Sequence[int], knows: Callable[[s
             unit_row = k, cells
         hits = sum(knows(without_unit(word)[0]) for word in words)
         candidates.append((len(set(words)) / len(columns), hits, k, cells))
-    # If a row of names stands above a row of units, the units are no names.
+    # If a row of names stands above a row of units, the units are not names.
     named = [one for one in candidates if unit_row is None or one[2] != unit_row[0]]
     named = [one for one in named if one[1] or one[0] >= (0.5 if len(one[3]) > 1 else 0.6)]
     if not named and unit_row is not None:

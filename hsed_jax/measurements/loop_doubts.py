@@ -135,7 +135,7 @@ def _timing(campaign: Campaign, id: str, record: Record, owner: str, found: np.n
         return
     cycle = 2 * float(np.median(np.diff(found)))
     early = -float(np.median(lags[is_early])) if is_early.any() else 0.0
-    # A viscous force is early, too, so with a time this is no doubt.
+    # A viscous force is early, too, so with a time this is not a doubt.
     is_long = early >= CYCLE * cycle and (early >= 2 or early >= 2 * CYCLE * cycle)
     if not campaign.has_time and is_early.mean() > EARLY and is_long:
         message = words(
@@ -150,7 +150,7 @@ def _timing(campaign: Campaign, id: str, record: Record, owner: str, found: np.n
 
 
 def _lag(campaign: Campaign, record: Record, samples: int) -> str:
-    """A lag in seconds, or in samples where there is no time."""
+    """A lag in seconds, or in samples without a time."""
     if not campaign.has_time:
         return f"{samples} sample{'s' if samples > 1 else ''}"
     return f"{samples * float(np.median(np.diff(record.time))):.2g} s"

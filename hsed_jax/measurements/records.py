@@ -18,7 +18,7 @@ TEXT = ("csv", "txt", "tsv", "dat")
 FORMATS = (*TEXT, *CONTAINERS, "at2")
 """Endings of record files that can be read."""
 
-# What MATLAB calls a column of a matrix, or a row of it.
+# MATLAB's notation of a column or a row of a matrix.
 _PART = re.compile(r"(.+)\((?::\s*,\s*(\d+)|(\d+)\s*,\s*:)\)")
 
 

@@ -91,7 +91,7 @@ def sheet_of(path: Path, text: str | None = None) -> Sheet:
     """Read a file of text into cells; `text` is its content, where that has been read.
 
     Raises:
-        UserError: the file cannot be read, is empty, goes beyond the budget, or is no text.
+        UserError: the file cannot be read, is empty, goes beyond the budget, or is not text.
     """
     text = read_text(path) if text is None else text
     ask(path, cells=max(text.count("\n"), text.count("\r")))

@@ -88,7 +88,7 @@ def is_unit(text: str) -> bool:
 
 
 def without_unit(name: str) -> tuple[str, str]:
-    """A header without its unit, and the unit as it is written; empty where there is none.
+    """A header without its unit, and the unit as it is written; empty without one.
 
     The unit stands in brackets (``Force [kN]``), behind a comma, a slash or a word (``Force, kN``, ``F/kN``, ``Kraft in kN``), or
     it is the last word (``disp_mm``).  Full-width letters and brackets, as Japanese files have them, are read as plain ones.

@@ -36,12 +36,12 @@ class Table:
 
     Attributes:
         path: The file.
-        columns: Header of each column, blank where the header cell is; the position from 1 where there is no header.
+        columns: Header of each column, blank where the header cell is; the position from 1 without a header.
         rows: Cells by row, as many as there are columns.
         row_numbers: Row of each, from 1, as a spreadsheet shows it.
         decimal_comma: Whether numbers may have a decimal comma (the separator is not a comma).
         has_header: Whether the file names its columns.
-        units: Unit by column of a row of units below the names, as it is written; empty where there is no such row.
+        units: Unit by column of a row of units below the names, as it is written; empty without such a row.
     """
 
     path: Path
@@ -187,7 +187,7 @@ def can_head_record(name: str) -> bool:
 
 
 def is_number(cell: str) -> bool:
-    """Return whether a cell is a number, with either decimal mark; a row of such cells is no header."""
+    """Return whether a cell is a number, with either decimal mark; a row of such cells is not a header."""
     return any(pattern.fullmatch(cell) for pattern in (NUMBER_WITH_POINT, NUMBER_WITH_COMMA, NOT_FINITE))
 
 
@@ -249,7 +249,7 @@ def read_record_table(path: Path, wanted: Iterable[str]) -> Table:
         _ask_of_names(path, columns, wanted)
         told = row_of_units(rows[0], [k for k, column in enumerate(columns) if column in wanted]) if rows else {}
         units = {columns[k]: unit for k, unit in told.items()}
-        # A row of units and blank rows above the numbers are no samples.
+        # A row of units and blank rows above the numbers are not samples.
         start = next((k for k in range(len(told) > 0, len(rows)) if any(map(str.strip, rows[k]))), len(rows))
         rows, numbers = rows[start:], numbers[start:]
     else:

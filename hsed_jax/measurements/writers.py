@@ -17,7 +17,7 @@ def write_campaign(campaign: Campaign, folder: str | Path) -> None:
     before it takes its name, and experiments.csv comes last, so that a reader never finds an incomplete campaign.
 
     Arguments:
-        campaign: What to write.
+        campaign: The campaign.
         folder: The folder; it is created if it does not exist.  Files of the same names are replaced.
 
     Example:

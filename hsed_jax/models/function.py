@@ -30,7 +30,7 @@ class FunctionModel(AbstractModel):
         function: traceable by JAX, as `Differenced` makes any.
         given: the quantities and channels that it returns.
         excitation: from inputs to the excitation; None if every experiment has its record, or there is no excitation.
-        timeline: the times of an experiment without a record; None where there is no excitation.
+        timeline: the times of an experiment without a record; None without an excitation.
         constants: parameters that are fixed numbers.
     """
 

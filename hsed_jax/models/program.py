@@ -29,7 +29,7 @@ class Program:
 
     Attributes:
         template: the program and its arguments; {folder}, {python} and {NAME} of a parameter or input stand for their values.
-        wanted: the quantities and channels that it is to predict.
+        wanted: the quantities and channels to predict.
         timeout: [s] for one prediction.
     """
 

@@ -59,8 +59,8 @@ class Setting:
             `word`: a key of `words`.
         default: None: it must be given, unless `is_optional`.
         is_positive: whether it must be.
-        is_optional: whether it may be left out, as other settings say; it is then None.
-        words: what a `word` stands for.
+        is_optional: whether it may be left out, depending on other settings; it is then None.
+        words: meaning of a `word` stands for.
     """
 
     meaning: str
@@ -83,8 +83,8 @@ class Declared:
 
     Attributes:
         name: its key in a study.
-        kind: what it drives.
-        settings: what a study gives, by the names of its fields.
+        kind: of the excitation.
+        settings: of a study, by the names of its fields.
         sentence: its description without a full stop, from the settings of the study and the duration [s].
         of_file: its fields that are read from a record, the time first: its setting `file`; none of an excitation without one.
         is_endless: whether the study must give the duration.

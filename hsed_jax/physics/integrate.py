@@ -201,7 +201,7 @@ def integrate(
     """Integrate one experiment.
 
     Arguments:
-        system: what is integrated.
+        system: the integrated one.
         forcing: the excitation on the half-step grid.
         step_length: [s], one number or one per step, shape (steps,).
         steps: number of steps.

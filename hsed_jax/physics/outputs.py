@@ -3,7 +3,7 @@ r"""Measured and predicted outputs, channels and quantities: the only list of ei
 A further quantity is one entry of `QUANTITIES`: symbol, unit and meaning, its formula from a record, and how the integration
 keeps it.  Campaigns, studies and reports can then use it.
 
-If a structure has several specimens, the name of a specimen stands before its outputs: `storey2.force`, `storey2.peak_force`.
+If a structure has several specimens, the name of a specimen precedes its outputs: `storey2.force`, `storey2.peak_force`.
 
 Peaks in a simulation are those of the continuous response.  Between the ends of a step of length h, the work is the cubic
 (Hermite) of the work e and the power $r\,\Delta\dot u$ at both ends.
@@ -68,8 +68,8 @@ class Quantity(Output):
 
     Attributes:
         channels: of a record that determine it, from the number of masses; empty if it cannot be determined.
-        measured: from the time (n,) [s] and those channels, each (n,) [SI]; NaN where the record does not tell it.
-        kept: how it is kept during an integration.
+        measured: from the time (n,) [s] and those channels, each (n,) [SI]; NaN if the record does not determine it.
+        kept: its computation during an integration.
         is_signed: whether it may be negative, or zero; its error cannot be relative.
         until: least duration of the experiment [s].
         limit: its key in `design.limits`, where it has one.
@@ -305,7 +305,7 @@ def _quantity(own: str) -> Quantity | None:
 
 
 def driven_mass(name: str) -> int | None:
-    """The mass (from 1) that the force of this channel is applied to; None where it is no such channel."""
+    """The mass (from 1) that the force of this channel is applied to; None if it is not such a channel."""
     match = re.fullmatch(r"applied_force_([1-9]\d*)", name)
     return None if match is None else int(match[1])
 

@@ -28,7 +28,7 @@ class Parameter:
     """Metadata of one parameter.
 
     Attributes:
-        name: as it stands in studies and results.
+        name: as in studies and results.
         symbol: LaTeX, for axis labels.
         unit: SI unit, or "1".
         meaning: one line.

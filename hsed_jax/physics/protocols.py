@@ -52,8 +52,8 @@ class Protocol:
     """A published loading protocol.
 
     Attributes:
-        title: what it is called.
-        relative_to: what the reference is.
+        title: of the protocol.
+        relative_to: meaning of the reference.
         source: the document.
         table: the steps in order.
         increment: increment of the amplitude at every further step, relative to the reference; None: it ends with the table.
@@ -204,7 +204,7 @@ def protocol_history(
 
     Arguments:
         name: of the protocol, such as `curee` (`hsed protocols` lists them).
-        reference: what its amplitudes are relative to; its unit is that of the elongation.
+        reference: of its amplitudes; its unit is that of the elongation.
         rate: peak rate, in that unit per second; a cycle of amplitude a takes 2πa/rate.
         points: samples a full cycle, a multiple of 4, so that peaks are samples.
         steps: how many steps of the protocol; by default those of its table.

@@ -38,8 +38,8 @@ def measured(
     """The measured response.
 
     Arguments:
-        response: as it is.
-        slots: what the effects contribute, by slot, and for the sensors of one of several specimens by its name.
+        response: the true one.
+        slots: the contributions of the effects, by slot, and for the sensors of one of several specimens by its name.
         step_length: [s], one number or one per step.
         every: histories are kept at every so many steps.
         is_imposed: the elongation is imposed (a component test), as `felt` says.

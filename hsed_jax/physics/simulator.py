@@ -49,7 +49,7 @@ class Recorded(NamedTuple):
     Attributes:
         forcing: on the half-step grid.
         step_length: [s], zero where the record has ended.
-        ends: after how many steps each sample of the record is, where `every` is 1 and histories are kept at these only.
+        ends: number of steps before each sample of the record, where `every` is 1 and histories are kept at these only.
         stop: number of steps after which no output is needed, the same for all simulations that run together: later samples
             repeat the last one; None for the whole grid.
     """
@@ -65,9 +65,9 @@ class Conditions(NamedTuple):
 
     Attributes:
         inputs: by name, SI.
-        recorded: its record, where it has one.
+        recorded: its record, if it has one.
         acting: whether each effect of the model acts, and in more than its simplest shape, the same for all experiments that
-            run together: what does not act is not computed (`hsed_jax.physics.gates`).  None: all act; effects without an
+            run together; an absent effect is not computed (`hsed_jax.physics.gates`).  None: all act; effects without an
             entry act, too.
     """
 
@@ -111,7 +111,7 @@ class AbstractModel(eqx.Module):
 
     Attributes:
         excitation: from inputs to its excitation; None if every experiment has its record, or no excitation exists.
-        timeline: the grid of an experiment without a record; None where there is no excitation.
+        timeline: the grid of an experiment without a record; None without an excitation.
     """
 
     excitation: eqx.AbstractVar[Callable[[Mapping[str, Scalar]], AbstractExcitation] | None]
@@ -167,7 +167,7 @@ class Simulator(AbstractModel):
 
     Attributes:
         structure: the numerical substructure; None for a component test.
-        excitation: from inputs to what drives it; None where every experiment brings its record.
+        excitation: from inputs to its excitation; None where every experiment brings its record.
         timeline: the grid of the integration.
         effects: of spring, structure and test rig.
         scales: characteristic values for the effects; leaves, so that one compiled program can serve any.

@@ -2,8 +2,8 @@ r"""The specimen: a spring law with any number of effects around it.
 
 $$r = f(\Delta u, \text{states}) + \sum \text{force},\qquad \dot e = r\,\Delta\dot u$$
 
-with f the force of the element of the law, to whose slots effects write, and `force` what they add beside it.  Inside a slack
-s there is no force; beyond it, the elongation of the element is the elongation minus the slack,
+with f the force of the element of the law, to whose slots effects write, and `force` their contribution beside it.  Inside a
+slack s there is no force; beyond it, the elongation of the element is the elongation minus the slack,
 $\Delta u - \mathrm{clip}(\Delta u, -s, s)$.  An integration may cross a slack in a step: force and flow of the element are
 then multiplied by the share of the step outside the slack.
 """

@@ -14,10 +14,10 @@ class Step(NamedTuple):
     """A step; each property is computed when a quantity asks for it.
 
     Attributes:
-        system: what is integrated.
+        system: the integrated one.
         start, middle, end: the state and the sample of the excitation at these times.
         length: h [s]; zero of a padded step.
-        turns: force [N] and elongation [m] of every specimen at its reversal within the step, or else at the end.
+        turns: force [N] and elongation [m] of every specimen at its reversal within the step, otherwise at the end.
         specimen: index of the requested one.
     """
 

@@ -15,8 +15,8 @@ class Timeline(NamedTuple):
     """The grid of the integration.
 
     Attributes:
-        step: length of a step [s], the same for all steps of all experiments; None where every experiment has lengths of its own,
-            from its record or from its inputs.
+        step: length of a step [s], the same for all steps of all experiments; None if every experiment has its own step
+            lengths, from its record or from its inputs.
         steps: their number.
         every: number of steps between kept samples of histories; divides `steps`.
     """

@@ -18,7 +18,7 @@ _BARS = "▁▂▃▄▅▆▇█"
 
 
 def catalogue(effects: Catalogue) -> str:
-    """One line per effect: name, family, what it does."""
+    """One line per effect: name, family, action."""
     width = max(len(name) for name in effects)
     families = max(len(effect.family) for effect in effects.values())
     lines = [

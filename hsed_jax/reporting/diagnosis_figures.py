@@ -175,7 +175,7 @@ def before_after(before: Comparison, after: Comparison, campaign: Campaign) -> P
         campaign: whether it has a time, and whether the elongation was imposed.
 
     Returns:
-        The picture; None where no experiment of histories has errors of its own.
+        The picture; None if no experiment of histories has errors.
     """
     if before.train_prediction.groups.size == len(before.train_prediction.outputs):
         return _scatter(before, after, campaign.pair)
@@ -327,7 +327,7 @@ def parameters_before_after(
     Arguments:
         before, after: `mean`, `q05` and `q95` by parameter, SI, as `Fit.summary` gives them.
         units: SI unit by parameter.
-        truth: values of the virtual specimen where there is one, drawn as a line.
+        truth: values of the virtual specimen if it exists, drawn as lines.
         effects: names of all effects; their parameters are left out.
 
     Returns:

@@ -39,8 +39,8 @@ def write_pictures(campaign: Campaign, findings: Sequence[Finding], folder: Path
 
     Arguments:
         campaign: the measurements.
-        findings: what its check found; errors are not drawn.
-        folder: where to; made where it is missing.
+        findings: of its check; errors are not drawn.
+        folder: of the pictures; created if it is missing.
 
     Yields:
         The experiment and its file.

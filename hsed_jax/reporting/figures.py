@@ -116,7 +116,7 @@ def estimate_maps(
 
     Arguments:
         grid_inputs: values of the two inputs, shapes (a,) and (b,), each increasing.
-        values: MAP estimates, shape (p, a, b); NaN where there is none.
+        values: MAP estimates, shape (p, a, b); NaN without one.
         names, units: of the p parameters.
         input_labels: unit by name of the two inputs, in the order of `grid_inputs`.
     """
@@ -130,7 +130,7 @@ def estimate_maps(
         shown = np.ma.masked_invalid(estimate / divisor)
         _filled_contours(figure, panel, x, y, shown, style.label(name, unit))
         panel.set(xlabel=style.label(x_name, x_unit), ylabel=style.label(y_name, y_unit))
-        # The extremes of an empty array are `masked`, which is no number.
+        # The extremes of an empty array are `masked`, which is not a number.
         low, high = (style.amount(float(np.ma.filled(v, np.nan)), unit) for v in (shown.min(), shown.max()))
         said.append(f"{name} between {low} and {high}")
     style.panel_titles(panels)
@@ -204,7 +204,7 @@ def estimate_history(
     """Fig. 7: MAP estimates at each iteration with their 90 % credible band.
 
     Arguments:
-        estimates, lower, upper: shape (n, p), NaN where there is none.
+        estimates, lower, upper: shape (n, p), NaN without one.
         names, units: of the p parameters.
         references: true or published values of some of them, drawn as a line.
     """

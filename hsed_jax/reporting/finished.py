@@ -26,7 +26,7 @@ class FinishedRun(Tabular):
         campaign: the experiments.
         results: `results.nc`; None of a run that was interrupted.
         figures: SVG by name.
-        export_check: what `check.json` of its export holds; None where no script was checked.
+        export_check: what `check.json` of its export holds; None without a checked script.
     """
 
     folder: Path
@@ -40,7 +40,7 @@ class FinishedRun(Tabular):
 
     @property
     def name(self) -> str:
-        """Of the study."""
+        """Name of the study."""
         return self.summary["study"]
 
     def _table(self) -> Table:

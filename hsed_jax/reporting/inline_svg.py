@@ -41,7 +41,7 @@ _SHEET = "*{stroke-linejoin:round;stroke-linecap:butt}"
 
 @dataclass(frozen=True)
 class InlineFigure:
-    """A figure ready to stand in a page.
+    """A figure for a page.
 
     Attributes:
         name: of its files.

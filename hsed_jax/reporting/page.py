@@ -23,7 +23,7 @@ GENERATOR = '<meta name="generator" content="hsed_jax">'
 
 
 def number(value: float | None) -> str:
-    """Four digits; a dash where there is no number."""
+    """Four digits; a dash without a number."""
     return f"{value:.4g}" if value is not None and np.isfinite(value) else "–"
 
 

@@ -49,14 +49,14 @@ _STILL = {
     "posterior": ("posterior", "population"),
     "excitation": ("fig3_excitation", "fig4_loops_and_energy"),
 }
-"""Figures of the run folder that stand in the page as they are, by section."""
+"""Figures of the run folder that the page shows unchanged, by section."""
 
 
 def report_page(run: FinishedRun, left_out: LeftOut | None = None) -> str:
     """The page of one run.
 
     Arguments:
-        run: what its folder holds.
+        run: content of its folder.
         left_out: notes the charts and tables that cannot be made; the page lists them among its warnings.
     """
     left_out = left_out or LeftOut()
@@ -318,7 +318,7 @@ def _size(name: str, estimate: dict[str, Any]) -> str:
 
 
 def _references(run: FinishedRun) -> list[tuple[str, str]]:
-    """Of the law, of the effects in the model, of those named and added, and of the design."""
+    """References of the law, of the effects in the model, of those named and added, and of the design."""
     found = [(name.replace("_", " "), text) for name, text in run.summary.get("references", {}).items()]
     if "design" in run.summary:
         found.append(

@@ -63,7 +63,7 @@ _RC = {
 
 
 def in_house_style[**P, R](draw: Callable[P, R]) -> Callable[P, R]:
-    """Run a drawing function under the house style, whatever the user's matplotlib settings, and restore those."""
+    """Run a drawing function under the house style, and restore the user's settings of matplotlib."""
 
     @wraps(draw)
     def styled(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -182,7 +182,7 @@ def whole_numbers(axis: Axis) -> None:
 
 
 def levels(values: np.ma.MaskedArray) -> np.ndarray:
-    """Round contour levels that enclose the values, also where they are all the same or there are none."""
+    """Round contour levels that enclose the values, also for equal or missing values."""
     low, high = (float(values.min()), float(values.max())) if values.count() else (0.0, 1.0)
     if high - low <= 1e-9 * abs(high):
         low, high = low - 0.05 * (abs(low) or 1.0), high + 0.05 * (abs(high) or 1.0)
@@ -220,7 +220,9 @@ def label(name: str, unit: str) -> str:
 
 
 def symbol(name: str) -> str:
-    """The symbol that a parameter declares, in dollars; else a short name as it is set, V_P; else the name as words."""
+    """The symbol that a parameter declares, in dollars; otherwise a short name as a symbol, V_P; otherwise the name as
+    words.
+    """
     owner, own = owner_of(name), own_name(name)
     if owner == OWNER:
         return f"${parameter_of(own).symbol}$"
@@ -242,7 +244,7 @@ def plain(name: str, longest: int = 40) -> str:
 
 
 def unit_text(unit: str) -> str:
-    """A unit as it is set in print: ``m/s^2`` → m/s², no unit → –."""
+    """A unit in print: ``m/s^2`` → m/s², no unit → –."""
     if unit in ("1", "-", ""):
         return "–"
     raised = re.sub(r"\^\(([^)]*)\)|\^(-?\d+)", lambda m: f"$^{{{m[1] or m[2]}}}$", unit)

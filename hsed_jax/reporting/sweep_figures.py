@@ -169,7 +169,7 @@ def _points(ax: Axes, done: pd.DataFrame, key: str, keys: Sequence[str], outcome
 
 
 def _axis(ax: Axes, values: pd.Series, words: str):
-    """Set up the horizontal axis for a key; returns what gives the places of its values, a little beside each other."""
+    """Set up the horizontal axis for a key; returns a function for the positions of its values, with a small offset."""
     ax.set_xlabel(plain(words))
     if not _is_numeric(values):
         known = sorted(values.astype(str).unique())

@@ -125,8 +125,8 @@ class AskTell(Tabular):
 
         Arguments:
             id: of the experiment; an unrequested one needs `inputs` and is welcome.
-            record: a file, or a table of columns, as `experiments` declares channels; by default what lies in the folder.
-            quantities: numbers in their declared units; by default what lies in the folder.
+            record: a file, or a table of columns, as `experiments` declares channels; by default the files in the folder.
+            quantities: numbers in their declared units; by default the files in the folder.
             inputs: as tested, in their declared units, if they differ from the requested ones.
 
         Raises:

@@ -50,7 +50,7 @@ class Asked(NamedTuple):
 
 
 class Conduct:
-    """A design as it is being conducted.
+    """A design in progress.
 
     Arguments:
         built: the study.
@@ -138,8 +138,8 @@ class Conduct:
 
         Arguments:
             id: of the experiment; an unrequested one needs `inputs` and is welcome.
-            measured: what the laboratory hands over.
-            inputs: as tested, in declared units, where they differ from those that were asked.
+            measured: results of the laboratory.
+            inputs: as tested, in declared units, if they differ from the requested ones.
 
         Raises:
             UserError: the experiment is unknown, already completed or abandoned, or the report does not fit the study.
@@ -165,8 +165,8 @@ class Conduct:
             id: of the experiment.
             reason: why.
             abandon: never to be asked again.
-            record: what was measured until then; kept, and not fitted.
-            inputs: as tested, in declared units, where they differ from those that were asked.
+            record: measurements until then; kept, and not fitted.
+            inputs: as tested, in declared units, if they differ from the requested ones.
 
         Raises:
             UserError: the experiment is unknown, or completed or abandoned already.
@@ -231,7 +231,7 @@ class Conduct:
             [np.asarray(p.distribution.sample(k, (_DRAWS,))) for p, k in zip(priors, keys, strict=True)], axis=1
         )
 
-    # What is known of the experiments.
+    # The results of the experiments.
 
     def settling(self, id: str, inputs: Mapping[str, float] | None) -> Point:
         """The point of a reported experiment: as requested, or as tested.

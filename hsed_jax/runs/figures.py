@@ -37,10 +37,10 @@ def draw(
     """Write every figure that has data, as PNG and SVG.
 
     Arguments:
-        outcome: what the run has come to.
-        tables: what was computed for the figures alone.
-        folder: where to.
-        left_out: notes what cannot be drawn.
+        outcome: of the run.
+        tables: data for the figures alone.
+        folder: of the figures.
+        left_out: notes the figures that cannot be drawn.
         report: receives the name of each.
     """
     groups: dict[str, Callable[[], Iterator[Drawing]]] = {

@@ -52,8 +52,8 @@ class RunFolder:
     Arguments:
         path: of the folder.
         study: the study with every default written out.
-        resume: go on with what is there.
-        force: throw away what the run in it left.
+        resume: continue the existing run.
+        force: delete the files of the run in it.
 
     Raises:
         UserError: the folder exists and neither was given, it holds a symbolic link where a run writes, or it belongs to

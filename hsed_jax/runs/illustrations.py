@@ -29,7 +29,7 @@ def illustrations(
 
     Arguments:
         outcome: of the run.
-        left_out: notes what cannot be computed.
+        left_out: notes the tables that cannot be computed.
         report: receives the name of each group before it is made.
     """
     made = {}

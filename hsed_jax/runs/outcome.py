@@ -46,7 +46,7 @@ class Outcome:
         discovery: the learned effect that is not in the catalogue.
         trail, improved, improved_comparison: the fall of the error, the improved model, and how far it is from the
             measurements.
-        scales: characteristic values that amplitudes of effects are relative to; None where there are no effects.
+        scales: characteristic values that amplitudes of effects are relative to; None without effects.
     """
 
     study: str

@@ -24,8 +24,8 @@ class Progress(Watch):
 
     Arguments:
         step: its name.
-        show: on the standard error; where that is no terminal, now and then.
-        store: the run folder; without one nothing is kept.
+        show: on the standard error; if it is not a terminal, from time to time.
+        store: the run folder; without one nothing is stored.
 
     Attributes:
         leading: the best result so far, in the words of `summary.json`.

@@ -128,7 +128,7 @@ def read_designsafe(folder: str | Path) -> Project:
 
 
 def unpack(project: Project, folder: Path) -> Path | None:
-    """Write the campaign of a project as a folder of its own, and its study into it.
+    """Write the campaign of a project as a separate folder, and its study into it.
 
     Returns:
         The study; None where the project has none.

@@ -72,7 +72,7 @@ class Requests:
     """Requests and answers of a design.
 
     Attributes:
-        conduct: the design as it is being conducted.
+        conduct: the design in progress.
     """
 
     conduct: Conduct
@@ -163,8 +163,8 @@ class Requests:
 
         Arguments:
             id: of the experiment.
-            record: a file or a table of columns; None: what lies in the folder.
-            quantities: in declared units; None: what lies in the folder.
+            record: a file or a table of columns; None: the files in the folder.
+            quantities: in declared units; None: the files in the folder.
             inputs: as tested, in declared units; None: as asked.
 
         Raises:

@@ -22,7 +22,7 @@ from hsed_jax.runs.outcome import Outcome
 
 
 def results_tree(outcome: Outcome, illustrations: Mapping[str, xr.Dataset]) -> xr.DataTree:
-    """Collect the results of a run, with what was computed for its figures; groups of steps that did not run are absent."""
+    """Collect the results of a run, with the data of its figures; groups of steps that did not run are absent."""
     groups = dict(illustrations)
     if outcome.fit is not None:
         groups |= draws_of(outcome.fit)

@@ -56,9 +56,9 @@ def run(
     """Run the steps of a study, as the command line does.
 
     Arguments:
-        study: what to run.
+        study: the study to run.
         output: the run folder; by default `runs/<study>`.
-        resume: go on with the run in the folder.
+        resume: continue the run in the folder.
         force: replace the run in the folder.
         progress: show a progress bar.
         figures: draw the figures and write `report.html`; without, a small study takes half the time.
@@ -291,7 +291,7 @@ class Run:
         self.conduct.tell(asked.id, measured)
 
     def _answered(self, requests: Requests, asked: Asked) -> Measured:
-        """What was measured by hand.
+        """The measurements of an experiment that people perform.
 
         Raises:
             Waiting: nothing was, yet.

@@ -1,6 +1,6 @@
 """A study with a called model instead of a spring law: the common mechanics and simulation of such models."""
 
-# A cached property stands for an abstract property here.
+# A cached property implements an abstract property here.
 # pyright: reportIncompatibleMethodOverride=false, reportIncompatibleVariableOverride=false
 
 from abc import abstractmethod
@@ -142,7 +142,7 @@ class CalledSimulation(AbstractSimulation):
 
     @cached_property
     def grid(self) -> Grid | None:
-        """Samples of the measured records, a step for each; None where there are none."""
+        """Samples of the measured records, a step for each; None without them."""
         records = self.experiments.records
         return Grid(max(len(record) for record in records), 1, from_zero=False) if records else None
 

@@ -1,6 +1,6 @@
 """A study with a function or a program as the model: its parameters and its calls."""
 
-# A cached property stands for an abstract property here.
+# A cached property implements an abstract property here.
 # pyright: reportIncompatibleMethodOverride=false, reportIncompatibleVariableOverride=false
 # JAX gives its devices no type, so the functions that make arrays have none.
 # pyright: reportUnknownMemberType=false

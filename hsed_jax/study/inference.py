@@ -54,7 +54,7 @@ class Inference:
         study: of the user.
         experiments: measured or planned.
         mechanics: of the model.
-        observed: what is compared.
+        observed: compared outputs.
         simulation: of the experiments.
     """
 

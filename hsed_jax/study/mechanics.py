@@ -1,6 +1,6 @@
 """The mechanics of a study: specimens with their laws and effects, the structure that they are in, and the parameters of both."""
 
-# A cached property stands for an abstract property here.
+# A cached property implements an abstract property here.
 # pyright: reportIncompatibleMethodOverride=false
 
 from abc import ABC, abstractmethod
@@ -66,7 +66,7 @@ class AbstractMechanics(ABC):
         """The meaning of the names of parameters and effects.
 
         Raises:
-            UserError: the model is a function, and has names of its own.
+            UserError: the model is a function, and has its own names.
         """
 
     @property

@@ -17,8 +17,8 @@ def errors_of(study: Study, outputs: Sequence[str], declared: Mapping[str, Chann
 
     Arguments:
         study: has the errors, or leaves them to the declared noise.
-        outputs: names of what is observed.
-        declared: what campaign or laboratory measures, by name.
+        outputs: names of the observed outputs.
+        declared: measured channels and quantities of the campaign or laboratory, by name.
         pair: that the specimen is measured in.
 
     Raises:

@@ -1,6 +1,6 @@
 """A study with a material of OpenSees as the model, along imposed elongations: its parameters and its simulator."""
 
-# A cached property stands for an abstract property here.
+# A cached property implements an abstract property here.
 # pyright: reportIncompatibleMethodOverride=false, reportIncompatibleVariableOverride=false
 
 from dataclasses import dataclass

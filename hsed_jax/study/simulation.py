@@ -1,6 +1,6 @@
 """The simulation of a study's experiments: their grids of time, the scales of effects, and the computational simulator."""
 
-# A cached property stands for an abstract property here.
+# A cached property implements an abstract property here.
 # pyright: reportIncompatibleMethodOverride=false
 
 import dataclasses
@@ -52,7 +52,7 @@ class AbstractSimulation(ABC):
     @property
     @abstractmethod
     def grid(self) -> Grid | None:
-        """Samples and steps per sample of the measured records; None where there are none."""
+        """Samples and steps per sample of the measured records; None without them."""
 
     @property
     @abstractmethod
@@ -154,7 +154,7 @@ class SpringSimulation(AbstractSimulation):
 
     @cached_property
     def grid(self) -> Grid | None:
-        """Samples and steps per sample of the measured records; None where there are none."""
+        """Samples and steps per sample of the measured records; None without them."""
         return measured_grid(self.experiments, self.mechanics, lambda: self.longest_step)
 
     @cached_property

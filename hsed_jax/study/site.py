@@ -33,7 +33,7 @@ class Site:
         study: of the user.
         experiments: that are planned.
         mechanics: of the model.
-        observed: what is observed.
+        observed: observed outputs.
         simulation: of the model, and of virtual specimens.
         workspace: folder for the folders of experiments; None: a temporary one.
         function: given from Python, for a laboratory that is a function.

@@ -113,7 +113,7 @@ def imposed_timeline(
 
 
 def measured_grid(experiments: Experiments, mechanics: AbstractMechanics, needed: Callable[[], float]) -> Grid | None:
-    """Samples and steps per sample of the measured records; None where there are none.
+    """Samples and steps per sample of the measured records; None without them.
 
     Arguments:
         experiments: of the study.

@@ -29,7 +29,7 @@ class SweepFolder:
     Arguments:
         path: of the folder.
         plan: the studies to run; None to continue the plan in the folder.
-        resume: go on with what is there.
+        resume: continue the existing run.
         force: throw away what the sweep in it left.
 
     Raises:

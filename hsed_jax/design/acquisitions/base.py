@@ -20,10 +20,10 @@ LEAST_SCALE = 1e-60
 
 
 class AbstractAcquisition(eqx.Module):
-    """An acquisition; the first line of a subclass stands in the documentation.
+    """An acquisition; the documentation shows the first line of a subclass.
 
     Attributes:
-        use: what it is for, for the documentation.
+        use: its purpose, for the documentation.
         is_order: whether it only orders the candidates, independently of costs.
         of_rivals: whether a diagnosis computes its utilities; they are then its argument.
     """

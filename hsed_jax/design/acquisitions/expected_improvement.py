@@ -120,8 +120,9 @@ def _log_peak(nu: Float[Array, ""]) -> Float[Array, ""]:
 def _ratio_of_tails(nu: Float[Array, ""]) -> tuple[Float[Array, " q"], Float[Array, ""]]:
     """Coefficients of (1 + s/c)²H(t)/(ψ(t)(1 + t²/ν)) as a polynomial, lowest power first, and the last place v of its domain.
 
-    Of s = t/√(1 + t²/ν), which goes from 0 to √ν, at v = (s − c)/(s + c), −1 to `last`, stretched to −1 to 1; c is `_CENTRE`.
-    The ratio without its factor is ∫ x (1 + (2sx + x²)/ν)^(−(ν + 1)/2) dx over x > 0: smooth in s, and exact to 1e-13 here.
+    The variable is s = t/√(1 + t²/ν), which goes from 0 to √ν, at v = (s − c)/(s + c), −1 to `last`, stretched to −1 to 1; c
+    is `_CENTRE`. The ratio without its factor is ∫ x (1 + (2sx + x²)/ν)^(−(ν + 1)/2) dx over x > 0: smooth in s, and exact to
+    1e-13 here.
     """
     last = (jnp.sqrt(nu) - _CENTRE) / (jnp.sqrt(nu) + _CENTRE)
     v = 0.5 * (_POINTS + 1.0) * (last + 1.0) - 1.0

@@ -12,7 +12,7 @@ class AbstractDiscrepancy(eqx.Module):
     """A model discrepancy, in units of the error.
 
     Attributes:
-        amplitudes: by output; zero where there is no discrepancy.
+        amplitudes: by output; zero without a discrepancy.
     """
 
     amplitudes: eqx.AbstractVar[Float[Array, " G"]]

@@ -56,11 +56,11 @@ class Splitting(eqx.Module):
     Attributes:
         along: the sensitivities of the outputs with a discrepancy, (nJ, p).
         factor: of Jᵀ C₀ J, (p, p).
-        basis: orthonormal, of what J spans, (nJ, p).
+        basis: orthonormal, of the columns of J, (nJ, p).
         across: κ.
         wrong: 1 where a discrepancy is learned, (n, J).
         memory: ρ of the noise of the others, (n, J).
-        worth: root of what their samples count for, (n, J).
+        worth: root of the effective number of their samples, (n, J).
         log_determinant: of C.
     """
 
@@ -87,7 +87,7 @@ class OverCycles(AbstractDiscrepancy):
     """A discrepancy of histories, in units of the error.
 
     Attributes:
-        amplitudes: a_g, the RMS of a_g s ζ over the samples that were fitted; zero where there is no discrepancy, (G,).
+        amplitudes: a_g, the RMS of a_g s ζ over the samples that were fitted; zero without a discrepancy, (G,).
         swings, quality: f and Q.
         spread: β, of the parameters between experiments, along u, (p,).
         reference: amplitude of a cycle, in units of the error, of which s is one, (G,).
@@ -96,7 +96,7 @@ class OverCycles(AbstractDiscrepancy):
         along: J at all samples; zero of an output without a discrepancy, (n, G, m, p).
         used: 1 where there is a measurement, (n, G, m).
         memory: ρ of the noise, (n, G, m).
-        worth: root of what samples count for where no discrepancy is learned, (n, G, m).
+        worth: root of the effective number of samples without a learned discrepancy, (n, G, m).
     """
 
     amplitudes: Float[Array, " G"]
@@ -188,7 +188,7 @@ class Products:
     Attributes:
         factor: of each history.
         whitened: the columns, by that, (n, Gm, k).
-        held: factor of I + GᵀG, G what b adds, whitened, (n, p, p).
+        held: factor of I + GᵀG, with G the whitened contribution of b, (n, p, p).
         across: [z, J]ᵀ C₀⁻¹ [z, J].
         along: factor of Jᵀ C₀ J.
         products: as asked for.
@@ -208,7 +208,7 @@ class Products:
             self.held, jnp.einsum("nkp,nkc->npc", own, self.whitened)
         )
         self.across = jnp.einsum("nkc,nkd->cd", self.whitened, self.whitened) - jnp.einsum("npc,npd->cd", taken, taken)
-        # Of C₀ itself.
+        # Log determinant of C₀ itself.
         spread = jax.vmap(SymmQSM.matmul)(covariance, each[..., 1:]).reshape(n, -1, size)
         gram = jnp.einsum("nkp,nkq->npq", plain[..., 1:], plain[..., 1:])
         inner = jnp.einsum("nkp,nkq->pq", plain[..., 1:], spread)

@@ -89,7 +89,7 @@ class Process(AbstractDiscrepancy):
     """A discrepancy over the inputs, in units of the error.
 
     Attributes:
-        amplitudes: a_j by column; zero where there is no discrepancy, (J,).
+        amplitudes: a_j by column; zero without a discrepancy, (J,).
         lengths: of correlation, in shares of the inputs' distributions, (d,).
         measure: points that the orthogonality is taken over, (M, d).
         across: orthonormal directions there, to which the process is orthogonal, (M, J, r).
@@ -143,7 +143,7 @@ def _conditional(process: Process, points: Float[Array, "m d"]):
 
 
 def _factor(process: Process) -> Float[Array, "N N"]:
-    """Cholesky factor of C = I + K⊥; rows of the identity where nothing was measured."""
+    """Cholesky factor of C = I + K⊥; rows of the identity without a measurement."""
     used = process.used.ravel()
     covariance = used[:, None] * _orthogonal(process, process.at, process.at) * used
     return jnp.linalg.cholesky(covariance + jnp.eye(len(used)))
@@ -190,8 +190,8 @@ def learn(
         data: measured quantities.
         u: unconstrained coordinates of the MAP.
         wrong: by output, whether its discrepancy is learned.
-        support: what it is a function of.
-        previous: where the search starts, too.
+        support: its variables.
+        previous: another start of the search.
     """
     z, along, ok = linearised(posterior, data, u)
     used = ((data.weights > 0) & (ok[:, None] > 0)).astype(float)

@@ -35,9 +35,9 @@ def learned(
         posterior: of the study.
         data: measured outputs.
         u: unconstrained coordinates of the MAP.
-        errors: of the outputs; they say of which it is learned.
-        support: what one of quantities is a function of.
-        previous: where the search starts, too.
+        errors: of the outputs; they state the outputs with a learned discrepancy.
+        support: the variables of a discrepancy of quantities.
+        previous: another start of the search.
     """
     wrong = np.asarray([error.discrepancy for error in errors], dtype=bool)
     if _is_of_histories(posterior):

@@ -69,7 +69,7 @@ def learn(
         data: measured histories.
         u: unconstrained coordinates of the MAP.
         wrong: by output, whether its discrepancy is learned.
-        previous: where the search starts, too.
+        previous: another start of the search.
     """
     outputs, p = len(wrong), u.size
     predicted, sigma, along, ok = map(np.asarray, sensitivities(posterior, data, u))

@@ -8,7 +8,7 @@ from hsed_jax.inference.requested import Requested
 
 
 class AbstractSampler(ABC):
-    """A way to draw from a posterior around one of its modes; the first line of a subclass stands in the documentation.
+    """A method of drawing from a posterior around one of its modes; the documentation shows the first line of a subclass.
 
     Attributes:
         state: the sentence of a report on draws without a warning.  A sampler that leaves the draws to others has none:

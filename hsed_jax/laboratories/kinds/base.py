@@ -65,7 +65,7 @@ class Site(Protocol):
 
     @property
     def sensors(self) -> "Sensors":
-        """What is measured."""
+        """The sensors of the laboratory."""
         ...
 
     @property
@@ -75,7 +75,7 @@ class Site(Protocol):
 
     @property
     def driver(self) -> str:
-        """The channel that measures what drives the experiments."""
+        """The channel that measures the excitation of the experiments."""
         ...
 
     @property
@@ -107,13 +107,13 @@ class Site(Protocol):
 
 
 class AbstractLaboratoryEntry(Section):
-    """The section of a laboratory; the first line of a subclass stands in the documentation.
+    """The section of a laboratory; the documentation shows the first line of a subclass.
 
     A subclass is final, decorated by `register`, and its fields with their docstrings are the settings.
 
     Attributes:
-        performer: who performs the experiments, for a report.
-        use: what it is for, for the documentation.
+        performer: of the experiments, for a report.
+        use: its purpose, for the documentation.
         in_structure: whether it tests a specimen in the structure of the study.
         is_asked: whether people perform the requests of the step `design` so that it cannot perform an initial design by
             itself.
@@ -148,7 +148,7 @@ class AbstractLaboratoryEntry(Section):
 
     @abstractmethod
     def sensors(self, wanted: Wanted) -> "Sensors":
-        """What it measures.
+        """The sensors of the laboratory.
 
         Raises:
             UserError: an unknown channel or unit, or an observed output that is not measured.
@@ -210,7 +210,7 @@ class SimulatedEntry(AbstractLaboratoryEntry):
     `absolute` (SI). Give it if a diagnosis follows."""
 
     def sensors(self, wanted: Wanted) -> "Sensors":
-        """What is observed."""
+        """The observed outputs."""
         return self._measuring(wanted, wanted.channels, wanted.quantities)
 
     def _measuring(self, wanted: Wanted, channels: tuple[str, ...], quantities: tuple[str, ...]) -> "Sensors":

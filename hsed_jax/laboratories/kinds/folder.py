@@ -22,7 +22,7 @@ class FolderEntry(MeasuredEntry):
 
     @property
     def described(self) -> str:
-        """That people perform what is asked."""
+        """True: people perform the requests."""
         return "a laboratory that is asked by hand"
 
     def laboratory(self, site: Site) -> "Laboratory":

@@ -66,7 +66,7 @@ class OpenSeesEntry(SimulatedEntry):
         return self._measuring(wanted, channels, tuple(name for name in wanted.quantities if name in QUANTITIES))
 
     def laboratory(self, site: Site) -> "Laboratory":
-        """OpenSees in a process of its own."""
+        """OpenSees in a separate process."""
         from hsed_jax.laboratories import opensees
         from hsed_jax.laboratories.command import CommandLaboratory
 

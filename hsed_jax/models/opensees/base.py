@@ -1,7 +1,7 @@
 """The base of every material of OpenSees in the table: parameters with units and priors, and the arguments in OpenSees' order.
 
-A material has few free parameters and is symmetric unless its parameter `negative` says otherwise.  A parameter of
-degradation is zero without degradation, and its prior has its maximum there.
+A material has few free parameters and is symmetric unless its parameter `negative` is free.  A parameter of degradation is
+zero without degradation, and its prior has its maximum there.
 
 Priors of parameters with units come from the record: `Scaled` gives the mark of the record in their middle.
 """
@@ -107,7 +107,7 @@ class MaterialParameter:
 
 
 class AbstractMaterial(ABC):
-    """A uniaxial material of OpenSees; the first line of a subclass stands in the documentation.
+    """A uniaxial material of OpenSees; the documentation shows the first line of a subclass.
 
     Attributes:
         name: of OpenSees.

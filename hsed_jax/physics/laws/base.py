@@ -57,7 +57,7 @@ class AbstractSpringLaw(eqx.Module):
     Derivatives pass in forward mode, so both sides of a `jnp.where` must be finite.
 
     Attributes:
-        name: as it stands in studies.
+        name: as in studies.
         title: in a sentence.
         reference: where it comes from.
         slots: the slots of its element, besides `force` and `slack`, which every specimen has; an effect that writes to

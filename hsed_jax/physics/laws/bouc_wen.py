@@ -87,7 +87,7 @@ class BoucWen(AbstractSpringLaw):
         if not is_zero(gamma):
             softening = softening + gamma * rate * _power(magnitude, self.n, 0)
         if not is_zero(sharper := slots("n")):
-            # (|z|/z_u)^δ leaves the strength z_u, or what stands for it, where it is: sharpness alone changes.
+            # (|z|/z_u)^δ does not change the strength z_u or its substitute: only the sharpness changes.
             softening = softening * _power(magnitude / self.yardstick, sharper, 0)
         # h/η first, so that rates with the same η share one division.
         flow = slots("h") / slots("eta") * (slots("a") * self.A * rate - slots("nu") * softening)
