@@ -76,9 +76,9 @@ def command_line() -> argparse.ArgumentParser:
     check.add_argument(
         "--predict",
         action="store_true",
-        help="simulate 64 points of the priors, and say which data the model cannot produce",
+        help="simulate 64 points of the priors, and print the data that the model cannot produce",
     )
-    text = "earlier experiments: say how much they tell about those that the study plans"
+    text = "earlier experiments: print their information about the planned experiments"
     check.add_argument("--worth", metavar="CAMPAIGN", help=text)
     check.set_defaults(command=_check)
     beginning.add_command(commands)

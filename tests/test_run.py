@@ -282,7 +282,7 @@ def test_another_study_is_not_resumed_and_the_key_that_differs_is_named(study, w
 def test_a_folder_that_is_no_run_is_left_alone_even_by_force(study, tmp_path, capsys):
     (tmp_path / "thesis.tex").write_text("ten years of work")
     for flag in ([], ["--resume"], ["--force"]):
-        assert "no run folder" in refusal([study, "--output", tmp_path, *flag], capsys)
+        assert "not a run folder" in refusal([study, "--output", tmp_path, *flag], capsys)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
@@ -290,7 +290,7 @@ def test_a_folder_of_measurements_with_a_study_in_it_is_no_run_and_loses_nothing
     for name in ("campaign.yaml", "experiments.csv", "study.yaml"):
         (tmp_path / name).write_text("measured")
     for flag in ([], ["--resume"], ["--force"]):
-        assert "no run folder" in refusal([study, "--output", tmp_path, *flag], capsys)
+        assert "not a run folder" in refusal([study, "--output", tmp_path, *flag], capsys)
     assert {path.read_text() for path in tmp_path.glob("[ces]*")} == {"measured"}
 
 

@@ -170,7 +170,9 @@ def prior_sentences(inference: Inference, campaign: Campaign) -> list[str]:
         if inside:
             more = f" and {len(inside) - _NAMED} more" if len(inside) > _NAMED else ""
             name = campaign.pair.called(output)
-            said.append(f"{', '.join(inside[:_NAMED])}{more}: the measured {name} lies within what the priors predict")
+            said.append(
+                f"{', '.join(inside[:_NAMED])}{more}: the measured {name} is within the predictions of the priors"
+            )
     if converged < DRAWS:
         said.append(f"{DRAWS - converged} of {DRAWS} simulations at points of the priors diverged in some experiment")
     return said

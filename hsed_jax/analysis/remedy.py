@@ -242,7 +242,7 @@ def improve(
         if again.fit.maximum.log_posterior - around.log_posterior > _APART:
             calibration, before = again, compare(again)
             notes.append(
-                "the calibration of the model as it was had not reached the best fit, so it was repeated from there"
+                "the calibration of the first model had not reached the best fit, so it was repeated from there"
             )
     steps, fit = [step_of([], before, calibration.map)], plain
     for count in range(1, len(effects) + 1):

@@ -95,7 +95,7 @@ def sensitivity(study: Study, samples: int = 1024) -> Sensitivity:
     """
     built = Built(study)
     if built.experiments.excitation is None:
-        raise UserError("excitation: Sobol' indices need what drives the experiments, such as near_fault_pulse")
+        raise UserError("excitation: Sobol' indices need an excitation of the experiments, such as near_fault_pulse")
     inputs, parameters = built.experiments.space.priors, built.mechanics.parameters[0]
     # An input and a parameter may have one name: gamma of the pulse and of the law.
     names = {name: f"{name} (law)" if name in inputs else name for name in parameters}

@@ -53,7 +53,7 @@ class Effects:
         right = pn.Column(self._loops.pane, self._error, self._sliders, self._fit, sizing_mode="stretch_width")
         self._whole = pn.Row(left, right, sizing_mode="stretch_width", visible=False)
         self.view = pn.Column(
-            html("<h2>What would an effect do?</h2>"
+            html("<h2>Influence of an effect</h2>"
                  + note("Tick an effect: it joins the model, and the loop follows its sliders. Nothing is fitted here.")),
             self._messages,
             self._whole,

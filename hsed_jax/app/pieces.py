@@ -70,7 +70,7 @@ def told(messages: pn.pane.HTML) -> Iterator[None]:
     except Exception as defect:
         _LOG.exception("a defect of the page")
         messages.object = error(
-            f"a defect of the page: {type(defect).__name__}: {defect}; what was done is in the folder"
+            f"a defect of the page: {type(defect).__name__}: {defect}; the completed work is in the folder"
         )
 
 

@@ -79,7 +79,7 @@ def text_of_study(
     lines = [
         f"# A study of {' '.join(campaign.name.split())}, written by `hsed init` from the data in {where}.",
         *(f"# {line}" for line in taken),
-        "# Every number below can be changed; the comments say where it comes from.",
+        "# Every number below can be changed; the comments give the sources.",
         f"study: {_text(_name(folder))}",
         "seed: 0",
         "",
@@ -107,7 +107,7 @@ def text_of_study(
         "calibration: {seconds: 10}                  # time limit of NUTS, used where importance sampling is unreliable",
         "steps: [calibrate, compare]                 # a diagnosis needs a spring law (model.spring)"
         if model
-        else "steps: [calibrate, compare, diagnose, improve]   # find the error, where it is, and the missing effect; add it",
+        else "steps: [calibrate, compare, diagnose, improve]   # find the error, its location and the missing effect",
         "",
     ]
     return "\n".join(lines)
@@ -250,9 +250,7 @@ def _guesses(campaign: Campaign, folder: Path, frame: Frame) -> tuple[_Guess, _G
     )
     if found.force > 0 and not frame.masses:
         mass = _Guess(found.force / floors.strength, "largest force over largest accelerations")
-    way = (
-        f"stiffness of storeys whose first frequency is {floors.frequency:.3g} Hz, where the highest floor follows most"
-    )
+    way = f"stiffness of storeys whose first frequency is {floors.frequency:.3g} Hz, that of the largest response at the top"
     return (
         _Guess(mass.value * floors.stiffness, way),
         _Guess(mass.value * floors.strength, "the masses times their largest accelerations"),

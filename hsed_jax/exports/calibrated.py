@@ -112,7 +112,7 @@ def calibrated(source: "str | Path | Calibration | Improvement", *, before: bool
     study = load_study(run.folder / ("improved.yaml" if improved else "study.yaml"))
     if study.code:
         raise UserError(
-            f"{source}: its model is code of its own ({', '.join(study.code)}), which has no counterpart in OpenSees and "
+            f"{source}: its model is the user's code ({', '.join(study.code)}), which has no counterpart in OpenSees and "
             "which an export does not execute; in Python, hx.export(fit) makes the table of a model that you calibrate there"
         )
     built = Built(study, run.campaign)

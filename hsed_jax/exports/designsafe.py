@@ -78,7 +78,7 @@ def write_designsafe(source: str | Path, folder: str | Path, *, hybrid: bool = F
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise UserError(f"{folder} exists and is not empty; choose another folder")
         if is_run and (link := first_link(source, [*_ANALYSIS, "report.html"])) is not None:
-            raise UserError(f"{link} is a symbolic link, whose file may be another one; replace it by what it leads to")
+            raise UserError(f"{link} is a symbolic link, whose file may be another one; replace it by its target")
         write_campaign(campaign, folder / "campaign")
         models = [moved_study(path, folder / "model", "../campaign") for path in _studies(source, is_run)]
         for name in (*_ANALYSIS, "report.html") if is_run else ():

@@ -58,9 +58,7 @@ def command_of(model: Calibrated) -> Command:
     words = mechanics.material.arguments(parameters_of(model))
     # Python uses inf for a far limit; no parameter of a material may be infinite.
     if not all(math.isfinite(word) for word in words if not isinstance(word, str)):
-        raise UserError(
-            f"an argument of {mechanics.material.name} is no finite number; calibrate again, and export that run"
-        )
+        raise UserError(f"an argument of {mechanics.material.name} is not finite; calibrate again, and export that run")
     return Command("uniaxialMaterial", (mechanics.material.name, 1, *words))
 
 

@@ -133,15 +133,15 @@ def caution(
 
 def _leaning_words(found: Sequence[Leaning], units: Mapping[str, str]) -> str:
     what, excluding, them = (
-        ("estimates lean on bounds of their priors that are no physical limits", "these priors exclude", "them")
+        ("estimates are on bounds of their priors that are not physical limits", "these priors exclude", "them")
         if len(found) > 1
-        else ("an estimate leans on a bound of its prior that is no physical limit", "this prior excludes", "it")
+        else ("an estimate is on a bound of its prior that is not a physical limit", "this prior excludes", "it")
     )
     each = ", ".join(
         f"{one.parameter} = {_quantity(one.parameter, one.value, units)} on the {one.side} bound of {_range(one.prior)}"
         for one in found
     )
-    return f"{what}: {each}; the data ask for values that {excluding}: widen {them} and calibrate again before an effect is named"
+    return f"{what}: {each}; {excluding} values that fit the data better: widen {them} and calibrate again before an effect is named"
 
 
 def _quantity(name: str, value: float, units: Mapping[str, str]) -> str:

@@ -128,7 +128,7 @@ def campaign_of(name: str, tables: Mapping[str, Found], choice: Choice) -> Made:
             raise UserError(f"choose the column of the {channel.replace('_', ' ')}")
     if not choice.columns.keys() - {"time", "ground_acceleration"}:
         raise UserError(
-            "choose the column of elongation or force: the ground motion alone says nothing about the specimen"
+            "choose the column of elongation or force: the ground motion alone has no information on the specimen"
         )
     for id, table in tables.items():
         ask_of_faults(f"record {id!r}", table, choice)

@@ -179,7 +179,7 @@ def _settle(channel: str, names: list[str], found: Found, result: Recognised, is
         result.columns[channel] = first
         if alike:
             said = ", ".join(repr(name) for name in alike)
-            result.notes.append(f"{said} holds the same numbers as {first!r}, which is taken for the {channel}")
+            result.notes.append(f"{said} holds the same numbers as {first!r}, which is used as the {channel}")
         return
     result.candidates[channel] = names
 

@@ -58,7 +58,7 @@ def _shared(campaign: Campaign, one: Experiment, other: Experiment, count: int) 
     if shared <= BORDER:
         return  # windows of one record, one after the other
     if one.split != other.split:
-        message = f"{shared} samples of the window are those of {one.id}: fitted samples are no test"
+        message = f"{shared} samples of the window are those of {one.id}: fitted samples cannot test a model"
         yield Finding("doubt", other.id, channel, None, message, "overlap")
     else:
         message = f"{shared} samples are those of {one.id}: is it there twice?"

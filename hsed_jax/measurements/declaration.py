@@ -83,7 +83,7 @@ def read_declaration(path: Path) -> tuple[Campaign, dict[str, str]]:
             source=str(path.parent),
         )
         if not header.channels and not header.quantities:
-            raise UserError("neither channels nor quantities are declared; say what was measured")
+            raise UserError("neither channels nor quantities are declared; declare the measurements")
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
     return header, {name: channel.column or name for name, channel in entry.channels.items()}

@@ -39,5 +39,5 @@ def read_history(path: Path, channel: str) -> tuple[np.ndarray, np.ndarray]:
         columns = read_columns(path, ["time", channel])
     time, values = columns["time"], columns[channel]
     if time.size < 2 or not (np.isfinite(time).all() and np.isfinite(values).all() and np.all(np.diff(time) > 0)):
-        raise UserError(f"{path}: at least two finite numbers at times that grow are wanted")
+        raise UserError(f"{path}: at least two finite numbers at increasing times are required")
     return time, values

@@ -253,7 +253,7 @@ def _apart(sheet: Sheet, parts: Sequence[tuple[int, int]]) -> str:
                 said = (
                     f"row {sheet.numbers[few[0]]}, {where} an empty row, is read as a sample: {_quoted(sheet, few[0])}"
                 )
-                return f"{said}; delete it where it is none"
+                return f"{said}; delete it if it is not a sample"
     return ""
 
 
@@ -294,7 +294,7 @@ def _ask_of_widths(sheet: Sheet, rows: list[int]) -> None:
     if wrong is not None:
         raise UserError(
             f"{sheet.where}, row {sheet.numbers[wrong]}: {len(sheet.rows[wrong])} numbers where other rows have {usual}; blanks "
-            "separate the columns, so that a missing sample needs a mark of its own, such as nan"
+            "separate the columns, so a missing sample needs a mark, such as nan"
         )
 
 

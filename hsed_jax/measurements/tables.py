@@ -69,12 +69,12 @@ class Table:
             return int(column) - 1
         if count > 1:
             raise UserError(
-                f"{self.path}: the header names column {column!r} {count} times; a column has a name of its own"
+                f"{self.path}: the header names column {column!r} {count} times; names of columns must differ"
             )
         found = _named(self.columns)
-        note = "" if self.has_header else " (the file has no header: say the column's position)"
+        note = "" if self.has_header else " (the file has no header: give the position of the column)"
         if self.has_header and column.isdecimal():
-            note = " (the file has a header: say the column's name)"
+            note = " (the file has a header: give the name of the column)"
         blank = "; a header cell is empty (a merged cell?)" if "" in self.columns else ""
         raise UserError(f"{self.path}: column {column!r} is missing; the columns are {found}{note}{blank}")
 
@@ -213,9 +213,7 @@ def read_experiment_table(path: Path) -> Table:
                 f"{path}, row {numbers[0]}: the header of column {i + 1} is empty (a merged cell?); name it"
             )
         if columns.count(column) > 1:
-            raise UserError(
-                f"{path}, row {numbers[0]}: column {column!r} appears twice; a column has a name of its own"
-            )
+            raise UserError(f"{path}, row {numbers[0]}: column {column!r} appears twice; names of columns must differ")
     return Table(path, tuple(columns), [rows[i] for i in filled], [numbers[i] for i in filled], delimiter != ",", True)
 
 

@@ -135,7 +135,7 @@ def key_figures(run: FinishedRun) -> list[dict[str, Any]]:
             probability = by_name[effect]["probability"]
             label = f"probability of {effect.replace('_', ' ')} {AMONG}"
             if right := worth(probability):
-                label += f"; where its formula is not listed, right in about {100 * right:.0f} %"
+                label += f"; if its formula is not listed, right in about {100 * right:.0f} %"
             text = shown(probability, is_named=True)
             found.append({"key": f"probability_{effect}", "label": label, "value": probability, "text": text})
     if "design" in summary:

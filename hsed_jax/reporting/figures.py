@@ -182,7 +182,7 @@ def exploration_order(inputs: npt.ArrayLike, initial: int, bounds: npt.ArrayLike
     if dimension == 1:
         figure, what = _order_along_a_line(inputs[:, 0], initial, bounds[0], axes[0]), "Order of the experiments"
     elif dimension == 2:
-        figure, what = _order_over_a_plane(inputs, initial, bounds, axes), "Order in which regions were explored"
+        figure, what = _order_over_a_plane(inputs, initial, bounds, axes), "Order of the explored regions"
     else:
         figure, what = _order_over_pairs(inputs, initial, bounds, axes), "Order of the experiments, by pairs of inputs"
     return Picture(

@@ -69,7 +69,7 @@ def inline(name: str, text: str) -> InlineFigure:
     try:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
-        raise UserError(f"figures/{name}.svg: this is no drawing ({error})") from None
+        raise UserError(f"figures/{name}.svg: this is not a drawing ({error})") from None
     caption, alt = (root.findtext(f"{_SVG}metadata//{_DUBLIN_CORE}{what}") or "" for what in ("title", "description"))
     for about in ("metadata", "title"):
         for element in root.findall(f"{_SVG}{about}"):
@@ -135,4 +135,4 @@ def _set(about: str, value: str, name: str, mark: str) -> str:
 
 
 def _refused(name: str, what: str) -> UserError:
-    return UserError(f"figures/{name}.svg: it holds more than a drawing ({what}), which a page does not take")
+    return UserError(f"figures/{name}.svg: it contains more than a drawing ({what}), which a page does not accept")

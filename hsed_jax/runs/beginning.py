@@ -171,7 +171,7 @@ def study_of_files(files: Sequence[Path], options: Any, output: str | None, *, r
             _write(folder / "loops.png", picture)
         findings = [*check_campaign(campaign), *made.doubts]
         for id, path in write_pictures(campaign, findings, folder / "figures"):
-            print(f"{id}: the picture {path} marks what is doubted")
+            print(f"{id}: the picture {path} marks the doubtful samples")
     except OSError as error:
         raise UserError(f"{folder}: cannot be written ({error.strerror}); choose another --output") from None
     return study

@@ -77,6 +77,6 @@ def _draw(campaign: Campaign, findings: Sequence[Finding], folder: Path) -> None
     """
     try:
         for id, file in write_pictures(campaign, findings, folder):
-            print(f"{id}: the picture {file} marks what is doubted")
+            print(f"{id}: the picture {file} marks the doubtful samples")
     except UserError as error:
         print(f"warning: {error}", file=sys.stderr)

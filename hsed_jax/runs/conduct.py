@@ -305,7 +305,9 @@ class Conduct:
             try:
                 self._take_up(event, records)
             except (AttributeError, KeyError, TypeError, ValueError, IndexError) as error:
-                raise self.store.damaged(f"line {number} is no whole event ({type(error).__name__}: {error})") from None
+                raise self.store.damaged(
+                    f"line {number} is not a complete event ({type(error).__name__}: {error})"
+                ) from None
         if len(self.campaign):
             write_campaign(self.campaign, self.store.campaign)
 

@@ -68,7 +68,7 @@ class RunFolder:
             # because sweeps have one.
             begun = (self.path / "study.yaml").exists() and (self.path / ".lock").exists()
             if occupied and not (begun or self._journal.exists() or self._provenance.exists()):
-                raise UserError(f"{self.path} exists and is no run folder; choose another --output")
+                raise UserError(f"{self.path} exists and is not a run folder; choose another --output")
             if resume and not self.path.exists():
                 raise UserError(f"{self.path}: there is no run to resume; leave out --resume to start one")
             if occupied and not (resume or force):
@@ -136,7 +136,7 @@ class RunFolder:
     def damaged(self, how: str) -> UserError:
         """Message for an unusable journal, with the remedies."""
         return UserError(
-            f"{self._journal}: {how}; restore it from a copy, or begin another run and let it take the experiments: "
+            f"{self._journal}: {how}; restore it from a copy, or begin another run and add the experiments: "
             f"hsed tell STUDY.yaml --output DIR --campaign {self.campaign}"
         )
 
@@ -268,7 +268,7 @@ def write_page(page: str, path: str | Path) -> None:
     if path.exists() and (
         not path.is_file() or GENERATOR not in path.read_text(encoding="utf-8", errors="replace")[:2000]
     ):
-        raise UserError(f"{path} exists and is no report; choose another --output")
+        raise UserError(f"{path} exists and is not a report; choose another --output")
     try:
         write_whole(path, page)
     except OSError as error:

@@ -112,7 +112,7 @@ def read_designsafe(folder: str | Path) -> Project:
     folder = Path(folder)
     path = folder / METADATA
     if not is_project(folder):
-        raise UserError(f"{folder} is no project of DesignSafe: {METADATA} is missing")
+        raise UserError(f"{folder} is not a project of DesignSafe: {METADATA} is missing")
     tree = mapping(path, "name", "value", "children")
     kind = KINDS.get(str(tree["value"].get("projectType")) if isinstance(tree["value"], dict) else "")
     if kind is None:
@@ -120,7 +120,7 @@ def read_designsafe(folder: str | Path) -> Project:
     declaration = _file(folder, tree, kind.levels[kind.sensors].name, "campaign.yaml")
     if declaration is None:
         raise UserError(
-            f"{path}: no {kind.levels[kind.sensors].name} has a file campaign.yaml, which says what the channels are; give the "
+            f"{path}: no {kind.levels[kind.sensors].name} has a file campaign.yaml, which declares the channels; give the "
             "files of the records themselves: hsed init FILE"
         )
     study = _file(folder, tree, kind.levels[kind.model].name, "study.yaml")

@@ -92,7 +92,7 @@ def read_provenance(path: Path) -> Provenance:
         return Provenance.model_validate_json(path.read_bytes())
     except (OSError, ValueError):
         raise UserError(
-            f"{path}: it is damaged; delete it, and say --resume to go on without its record of earlier sessions"
+            f"{path}: it is damaged; delete it, and say --resume to continue without its record of earlier sessions"
         ) from None
 
 

@@ -39,7 +39,9 @@ def read_run(path: str | Path, known: "xr.DataTree | None" = None) -> "FinishedR
 
     folder = Path(path)
     if not (folder / "study.yaml").is_file():
-        raise UserError(f"{folder} is no run folder; a run is made by: hsed run STUDY.yaml --output {folder}")
+        raise UserError(
+            f"{folder} is not a run folder; this command makes a run: hsed run STUDY.yaml --output {folder}"
+        )
     if not (folder / "summary.json").is_file():
         raise UserError(
             f"{folder}: the run has no results yet; go on with it: hsed run STUDY.yaml --output {folder} --resume"
@@ -72,7 +74,7 @@ def holding(path: str | Path) -> Iterator[None]:
     except Exception as error:  # a number instead of a list can cause any exception
         said = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise UserError(
-            f"{path}: its files do not hold what this version of a run writes ({said}); restore summary.json and results.nc from "
+            f"{path}: its files are not those of this version of a run ({said}); restore summary.json and results.nc from "
             "a copy, or make them again: hsed run STUDY.yaml --resume"
         ) from error
 
@@ -96,7 +98,7 @@ def _tree(results: Path) -> "xr.DataTree":
         return xr.load_datatree(results, engine="h5netcdf")
     except Exception as error:  # HDF5 and its readers raise any exception on damaged bytes
         said = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-        raise UserError(f"{results}: this is no file of results ({said}); restore it from a copy") from None
+        raise UserError(f"{results}: this is not a file of results ({said}); restore it from a copy") from None
 
 
 def _text(path: Path) -> str:
@@ -119,6 +121,6 @@ def mapping(path: Path, *keys: str) -> dict[str, Any]:
         content = None
     if not isinstance(content, dict) or any(key not in content for key in keys):
         raise UserError(
-            f"{path}: it is damaged: a mapping of {', '.join(keys) or 'keys'} is wanted; restore it from a copy"
+            f"{path}: it is damaged: it must be a mapping of {', '.join(keys) or 'keys'}; restore it from a copy"
         )
     return content

@@ -192,7 +192,7 @@ class Requests:
 
     def _left(self, id: str, names: tuple[str, ...]) -> Path:
         if id not in self.conduct.campaign:
-            raise UserError(f"experiment {id!r} was not asked; give what was measured and its inputs")
+            raise UserError(f"experiment {id!r} was not requested; give its measurements and its inputs")
         return left(self.folder(id), names)
 
     def record(

@@ -64,7 +64,9 @@ class Built:
     def __post_init__(self):
         # In a notebook no earlier code checks the type.
         if not isinstance(self.study, Study):  # pyright: ignore[reportUnnecessaryIsInstance]
-            raise UserError(f"study: {self.study!r} is no study; hx.load_study('study.yaml') reads one from its file")
+            raise UserError(
+                f"study: {self.study!r} is not a study; hx.load_study('study.yaml') reads one from its file"
+            )
         prepare()
 
     @cached_property

@@ -97,7 +97,7 @@ def _check(where: str, known: Setting, value: float | str, inputs: Mapping[str, 
         return
     if value not in inputs:
         known_inputs = ", ".join(inputs) or "none"
-        raise UserError(f"{where}: it refers to {value!r}, which is no input; inputs are {known_inputs}")
+        raise UserError(f"{where}: it refers to {value!r}, which is not an input; inputs are {known_inputs}")
     if known.unit != "1":
         at(f"inputs.{value}.unit", parse_unit, inputs[value].unit, dimension_of(known.unit))
     if known.is_positive:

@@ -126,7 +126,7 @@ class FunctionSimulation(CalledSimulation):
                 return model(function, tuple(called(where, jax.jit(traced), middle, told, wanted)))
             if kind == "jax":
                 raise UserError(
-                    f"{where}: JAX cannot trace it ({fault}); leave model.derivatives out, or say differences"
+                    f"{where}: JAX cannot trace it ({fault}); leave model.derivatives out, or use differences"
                 )
         plain = unpadded({name: np.asarray(value) if np.ndim(value) else float(value) for name, value in told.items()})
         outputs = tuple(called(where, function, {**middle, **fixed}, plain, wanted))
@@ -158,9 +158,7 @@ class FunctionSimulation(CalledSimulation):
         measured = self.experiments.measured
         inputs = [*self.study.inputs, *(() if measured is None else measured.inputs)]
         if taken := [name for name in inputs if is_told(name)]:
-            raise UserError(
-                f"inputs.{taken[0]}: a function is told a history of this name; give the input another name"
-            )
+            raise UserError(f"inputs.{taken[0]}: a function gets a history of this name; give the input another name")
 
 
 def _entry_of(study: Study) -> FunctionEntry:

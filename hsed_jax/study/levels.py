@@ -89,7 +89,7 @@ def _varying(
     possible: Callable[[], Mapping[str, Range]],
 ) -> Varying:
     if name not in free:
-        raise UserError(f"{where}: {shown(name)} is no parameter that is calibrated; those are {', '.join(free)}")
+        raise UserError(f"{where}: {shown(name)} is not a calibrated parameter; those are {', '.join(free)}")
     prior = free[name]
     is_log = prior.bounds[0] is not None and prior.bounds[0] >= 0
     if entry:

@@ -61,7 +61,7 @@ class Observed:
         self._check(names)
         if not names:
             raise UserError(
-                "observe: there is no measured channel to compare with; the campaign has only what was imposed"
+                "observe: there is no measured channel to compare with; the campaign has only imposed channels"
             )
         return names
 

@@ -88,7 +88,7 @@ class OpenSeesMechanics(CalledMechanics):
         prior = known.prior_of(NOTHING if measured is None else marks_of(measured))
         if prior is None:
             raise UserError(
-                f"{where}: neither the table nor a record of the training experiments tells a prior; give one, such as "
+                f"{where}: neither the table nor a record of the training experiments determines a prior; give one, such as "
                 "{uniform: [2.0e5, 9.0e5]}"
             )
         return prior

@@ -67,7 +67,9 @@ class Site:
             UserError: the study has no laboratory, or the laboratory cannot be made.
         """
         if (entry := self.study.experiments.laboratory) is None:
-            raise UserError("experiments: the step design needs a laboratory, such as virtual, to perform what it asks")
+            raise UserError(
+                "experiments: the step design needs a laboratory, such as virtual, to perform the requested experiments"
+            )
         return entry.laboratory(self)
 
     @property

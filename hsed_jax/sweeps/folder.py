@@ -46,14 +46,14 @@ class SweepFolder:
             )
             # A sweep.yaml alone may be the user's own, of --grid.
             if occupied and not (self.path / "outcomes").is_dir():
-                raise UserError(f"{path} exists and is no folder of a sweep; choose another --output")
+                raise UserError(f"{path} exists and is not a folder of a sweep; choose another --output")
             if occupied and not (resume or force):
                 raise UserError(f"{path} holds a sweep already; say --resume to go on with it or --force to replace it")
             if resume and not written.is_file():
                 raise UserError(f"{path}: there is no sweep to resume; leave out --resume to start one")
             self.path.mkdir(parents=True, exist_ok=True)
             if (link := first_link(self.path, [".lock", *_OF_A_SWEEP])) is not None:
-                raise UserError(f"{link} is a symbolic link, and what the sweep writes would go elsewhere; remove it")
+                raise UserError(f"{link} is a symbolic link, which redirects the files of the sweep; remove it")
             self._lock = extend(self.path / ".lock")
         except OSError as error:
             raise UserError(f"{path} cannot be written to ({error.strerror}); choose another --output") from None

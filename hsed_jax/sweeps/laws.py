@@ -74,7 +74,7 @@ class Laws(Tabular):
             notes.append(f"the noise alone would leave {self.noise_floor:.3f} of what was held out")
         told = "nothing was held out, so no law is ranked by its prediction; give experiments of the split test"
         if (best := self.best) is not None:
-            told = f"{best.name} predicts best what was not fitted: its error is {best.error_test:.3f}"
+            told = f"{best.name} predicts the held-out data best: its error is {best.error_test:.3f}"
         heads = ("law", "free", "error train", "error test", "coverage of 90 %")
         return Table(f"{self.study}: {told}", heads, rows, notes)
 

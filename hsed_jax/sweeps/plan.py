@@ -151,7 +151,7 @@ def _sampled(ranges: Mapping[str, Range], samples: int | None, seed: int) -> lis
     if not ranges:
         raise UserError("samples need at least one range to be drawn from, such as --range error.relative=0.01,0.1")
     if samples is None or samples < 1:
-        raise UserError("ranges are sampled; say how many samples to draw, such as --samples 20")
+        raise UserError("ranges are sampled; give the number of samples, such as --samples 20")
     check_memory(f"samples: {samples}", samples * _POINT)
     columns = []
     cube = qmc.LatinHypercube(len(ranges), rng=seed).random(samples)

@@ -27,4 +27,4 @@ class MaxVariance(AbstractAcquisition):
     def lesson(value: float, discrepancies: Sequence[float | None]) -> str:
         """The place where the variance is largest."""
         del value, discrepancies
-        return "the error of the model where it is known least"
+        return "the error of the model where it is most uncertain"
