@@ -63,7 +63,7 @@ def test_what_leans_is_said_with_its_unit_and_what_to_do():
     assert said == (
         "estimates are on bounds of their priors that are not physical limits: "
         "A = 2e+05 N/m on the lower bound of 2e+05 to 9e+05, beta = 2 1/m on the upper bound of 0.5 to 2; "
-        "these priors exclude values that fit the data better: widen them and calibrate again "
+        "these priors exclude values that fit better: widen them and calibrate again "
         "before an effect is named"
     )
     assert json.dumps([one.summary() for one in found], allow_nan=False)

@@ -141,7 +141,7 @@ def _leaning_words(found: Sequence[Leaning], units: Mapping[str, str]) -> str:
         f"{one.parameter} = {_quantity(one.parameter, one.value, units)} on the {one.side} bound of {_range(one.prior)}"
         for one in found
     )
-    return f"{what}: {each}; {excluding} values that fit the data better: widen {them} and calibrate again before an effect is named"
+    return f"{what}: {each}; {excluding} values that fit better: widen {them} and calibrate again before an effect is named"
 
 
 def _quantity(name: str, value: float, units: Mapping[str, str]) -> str:
