@@ -2,7 +2,7 @@
 
     python docs/effects.py
 
-Everything in it is read from the effects themselves; `--text` leaves the figures as they are.
+The content comes from the effects themselves; `--text` leaves the figures unchanged.
 """
 
 import argparse
@@ -44,7 +44,7 @@ A, BETA = 2.0e6, 40.0  # N/m, 1/m: a strength of 50 kN, reached around 25 mm
 AMPLITUDES, PERIOD, STEP = (0.02, 0.04, 0.06), 1.0, 0.005  # m, s, s
 # The size that is shown: this quantile of the prior of the first parameter.
 SIZE = 0.9
-# … or these, where that would show little here, or too much.
+# … or these, if that quantile would show too little or too much.
 SHOWN: dict[str, dict[str, float]] = {
     "slip": {"delta": 0.4},
     "fracture": {"delta": 0.7, "life": 5.0},
@@ -306,7 +306,7 @@ def _physical(known: Parameter, form: PhysicalForm) -> str:
 
 
 def medium(name: str) -> dict[str, float]:
-    """The size at which an effect is shown, by parameter."""
+    """The shown size of an effect, by parameter."""
     if name in SHOWN:
         return SHOWN[name]
     first = next(iter(parameters_of(EFFECTS[name]).values()))
