@@ -356,7 +356,7 @@ def test_a_page_takes_no_script_and_no_address_from_somebodys_figure(inside):
     drawing = '<svg xmlns="http://www.w3.org/2000/svg">{}<path d="M 0 0"/></svg>'
     assert "<path" in inline("fine", drawing.format("<?x > <script>alert(1)</script> ?><!-- <script> -->")).svg
     assert "script" not in inline("fine", drawing.format("<?x > <script>alert(1)</script> ?><!-- <script> -->")).svg
-    with pytest.raises(UserError, match=r"figures/worst\.svg: (it holds more than|this is no) "):
+    with pytest.raises(UserError, match=r"figures/worst\.svg: (it contains more than|this is not a) "):
         inline("worst", drawing.format(inside))
 
 
@@ -576,7 +576,7 @@ def test_the_page_of_two_runs_draws_its_charts(opened, page_file, tmp_path):
     ("error", "said"),
     [
         (None, "error: the noise that the campaign declares, otherwise an inferred noise."),
-        ({"inflate": True}, "inferred where it declares none, and the residual beyond it."),
+        ({"inflate": True}, "otherwise an inferred noise, and the residual beyond it."),
         ({"relative": 0.05, "correlated": False}, "error: 5 % of the RMS of each history."),
         (
             {"relative": 0.05, "discrepancy": True},

@@ -445,7 +445,7 @@ def test_an_event_that_lacks_a_key_is_one_clear_message(built, tmp_path, event, 
     store = RunFolder(tmp_path / "run", built.study.written())
     store.record("asked", **ASKED)
     store.record(event, **content)
-    with pytest.raises(UserError, match=r"journal\.jsonl: line 2 is no whole event"):
+    with pytest.raises(UserError, match=r"journal\.jsonl: line 2 is not a complete event"):
         Conduct(built, store)
     store.close()
 

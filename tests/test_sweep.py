@@ -161,7 +161,7 @@ MISTAKES = {
     "set for all": (["seed=3", "--set", "seed=1,2"], "seed: this key is both set for all studies and swept"),
     "a part": (["--set", "error={relative: 0.1}", "--set", "error.relative=0.2"], "error.relative: this key is a part"),
     "same point": (["--set", "seed=1,2,1"], "points 1 and 3 are the same: seed = 1"),
-    "no value": (["--set", "seed"], "--set seed: a key and its values are wanted"),
+    "no value": (["--set", "seed"], "--set seed: give a key and its values"),
     "name": (["--set", "study=a,b"], "the name of a study cannot be swept"),
     "no samples": (["--range", "error.relative=0.1,0.2"], "give the number of samples"),
     "no range": (["--samples", "3"], "samples need at least one range"),
