@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run_main(arguments: Sequence[str] | None = None) -> int:
-    """`python -m hsed_jax.run`: what `hsed run` does."""
+    """`python -m hsed_jax.run`: the same as `hsed run`."""
 
     def parser() -> argparse.ArgumentParser:
         from hsed_jax.runs.beginning import ParserOfFiles

@@ -25,7 +25,7 @@ _is_answered = False
 
 
 class Interrupted(Exception):
-    """A command stopped part-way and can be resumed; the message says where."""
+    """An incomplete command that can be resumed; the message has its position."""
 
 
 def is_interruption(error: BaseException | None) -> bool:
@@ -124,7 +124,7 @@ def answered_by(stop: Callable[[], str]) -> Iterator[None]:
         stop: stores the results and returns the position of the stop; called on another thread if the main one is busy.
 
     Raises:
-        Interrupted: it was interrupted; the message is what `stop` said.
+        Interrupted: it was interrupted; with the message of `stop`.
     """
     global _stop, _is_answered
     _stop, _is_answered = stop, False

@@ -106,7 +106,7 @@ class Program[**P, R]:
         return self._traced.lower(*args, **kwargs)
 
     def _kept(self, key: Any) -> Any:
-        """The program of this key, or the mark that there is none."""
+        """The program of this key, or a mark for a missing program."""
         with self._ordering:
             made = self._made.pop(key, _MISSING)
             return made if made is _MISSING else self._made.setdefault(key, made)

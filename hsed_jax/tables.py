@@ -17,8 +17,8 @@ class Table:
     """The displayed text of an object.
 
     Attributes:
-        sentence: what matters, before the table.
-        heads: of the columns; none where the first column says what the others are.
+        sentence: main result, before the table.
+        heads: of the columns; empty if the first column names the contents of the others.
         rows: cells, all rows of one length.
         notes: sentences after the table.
     """

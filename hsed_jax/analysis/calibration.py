@@ -165,7 +165,7 @@ def calibrate_built(
     watch: Watch | None = None,
     settings: Settings | None = None,
 ) -> Calibration:
-    """`calibrate`, with what is built already.
+    """`calibrate`, with the built study.
 
     Arguments:
         built: the study.

@@ -19,8 +19,8 @@ def effects(study: Study | None = None) -> "pd.DataFrame":
         study: a study with its own effects, which are then in the table, too.
 
     Returns:
-        By name: the `family`, what the effect does (`meaning`), the names of its `parameters` and the labels of its `forms`, each
-        joined by commas, and its `reference`.
+        By name: the `family`, the action of the effect (`meaning`), the names of its `parameters` and the labels of its
+        `forms`, each joined by commas, and its `reference`.
 
     Example:
         >>> hx.effects().loc["slip", "family"]

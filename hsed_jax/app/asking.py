@@ -18,7 +18,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.plain import parse_yaml
 
 _LOOK = 0.3
-# How `hsed ask` ends what it says of an experiment.
+# How `hsed ask` ends what it prints about an experiment.
 _THEN = re.compile(r"then: hsed tell \S+ '?([^']+)'?$")
 _NO_DESIGN = (
     "There is no design among the steps of this study, which are {}. A design needs inputs with their ranges, an excitation that "

@@ -64,7 +64,7 @@ class _NoIcon(RequestHandler):
 
 
 def serve(root: Path, port: int, opens: bool) -> int:
-    """Serve the page until Ctrl-C or a termination, and say where it is.
+    """Serve the page until Ctrl-C or a termination, and print its address.
 
     Arguments:
         root: the folder that it may read and write.

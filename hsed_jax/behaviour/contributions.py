@@ -37,7 +37,7 @@ class Curve(NamedTuple):
 
 
 class Contribution(NamedTuple):
-    """What an effect does.
+    """The influence of an effect.
 
     Attributes:
         size: root mean square of ΔF over that of the force.
@@ -67,7 +67,7 @@ class Contribution(NamedTuple):
 def contribution(
     histories: Histories, force: Float[np.ndarray, "2 B samples"], probed: tuple[Probed, Probed], rate: float
 ) -> Contribution:
-    """What an effect does.
+    """The influence of an effect.
 
     Arguments:
         histories: the imposed ones.

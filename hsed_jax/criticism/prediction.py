@@ -157,7 +157,7 @@ class Prediction:
         return np.where(self.used & np.pad(self.used[:, :-1], ((0, 0), (1, 0))), gaps, np.inf)
 
     def columns(self, output: str) -> np.ndarray:
-        """Which columns belong to an output, (J,) bool."""
+        """The columns of an output, (J,) bool."""
         return self.groups == self.outputs.index(output)
 
     def histories(self, row: int, output: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

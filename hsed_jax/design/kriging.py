@@ -60,10 +60,10 @@ def trend_functions(x: Float[Array, "M d"], trend: TrendName) -> Float[Array, "M
 class Kriging(eqx.Module):
     """A fitted universal Kriging model: all that `predict` and a report need.
 
-    Shapes: N rows of (padded) training data, d inputs, p trend functions.  Inputs live in the unit cube, `lengths` are
-    in its units; `process_variance` (σ², Eq. 9) and `trend_coefficients` (β, Eq. 8) are in the response's units.
-    `nugget` is relative to σ².  `log_posterior` is that of lengths and nugget (of their logarithms), what `fit_kriging`
-    maximises: restricted likelihood times prior, without constants that depend on the inputs alone.
+    Shapes: N rows of (padded) training data, d inputs, p trend functions.  Inputs live in the unit cube, `lengths` are in its
+    units; `process_variance` (σ², Eq. 9) and `trend_coefficients` (β, Eq. 8) are in the response's units. `nugget` is
+    relative to σ².  `log_posterior` is that of lengths and nugget (of their logarithms), the objective of `fit_kriging`:
+    restricted likelihood times prior, without constants that depend on the inputs alone.
     """
 
     lengths: Float[Array, " d"]
@@ -85,9 +85,9 @@ class Kriging(eqx.Module):
     def predict(self, x: Float[Array, "M d"]) -> tuple[Float[Array, " M"], Float[Array, " M"]]:
         """Mean (Eq. 10) and variance (Eq. 11) of the response at new points, in chunks of bounded memory.
 
-        The variance is that of the underlying response, without the nugget's scatter, and includes the uncertainty of
-        the trend, σ²uᵀ(FᵀR⁻¹F)⁻¹u.  σ² is estimated and not known, so the prediction is a Student t of N − p degrees of
-        freedom and its variance N/(N − p − 2) times that of Eq. 11 (N/1 where there are so few that it has none).
+        The variance is that of the underlying response, without the nugget's scatter, and includes the uncertainty of the
+        trend, σ²uᵀ(FᵀR⁻¹F)⁻¹u.  σ² is estimated and not known, so the prediction is a Student t of N − p degrees of freedom
+        and its variance N/(N − p − 2) times that of Eq. 11 (N/1 if N − p − 2 is not positive).
 
         **Arguments:** `x`: points in the unit cube, (M, d).
 

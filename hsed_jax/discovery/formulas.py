@@ -78,7 +78,7 @@ def formulas(
         place: of the function.
         reaches: of its coordinates, dimensionless.
         curve: its coefficients.
-        strength: G, what they are held by.
+        strength: G, their information matrix.
         count: how many.
     """
     grids = [_Grid(reach, of) for reach, of in zip(reaches, place.of, strict=True)]

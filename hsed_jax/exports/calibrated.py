@@ -91,7 +91,7 @@ def calibrated(source: "str | Path | Calibration | Improvement", *, before: bool
     """The model to export.
 
     Arguments:
-        source: a run folder, or what `hx.calibrate` or `hx.improve` returns.
+        source: a run folder, or a result of `hx.calibrate` or `hx.improve`.
         before: export the first model of an improved run, or of an improvement.
 
     Raises:

@@ -174,7 +174,7 @@ def size_p_value(standardised: np.ndarray, used: np.ndarray, memory: np.ndarray,
         standardised: residuals in units of the declared noise, (n, J).
         used: where there is a measurement to judge, (n, J) bool.
         memory: ρ, (n, J).
-        noises: by output, what is judged.
+        noises: by output.
         groups: output of each column, (J,).
         parameters: how many were fitted.
     """

@@ -151,7 +151,7 @@ class Fit(Tabular):
         return tuple(np.asarray(one) for one in found)
 
     def levels(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """The varying parameters: by level and parameter the `mean` (the centre of the population) and `spread` (of a
+        """The varying parameters: by level and parameter the `mean` (the centre of the population) and `spread` (for a
         positive parameter that of its logarithm), its value `of` each member, and that of an `untested` one; as `summary` has
         them, SI."""
         known, found = self.summary(), {}

@@ -7,10 +7,10 @@ are used, weighted by the mixture of the proposals,
 
 $$w_s = \frac{p(x_s)}{\sum_r n_r\,t_r(x_s) / \sum_r n_r},$$
 
-so a proposal may miss a part that another one covers.  Three checks show whether the draws are sufficient: the Pareto shape of
-the weights (below 0.7), the effective number of draws, and a search outside the sampled region, about which weights say
-nothing.  The search makes Metropolis steps from the draws, some of them long, and counts accepted steps that end where the
-proposals have hardly any density.
+so a proposal may miss a part that another one covers.  Three checks show whether the draws are sufficient: the Pareto shape
+of the weights (below 0.7), the effective number of draws, and a search outside the sampled region, about which weights have
+no information.  The search makes Metropolis steps from the draws, some of them long, and counts accepted steps that end where
+the proposals have hardly any density.
 
 Source: Geweke 1989; Cornuet, Marin, Mira & Robert 2012 (adaptive multiple importance sampling); Vehtari, Simpson, Gelman, Yao &
 Gabry 2024 (Pareto smoothed importance sampling).

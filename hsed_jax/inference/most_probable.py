@@ -31,7 +31,7 @@ _ROUNDS, _SETTLED = 3, 0.02
 def read_back(
     posterior: Posterior, data: Data, kept: Sequence[np.ndarray], errors: Sequence[Error]
 ) -> tuple[Posterior, Data, Maximum, "AbstractDiscrepancy | None"]:
-    """What `most_probable` found, from the arrays that were kept of it."""
+    """The result of `most_probable`, from its stored arrays."""
     size = len(arrays_of(posterior.population))
     declared, rest = kept[0], kept[1 + size :]
     posterior = posterior.inflated(declared / np.asarray(posterior.declared))

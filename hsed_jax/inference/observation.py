@@ -221,7 +221,7 @@ def assemble(
         size: number of rows to pad to; by default as many as there are experiments.
 
     Raises:
-        UserError: there is nothing to fit, an experiment lacks what its excitation needs, or a relative error is one of zero.
+        UserError: there is nothing to fit, an experiment lacks data of its excitation, or an error is relative to zero.
     """
     if not experiments:
         raise UserError(f"the campaign {campaign.name!r} has no completed experiment to use here")

@@ -29,8 +29,9 @@ class Predictor(eqx.Module):
     """One experiment's response turned into the predictions of all, differentiable once.
 
     Arguments:
-        respond: from parameters (p,) and the conditions of one experiment to its outputs (J,) and whether it converged.  Where
-            it is an `eqx.Module`, its arrays are operands of the compiled programs, which all equal ones share.
+        respond: from parameters (p,) and the conditions of one experiment to its outputs (J,) and whether it converged.
+            Where it is an `eqx.Module`, its arrays are operands of the compiled programs, and equal objects share these
+            programs.
     """
 
     respond: Respond

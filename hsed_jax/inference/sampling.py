@@ -41,7 +41,7 @@ def draw(
         key: of the random numbers.
         settings: sizes, and by which sampler.
         watch: follows NUTS.
-        seconds: budget of NUTS; `doubt` says what it left undone.
+        seconds: budget of NUTS; `doubt` lists the omitted steps.
     """
     asked = Requested(posterior, data, maximum, step_size, key, settings, watch or Watch(), seconds)
     if not maximum.others:

@@ -33,7 +33,7 @@ class Choice:
         turned: channels whose sign is turned.
         tests: records that are never fitted.
         held_out: share of every other record, its end, that is not fitted, either.
-        missing: numbers that say that a sample is missing; `None` if the user has not stated whether they exist.
+        missing: numbers that mark a missing sample; `None` if the user has not stated whether they exist.
         drops_missing: whether samples that lack a channel inside the record are left out.
     """
 

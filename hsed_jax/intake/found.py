@@ -15,7 +15,7 @@ class Found:
         faults: reasons why a column is not one of them, by name.
         names: of all, in the file's order.
         units: of each, as the file writes it; absent where it writes none.
-        notes: what was left out of the file, and what was decided in reading it.
+        notes: omissions and decisions of the reading.
         rows: of each sample, the row of the file (n,); without, samples are counted from 1.
         is_named: whether the file names its columns; otherwise their names are positions.
     """

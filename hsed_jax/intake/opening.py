@@ -25,7 +25,7 @@ class Opened(NamedTuple):
 
     Attributes:
         tables: by the name of a sheet; of a file that has none, by an empty name.
-        notes: what of the file was left out.
+        notes: omitted parts of the file.
     """
 
     tables: dict[str, Found]
@@ -78,7 +78,7 @@ class Gathered(NamedTuple):
 
     Attributes:
         records: every table, by the name of a record; files of one column each are one record.
-        notes: what of these files was left out.
+        notes: omitted parts of these files.
         refused: faults of files that cannot be read.
     """
 

@@ -43,7 +43,7 @@ MATERIALS: dict[str, dict[str, float | None]] = {
 }  # fmt: skip
 _WHOLE = ("maxIter",)
 QUANTITIES = ("peak_force", "peak_elongation", "dissipated_energy")
-"""What `opensees_model.py` computes from all its steps, which are finer than its record."""
+"""Quantities that `opensees_model.py` computes from all its steps, which are finer than its record."""
 
 STEPS_PER_STEP = 50
 """Steps of OpenSees to one of the study's integration, some 1200 to the shortest period.
@@ -148,7 +148,7 @@ def own_material(file: Path, parameters: Mapping[str, float]) -> dict[str, Any]:
 
 
 def model(structure: Structure, material: Mapping[str, Any], step: float) -> dict[str, Any]:
-    """What `opensees_model.py` needs to know, ready for JSON.
+    """The input of `opensees_model.py`, for JSON.
 
     Springs and the damping matrix become links between two points (0 is the ground, masses count from 1), each with a
     stiffness and a damping constant: C = Σ c (e_i − e_j)(e_i − e_j)ᵀ holds for any symmetric C, with negative c, too.

@@ -32,7 +32,7 @@ def run_program(words: Sequence[str], folder: Path, timeout: float) -> None:
     """
     command = [sys.executable, "-I", "-S", str(Path(lifeline.__file__).resolve()), *words]
     with create(folder / STDOUT) as out, create(folder / STDERR) as err:
-        # A session of its own: Ctrl-C at the terminal is ours to handle.
+        # A separate session: Ctrl-C at the terminal is ours to handle.
         process = subprocess.Popen(
             command, cwd=folder, stdin=subprocess.PIPE, stdout=out, stderr=err, start_new_session=True
         )

@@ -143,7 +143,7 @@ class Campaign(Header, Tabular):
         return replace(self, experiments=(*self.experiments, experiment))
 
     def update(self, experiment: Experiment) -> "Campaign":
-        """Return the campaign with the experiment of the same id replaced, say a pending one by its outcome."""
+        """Return the campaign with the experiment of the same id replaced, for example a pending one by its outcome."""
         self[experiment.id]
         return replace(self, experiments=tuple(experiment if e.id == experiment.id else e for e in self))
 
@@ -189,7 +189,7 @@ class Campaign(Header, Tabular):
 
     @classmethod
     def from_xarray(cls, tree: "xr.DataTree") -> "Campaign":
-        """Rebuild a campaign from what `to_xarray` gave.
+        """Rebuild a campaign from the tree of `to_xarray`.
 
         Raises:
             UserError: The tree was not made by `to_xarray`.

@@ -41,10 +41,10 @@ wrong unit would multiply both.
 PLATEAU = 4  # equal samples at an extreme
 STUCK = 20  # equal samples elsewhere
 JUMP = 5  # a step of the elongation this many times as long as nearly all others, and as those around it
-AROUND = 10  # steps on either side of a jump that it is compared with
-NOISE_FACTOR = 3  # estimated against declared
-QUIET = 10  # samples before the motion that a base line needs
-THOUSANDFOLD = 300.0  # steps that grow or shrink by more, from one sample to the next, are in another unit
+AROUND = 10  # number of steps on either side of a jump for comparison
+NOISE_FACTOR = 3  # estimated over declared noise
+QUIET = 10  # least number of samples before the motion for a base line
+THOUSANDFOLD = 300.0  # larger changes of the steps from one sample to the next mean another unit
 
 
 def quantity_doubts(campaign: Campaign, experiment: Experiment) -> Iterator[Finding]:

@@ -98,7 +98,7 @@ def _of_specimen(experiment: Experiment, specimen: str) -> tuple[float, ...]:
     elongation = named(specimen, "elongation")
     if record is not None and elongation in record.channels:
         # A high quantile, because single noisy differences are not rates.
-        with np.errstate(all="ignore"):  # a time that is repeated is an error, which the check of the data says
+        with np.errstate(all="ignore"):  # the check of the data reports repeated times
             rate = float(np.quantile(np.abs(np.gradient(record[elongation], record.time)), 0.98))
         stiffness = initial_stiffness(record, specimen)
     return (

@@ -16,9 +16,9 @@ from hsed_jax.measurements.unit_doubts import factor_doubts, specimen_doubts
 from hsed_jax.physics.outputs import is_driver
 
 GAP = 8  # time steps this many times longer than the median are gaps, if they are rare
-THOUSANDFOLD = 300.0  # time steps that change so much are in another unit
-SAMPLES = 8  # fewer measured samples are no history: even their noise cannot be told
-FEWEST = 10  # time steps that tell what is usual
+THOUSANDFOLD = 300.0  # larger changes of the time steps mean another unit
+SAMPLES = 8  # least number of measured samples of a history; the noise of fewer cannot be estimated
+FEWEST = 10  # least number of time steps for a usual step
 
 
 def check_campaign(campaign: Campaign) -> list[Finding]:

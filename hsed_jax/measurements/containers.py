@@ -275,8 +275,8 @@ def _matrices(path: Path, content: memoryview, order: str, before: int) -> int:
         if kind == _MATRIX:
             count += 1
             ask(path, parts=before + count)
-            at += 8  # what it is made of comes next
-        elif kind >> 16:  # a small element, which holds its content where the length would be
+            at += 8  # its elements come next
+        elif kind >> 16:  # a small element has its content in the field of the length
             at += 8
         else:
             at += 8 + length + -length % 8

@@ -56,8 +56,8 @@ def cycle_table(campaign: Campaign) -> Columns:
         campaign: Not changed.  If only a part of a record is fitted or scored, the table has this part.
 
     Returns:
-        A row per cycle: peaks, absorbed energy, equivalent viscous damping, stiffnesses, residual elongation and strength loss
-        (`hsed_jax.measurements.cycles` says what each is), those of the negative side first.
+        A row per cycle: peaks, absorbed energy, equivalent viscous damping, stiffnesses, residual elongation and strength
+        loss (definitions: `hsed_jax.measurements.cycles`), those of the negative side first.
 
     Example:
         >>> table = hx.cycle_table(hx.read_campaign("my_campaign"))

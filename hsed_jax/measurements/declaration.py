@@ -32,7 +32,7 @@ def _number_is_absolute(value: Any) -> Any:
 
 
 class ChannelEntry(_Strict):
-    """``{column: F, unit: kN, noise: 0.5}``; the column is called like the channel unless said otherwise."""
+    """``{column: F, unit: kN, noise: 0.5}``; the column is called like the channel by default."""
 
     unit: str
     """Its unit."""

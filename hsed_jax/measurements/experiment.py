@@ -194,7 +194,7 @@ class Experiment:
 
     @property
     def in_window(self) -> np.ndarray:
-        """Which samples of the record to fit or score, (n,) bool."""
+        """The samples of the record to fit or score, (n,) bool."""
         if self.record is None:
             raise UserError(f"experiment {self.id!r} has no record")
         if self.window is None:

@@ -21,13 +21,13 @@ from hsed_jax.physics.display import amount
 from hsed_jax.physics.names import named
 from hsed_jax.physics.outputs import loops
 
-FEWEST = 4  # turns from which anything is said of their timing
+FEWEST = 4  # least number of turns for a statement on their timing
 LATE = 0.15  # share of late turns; measured specimens have up to 0.03
-EARLY, CYCLE = 0.6, 0.025  # share of early turns, and by how much of a cycle; specimens have up to 0.015
-SIZE = 0.02  # of the force of a half cycle: a force that turns by less has not turned
-LONGEST = 0.2  # of a cycle: a longer lag is none
-CYCLES, LINE, BESIDE = 6, 0.85, 0.75  # middles that tell a drift, and how well a line fits them
-DRIFT = (0.05, 0.6)  # of the largest magnitude; more is an asymmetry
+EARLY, CYCLE = 0.6, 0.025  # share of early turns, and their lead as a share of a cycle; specimens have up to 0.015
+SIZE = 0.02  # share of the force of a half cycle; a smaller change is not a turn of the force
+LONGEST = 0.2  # share of a cycle; a longer lag does not count
+CYCLES, LINE, BESIDE = 6, 0.85, 0.75  # number of middles for a drift, and least quality of their line
+DRIFT = (0.05, 0.6)  # share of the largest magnitude; more is an asymmetry
 SLIP, SLIPPED = 2.0, 0.02  # a slip is so many times as fast as nearly all steps, and this share of the range
 HELD, HOLD, RELAXED = 20, 0.3, 0.05  # samples of a hold, as a share of half a cycle, and how far the force relaxes
 BRANCH = 5  # samples of a branch

@@ -122,7 +122,7 @@ def _present(wanted: list[str], optional: set[str], found: Iterable[str]) -> lis
 
 @dataclass(frozen=True)
 class _Part:
-    """A variable of a binary file, or a column or row of it; `said` is what it was called."""
+    """A variable of a binary file, or a column or row of it; `said` is its given name."""
 
     path: Path
     said: str
@@ -163,7 +163,7 @@ class _Part:
 
 
 def _part(path: Path, found: Mapping[str, Variable], said: str) -> _Part:
-    """What a name stands for; a structure of MATLAB is a group in a v7.3 file."""
+    """The object of a name; a structure of MATLAB is a group in a v7.3 file."""
     matrix = _PART.fullmatch(said)
     for name, part in ((said, None), *([(matrix[1], matrix)] if matrix else [])):
         for spelled in (name, name.replace(".", "/")):

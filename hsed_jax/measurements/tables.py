@@ -299,7 +299,7 @@ def _cells(line: str, delimiter: str | None) -> list[str]:
         return line.split()
     try:
         return next(csv.reader([line], delimiter=delimiter), [])
-    except csv.Error:  # a cell beyond any length; `_split` says in which row
+    except csv.Error:  # a cell beyond any length; `_split` finds the row
         return [line]
 
 

@@ -103,7 +103,7 @@ def spans(elongation: np.ndarray) -> list[Span]:
 
 
 def cycle_numbers(elongation: np.ndarray) -> np.ndarray:
-    """Number of the cycle that each sample belongs to, from 0, (m,); `spans` says what a cycle is."""
+    """Number of the cycle that each sample belongs to, from 0, (m,); `spans` defines a cycle."""
     return np.repeat(*np.asarray([(i, span.end - span.begin) for i, span in enumerate(spans(elongation))]).T)
 
 

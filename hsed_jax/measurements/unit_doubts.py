@@ -40,14 +40,14 @@ LARGE = 100.0  # specimens of one campaign differ by less
 NEAR = {
     False: 1.15,
     True: 4.0,
-}  # a ratio is that of two units where it differs by less; a large factor allows for the specimens
-AMONG = 1.5  # the same where several experiments tell it
+}  # a ratio within this factor is that of two units; a large factor allows for differences of specimens
+AMONG = 1.5  # the same for several experiments
 ALIKE = {False: 1.35, True: 10.0}  # scatter of the ratios over the levels at which two experiments are compared
 LEVELS = {"force": (0.3, 0.5, 0.7, 0.9), "elongation": (0.2, 0.3, 0.4, 0.5)}
 """Levels of the comparison, as shares of the common range; a plateau of the force carries no information on the
 elongation.
 """
-MOST = 15  # experiments that each one is compared with
+MOST = 15  # largest number of experiments for a comparison
 SAME = 1.25  # peaks over their input differ by less where the input is the amplitude
 
 
@@ -109,7 +109,7 @@ def _is_near(one: float, other: float, factor: float) -> bool:
 
 
 def _distinct(campaign: Campaign) -> list[Experiment]:
-    """Completed experiments with a record of their own: windows of one record are one experiment here."""
+    """Completed experiments, each with its own record: windows of one record count as one experiment."""
     found: dict[int, Experiment] = {}
     for experiment in campaign.completed:
         if experiment.record is not None:

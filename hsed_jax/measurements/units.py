@@ -176,7 +176,7 @@ def measures(text: str, dimension: Dimension) -> bool:
 def _registry():
     import pint
 
-    exact: Any = Fraction  # pint says float and takes any type of number
+    exact: Any = Fraction  # pint declares float and accepts any type of number
     try:
         # Reading pint's table of units takes a quarter of a second, so the result is kept.
         folder = cache_folder()
@@ -207,7 +207,7 @@ def _by_pint(text: str) -> tuple[Fraction, str, str]:
         two = registry.Quantity(Fraction(2), unit).to_base_units().magnitude
         base = one.to_base_units()
         proportional = two == 2 * base.magnitude
-    except Exception:  # pint raises anything from AttributeError to TokenError on what it cannot read
+    except Exception:  # pint raises any exception from AttributeError to TokenError on unreadable text
         raise ValueError(f"unknown unit {shown(text)}") from None
     if not text.strip():
         raise ValueError("the unit is empty")

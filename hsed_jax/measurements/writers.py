@@ -43,7 +43,7 @@ def write_experiment(campaign: Campaign, id: str, folder: str | Path) -> None:
     """
     owners = _owners(campaign)
     for owner in dict.fromkeys(owners.values()):
-        # An experiment that shared its record with this one until now has no file of its own.
+        # An experiment that shared its record with this one so far has no separate file.
         if owner == owners[id] or (
             campaign[owner].record is not None and not (Path(folder) / _record_name(owner)).exists()
         ):

@@ -50,7 +50,7 @@ IMPOSED_ELONGATION = Kind("displacement", "elongation", "imposed_elongation", "d
 
 @dataclass(frozen=True)
 class Setting:
-    """What a study gives.
+    """A setting of a study.
 
     Attributes:
         meaning: a noun.

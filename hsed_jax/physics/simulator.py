@@ -2,7 +2,7 @@
 
 # JAX gives its devices no type, so the functions that make arrays have none.
 # pyright: reportUnknownMemberType=false
-# A compiled method is an object, and a field of this model says more than the abstract one.
+# A compiled method is an object, and a field of this model has a narrower type than the abstract one.
 # pyright: reportIncompatibleMethodOverride=false, reportIncompatibleVariableOverride=false
 
 from abc import abstractmethod

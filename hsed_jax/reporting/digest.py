@@ -112,7 +112,7 @@ def by_channel(comparisons: Mapping[str, Mapping[str, Any]]) -> list[dict[str, A
 
 
 def key_figures(run: FinishedRun) -> list[dict[str, Any]]:
-    """The key figures: a label, the number, and the number as it is shown."""
+    """The key figures: a label, the number, and its displayed text."""
     summary, found = run.summary, []
 
     def add(key: str, label: str, value: float | None, form: str = "{:.3f}") -> None:

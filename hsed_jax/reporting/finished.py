@@ -26,7 +26,7 @@ class FinishedRun(Tabular):
         campaign: the experiments.
         results: `results.nc`; None of a run that was interrupted.
         figures: SVG by name.
-        export_check: what `check.json` of its export holds; None without a checked script.
+        export_check: content of `check.json` of its export; None without a checked script.
     """
 
     folder: Path

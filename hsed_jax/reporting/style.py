@@ -101,7 +101,7 @@ class Picture:
 
 
 Drawing = tuple[str, Callable[[], Picture | None]]
-"""The name of a picture's files, and what draws it; None without data."""
+"""The name of a picture's files, and its drawing function; None without data."""
 
 
 def _set_powers_of_ten(axis: Axis) -> None:

@@ -117,7 +117,7 @@ def check_files(files: Sequence[Path], options: Any) -> "Begun":
         options: of the command line.
 
     Raises:
-        UserError: the files do not tell what is needed, or the data have errors.
+        UserError: the files are not sufficient, or the data have errors.
     """
     from hsed_jax.intake.beginning import begun
     from hsed_jax.reporting.loops import sketch
@@ -144,7 +144,7 @@ def study_of_files(files: Sequence[Path], options: Any, output: str | None, *, r
         The study.
 
     Raises:
-        UserError: the files do not tell what is needed, the data have errors, or the folder is there.
+        UserError: the files are not sufficient, the data have errors, or the folder exists.
     """
     folder = Path(output) if output else _beside(files[0])
     study = folder / "study.yaml"

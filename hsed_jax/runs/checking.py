@@ -27,7 +27,7 @@ def check_study(study: Study, path: Path, *, predict: bool = False, worth: str |
         UserError: the study cannot be run, the data have errors, or there is nothing measured to compare a prediction with.
     """
     built = Built(study)
-    _ = built.mechanics.catalogue  # effects of its own, which may be wrong, come before the data
+    _ = built.mechanics.catalogue  # the study's own effects may have faults, so they come before the data
     measured = built.experiments.measured
     accepted = study.measurements.accepted(measured)
     # Before any computation from the data, because a time that is not a number has no steps.

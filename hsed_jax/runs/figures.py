@@ -28,7 +28,7 @@ from hsed_jax.runs.illustrations import (
 from hsed_jax.runs.outcome import Outcome
 
 Tables = Mapping[str, xr.Dataset]
-"""What `hsed_jax.runs.illustrations` made, by group."""
+"""The results of `hsed_jax.runs.illustrations`, by group."""
 
 
 def draw(

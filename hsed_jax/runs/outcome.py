@@ -83,7 +83,7 @@ class Outcome:
 
     @property
     def improvements(self) -> list[float]:
-        """The largest expected improvement of every step of the design, as it is shown."""
+        """The displayed largest expected improvement of every step of the design."""
         return told([step["max_expected_improvement"] for step in self.steps])
 
     @property
@@ -158,7 +158,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
 
 
 def _references(outcome: Outcome) -> dict[str, str]:
-    """Of the model, of the effects that are named and of those added, by name."""
+    """References of the model, of the named effects and of the added ones, by name."""
     named = [] if outcome.diagnosis is None else outcome.diagnosis.effects
     used = named + (
         [] if outcome.trail is None else [effect for step in outcome.trail.steps for effect in step.effects]

@@ -25,7 +25,7 @@ def read_run(path: str | Path, known: "xr.DataTree | None" = None) -> "FinishedR
 
     Arguments:
         path: of the folder.
-        known: what `results.nc` holds, from who has just written it: to read it back takes a second.
+        known: content of `results.nc`, if it was just written: reading it takes a second.
 
     Raises:
         UserError: there is no run, it has no results yet, or a file is damaged.

@@ -112,7 +112,7 @@ class Built:
     def check(self, *, performs: bool = True) -> None:
         """Build everything that can have faults, and compute nothing; a `UserError` names the fault.
 
-        `performs` tells whether the laboratory will perform experiments; otherwise it is not built, because it may be code.
+        `performs` states whether the laboratory will perform experiments; otherwise it is not built, because it may be code.
         """
         try:
             check_plan(self.study, self.experiments.space)

@@ -40,7 +40,7 @@ class CalledMechanics(AbstractMechanics):
     @property
     @abstractmethod
     def words(self) -> str:
-        """What the model is, for messages: `this one is` stands before it."""
+        """The kind of the model, for messages after the words `this one is`."""
 
     @cached_property
     def naming(self) -> Naming:

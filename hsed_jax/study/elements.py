@@ -73,5 +73,5 @@ def is_of_linear(effect: type[AbstractEffect]) -> bool:
 
 
 def is_of_specimen(effect: type[AbstractEffect]) -> bool:
-    """Whether each specimen has such an effect of its own."""
+    """Whether each specimen has its own effect of this kind."""
     return issubclass(effect, AbstractSpringEffect) or is_of_sensors(effect)

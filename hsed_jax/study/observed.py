@@ -72,7 +72,7 @@ class Observed:
 
     @cached_property
     def errors(self) -> tuple[Error, ...]:
-        """Of each output."""
+        """Properties of each output."""
         source = self.sensors if self.experiments.measured is None else self.experiments.measured
         declared = source.quantities if self.study.observe == "quantities" else source.channels
         return errors_of(self.study, self.outputs, declared, self.mechanics.pair)
@@ -151,7 +151,7 @@ def _check_quantities(
 
 
 def _declared(study: Study) -> tuple[str, ...] | None:
-    """Channels of responses that the laboratory declares; None if it measures whatever is requested."""
+    """Channels of responses that the laboratory declares; None if it measures all requested outputs."""
     entry = study.experiments.laboratory
     if not isinstance(entry, MeasuredEntry) or not entry.channels:
         return None

@@ -1,7 +1,7 @@
 """The specimens of a study: their laws, and the parameters of the model and of a virtual specimen by their names.
 
-With several specimens, the name of a specimen stands before its parameters: `storey2.A`, `storey2.slip.delta`.  Without it, a
-parameter is shared by all specimens that have no model of their own.  A linear spring has one effect in the catalogue, which
+With several specimens, the name of a specimen precedes its parameters: `storey2.A`, `storey2.slip.delta`.  A parameter
+without this name is shared by all specimens without their own model.  A linear spring has one effect in the catalogue, which
 makes it yield: `spring_1.yielding`.
 """
 
@@ -335,7 +335,7 @@ class Naming:
 
 
 def own_model(study: Study, element: Element) -> tuple[str, Any]:
-    """The key of the model that a specimen follows, and the entry if it has one of its own."""
+    """The key of the model of a specimen, and the entry if it has its own model."""
     if not element.is_apart:
         return "model", None
     assert study.structure is not None

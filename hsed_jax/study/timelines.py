@@ -155,7 +155,7 @@ def imposed_grid(
     Arguments:
         records: each with its elongation.
         found: characteristic values of the campaign.
-        middle, steepest: the law in the middle of its priors, and where they make it yield soonest.
+        middle, steepest: the law in the middle of its priors, and at the parameters with the earliest yielding.
         is_shared: the program takes long to make, as `padded` says.
     """
     samples = padded(max(len(record) for record in records), is_shared)

@@ -30,7 +30,7 @@ class SweepFolder:
         path: of the folder.
         plan: the studies to run; None to continue the plan in the folder.
         resume: continue the existing run.
-        force: throw away what the sweep in it left.
+        force: delete the files of the sweep in it.
 
     Raises:
         UserError: the folder exists and neither option was given, it contains something else, or another process uses it.

@@ -99,7 +99,7 @@ def laws(
         study: of a test whose elongation was imposed.
         materials: of OpenSees; by default all of the table.
         output: folder of the runs, one each; by default `runs/<study>_laws`.
-        resume: go on with the runs that are there.
+        resume: continue the existing runs.
         force: replace them.
         tell: called with each law at its end.
 

@@ -101,7 +101,7 @@ def plan_of(
     """The product of a grid of values, listed points and sampled ranges, as far as they are given.
 
     Arguments:
-        study: what all have in common.
+        study: common to all points.
         values: lists of values by key.
         points: points as they are.
         ranges: ranges by key that are sampled.

@@ -18,7 +18,7 @@ _ESTIMATES = ("map", "mean", "sd", "q05", "q95", "rhat", "ess_bulk")
 def table_of(path: Path, plan: Plan) -> pd.DataFrame:
     """A row per study, `number` (from 1) as index.
 
-    Columns: the swept keys by dotted path (what is neither number nor word as JSON); `status` (`complete`, `failed`,
+    Columns: the swept keys by dotted path (as JSON unless it is a number or a word); `status` (`complete`, `failed`,
     `pending`), `message`, `seconds`; then the contents of the summaries, if the steps ran: `map.A`, `mean.A`, `sd.A`,
     `q05.A`, `q95.A`, `rhat.A`, `ess_bulk.A` of every parameter (SI), `divergences`, `log_evidence`, `error_train`,
     `error_test`, `noise_floor`, `adequate`, `p_value`, `verdict`, `effects`, `error_train_improved`, `error_test_improved`,

@@ -110,7 +110,7 @@ def sweep(
     script must call this below `if __name__ == "__main__":`, as all that starts processes in Python.
 
     Arguments:
-        study: what all have in common.
+        study: common to all points.
         values: lists of values by dotted path, such as `{"seed": [0, 1, 2]}`; every combination is run.
         points: points as they are, such as `[{"seed": 0}, {"seed": 3}]`.
         ranges: low and high, or a distribution, by dotted path, from which `samples` points are drawn.

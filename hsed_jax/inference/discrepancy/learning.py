@@ -1,4 +1,4 @@
-"""The discrepancy of calibrated histories: what `hsed_jax.inference.discrepancy.cycles` is made of, the most probable."""
+"""The discrepancy of calibrated histories: the most probable parameters of `hsed_jax.inference.discrepancy.cycles`."""
 
 from typing import NamedTuple
 

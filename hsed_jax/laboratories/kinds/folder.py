@@ -36,7 +36,7 @@ class FolderLaboratory:
     """Performs nothing by itself; `hsed_jax.runs.ask_tell` writes its requests and takes its answers."""
 
     def perform(self, number: int, inputs: Mapping[str, float]) -> NoReturn:
-        """Say that it takes a while.
+        """Refuse, because the experiment is pending.
 
         Raises:
             Awaited: always.

@@ -85,7 +85,7 @@ class _Worker:
     def __init__(self, python: str, timeout: float):
         self._timeout = timeout
         try:
-            # A session of its own: Ctrl-C at the terminal is ours to handle.
+            # A separate session: Ctrl-C at the terminal is ours to handle.
             self._process = subprocess.Popen(
                 [python, str(_DRIVER), str(math.ceil(timeout))],
                 stdin=subprocess.PIPE,

@@ -1,7 +1,7 @@
 """The interface of excitations: a function of time, and its samples on the half-step grid.
 
-An excitation is a class of its own, declared for studies in `hsed_jax.physics.declared` and listed in `EXCITATIONS`.  Its
-methods give its duration, its rate of change and its value at an instant.
+An excitation is a class, declared for studies in `hsed_jax.physics.declared` and listed in `EXCITATIONS`.  Its methods give
+its duration, its rate of change and its value at an instant.
 
 The integrator asks for an excitation at the ends and the middle of every step, so each one is turned into a *forcing*: a carry
 and an `advance` that moves it by half a step.
