@@ -189,7 +189,7 @@ def improve(
         start: parameters of the model with them, by name, SI, to start one of the searches from: `Diagnosis.optimum`, so that
             the improvement reaches the fit of the diagnosis.
         own_effects: Python files with your effects that the study does not name yet, such as the file that `Discovery.write`
-            left.
+            writes.
         watch: follows the fits and the calibration.
 
     Raises:

@@ -9,8 +9,8 @@ import numpy as np
 
 from hsed_jax.measurements import Campaign, Record
 
-# Frequencies at which the ground has less than this share of its largest power carry no information on the building.  Nor do
-# frequencies of which the record has fewer periods than this.
+# Frequencies at which the ground has less than this share of its largest power carry no information on the building.
+# Frequencies with fewer periods in the record than this carry none, either.
 _LEAST_POWER, _LEAST_PERIODS = 0.01, 4
 
 

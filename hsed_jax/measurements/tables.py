@@ -53,7 +53,7 @@ class Table:
     units: Mapping[str, str] = field(default_factory=dict)
 
     def where(self, row: int, column: str | None = None) -> str:
-        """Return the position of the cell in `rows[row]` stands, for a message."""
+        """Return the position of the cell in `rows[row]`, for a message."""
         return f"{self.path}, row {self.row_numbers[row]}" + ("" if column is None else f", column {column!r}")
 
     def position(self, column: str) -> int:

@@ -60,7 +60,7 @@ class Setting:
         default: None: it must be given, unless `is_optional`.
         is_positive: whether it must be.
         is_optional: whether it may be left out, depending on other settings; it is then None.
-        words: meaning of a `word` stands for.
+        words: meaning of a `word`.
     """
 
     meaning: str

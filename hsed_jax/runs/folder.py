@@ -64,8 +64,8 @@ class RunFolder:
         self.path = Path(path)
         try:
             occupied = self.path.exists() and (not self.path.is_dir() or any(map(_is_content, self.path.iterdir())))
-            # A study alone does not show a run, because `hsed init` writes one beside the measurements.  Nor is a lock,
-            # because sweeps have one.
+            # A study alone does not show a run, because `hsed init` writes one beside the measurements.  A lock
+            # does not show a run, either, because sweeps have one.
             begun = (self.path / "study.yaml").exists() and (self.path / ".lock").exists()
             if occupied and not (begun or self._journal.exists() or self._provenance.exists()):
                 raise UserError(f"{self.path} exists and is not a run folder; choose another --output")

@@ -107,7 +107,7 @@ def sweep(
 
     Studies run in processes of this machine, a core each, unless a Dask cluster is named. A process that dies is replaced,
     and its study continues from its journal. A study that fails is listed with its traceback, and the sweep continues. A
-    script must call this below `if __name__ == "__main__":`, as all that starts processes in Python.
+    script must call this below `if __name__ == "__main__":`, like all code that starts processes in Python.
 
     Arguments:
         study: common to all points.

@@ -115,7 +115,7 @@ class AbstractLaboratoryEntry(Section):
         performer: of the experiments, for a report.
         use: its purpose, for the documentation.
         in_structure: whether it tests a specimen in the structure of the study.
-        is_asked: whether people perform the requests of the step `design` so that it cannot perform an initial design by
+        is_asked: whether people perform the requests of the step `design`, so that it cannot perform an initial design by
             itself.
         registered: whether it is a laboratory; `register` says so.
     """
