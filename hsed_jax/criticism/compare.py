@@ -190,8 +190,8 @@ def discrepancy_p_value(prediction: Prediction, declared: np.ndarray, parameters
     without an error of the model. Without a declared noise, the size of the residual of a history is not informative. The
     residual is then tested for autocorrelated noise: for whiteness (Ljung & Box 1978 over ten lags) after the removal of a
     first-order autoregression. This test has little power for a short record. Therefore a residual of more than five times
-    the noise of the record (`noise_sizes`) does not count as noise.  The smallest p of k such tests, which are nearly independent, counts:
-    $1-(1-p)^k$ (Šidák 1967).
+    the noise of the record (`noise_sizes`) does not count as noise.  The smallest p of k such (nearly independent) tests
+    counts: $1-(1-p)^k$ (Šidák 1967).
     """
     if prediction.diverged.any():
         return 0.0
